@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m studiorecon STAGE.STEP --settings JSON [--log FILE] --NAME VALUE ...``
+
+Imports only ``studiorecon.STAGE.STEP`` and calls its ``run(settings, ...)``. Every keyword of ``run`` is an option of the
+same name (underscores become dashes); its annotation says how the text is read: ``Path``, ``str``, ``int``, ``float``, or a
+list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib
+import inspect
+import json
+import sys
+import traceback
+import types
+import typing
+from pathlib import Path
+
+from studiorecon import settings as settings_module
+from studiorecon.errors import Refusal
+from studiorecon.progress import VOICE
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one step; the exit status is 0 when it finished, 1 when it refused or failed."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if not argv or argv[0] in ("-h", "--help") or "." not in argv[0]:
+        print(__doc__)
+        return 0 if argv and argv[0] in ("-h", "--help") else 2
+    step = argv[0]
+    try:
+        module = importlib.import_module(f"studiorecon.{step}")
+        run = module.run
+    except (ModuleNotFoundError, AttributeError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name and not f"studiorecon.{step}".startswith(error.name):
+            raise
+        print(f"studiorecon: there is no step {step!r}; the rules in workflow/rules name them all", file=sys.stderr)
+        return 2
+    options = _parse(step, run, argv[1:])
+    VOICE.step = step
+    log_path = options.pop("log")
+    if log_path is None:
+        return _run(module, step, options)
+    log_path.parent.mkdir(parents=True, exist_ok=True)
+    with open(log_path, "w", encoding="utf-8") as VOICE.log:
+        try:
+            return _run(module, step, options)
+        finally:
+            VOICE.log = None
+
+
+def _run(module: types.ModuleType, step: str, options: dict) -> int:
+    try:
+        values = json.loads(options.pop("settings"))
+        settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
+        if settings_type is not None:
+            options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
+        module.run(**options)
+    except Refusal as refusal:
+        _fail(f"{step}: {refusal}")
+        return 1
+    except Exception:
+        _fail(traceback.format_exc())
+        return 1
+    return 0
+
+
+def _fail(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+    if VOICE.log is not None:
+        print(text, file=VOICE.log, flush=True)
+
+
+def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
+    parser = argparse.ArgumentParser(prog=f"python -m studiorecon {step}", description=inspect.getdoc(run))
+    parser.add_argument("--settings", default="{}", help="this step's section of the configuration, as JSON")
+    parser.add_argument("--log", type=Path, default=None, help="file that receives every sentence of the step")
+    hints = typing.get_type_hints(run)
+    for name, parameter in inspect.signature(run).parameters.items():
+        if name == "settings":
+            continue
+        kind, is_list, optional = _read_annotation(hints[name])
+        required = parameter.default is inspect.Parameter.empty and not optional and not is_list
+        default = [] if is_list else None if parameter.default is inspect.Parameter.empty else parameter.default
+        extra = {"nargs": "*"} if is_list else {}
+        parser.add_argument("--" + name.replace("_", "-"), dest=name, type=kind, required=required, default=default, **extra)
+    return vars(parser.parse_args(argv))
+
+
+def _read_annotation(hint: typing.Any) -> tuple[type, bool, bool]:
+    optional = False
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        optional = True
+        hint = next(a for a in typing.get_args(hint) if a is not type(None))
+    if typing.get_origin(hint) is list:
+        return typing.get_args(hint)[0], True, optional
+    return hint, False, optional
+
+
+if __name__ == "__main__":
+    sys.exit(main())

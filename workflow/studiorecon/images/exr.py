@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenEXR depth maps: channel Z in metres (0 = unknown), channel A = confidence 0..1."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.scene.files import complete
+
+
+def write_depth(path: Path, depth_m: np.ndarray, confidence: np.ndarray) -> None:
+    """Write (H, W) float32 depth and confidence."""
+    import OpenEXR
+
+    channels = {"Z": np.ascontiguousarray(depth_m, np.float32), "A": np.ascontiguousarray(confidence, np.float32)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with complete(path) as partial, OpenEXR.File(header, channels) as file:
+        file.write(str(partial))
+
+
+def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); non-finite depth becomes 0.
+
+    Accepts a depth channel named Z, Y, R or depth. Raises Refusal naming the file.
+    """
+    import OpenEXR
+
+    if not path.is_file():
+        raise Refusal(f"{path} is missing")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except Exception as error:  # the binding raises bare RuntimeError and std exceptions
+        raise Refusal(f"{path} is not a readable EXR file ({error})") from None
+    name = next((n for n in ("Z", "Y", "R", "depth") if n in channels), None)
+    if name is None:
+        raise Refusal(f"{path} has channels {', '.join(channels)}; depth is looked for in Z, Y, R or depth")
+    depth_m = np.asarray(channels[name], np.float32)
+    depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
+    confidence = np.asarray(channels["A"], np.float32) if "A" in channels else (depth_m > 0).astype(np.float32)
+    return depth_m, confidence

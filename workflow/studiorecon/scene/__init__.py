@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nouns of a scene and the files they live in.
+
+One convention everywhere (converted once, at the border, in ``cameras``):
+
+* world: right-handed, metres, z up, floor near z = 0; camera: OpenCV axes (x right, y down, z forward);
+* ``camera_from_world`` takes world points to camera points; in a product the inner words meet;
+* pixel centres at +0.5: the centre of the top-left pixel is (0.5, 0.5); ``hw`` is (rows, columns), ``wh`` (width, height);
+* images are float32 RGB in [0, 1]; depth is z-depth in metres, 0 = unknown; time is 0-based; camera names are strings;
+* geometry is float64; everything numeric travels with ``valid``.
+"""

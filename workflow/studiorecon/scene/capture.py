@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `capture` found out about each camera's footage: ``capture/<camera>.json`` and ``capture/manifest.json``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from studiorecon.scene.files import read_json, write_json
+
+
+@dataclass(frozen=True)
+class Footage:
+    """The frames of one camera as the pipeline works with them.
+
+    Attributes:
+        camera: camera name.
+        held_out: True when no stage but ``report`` may look at the pictures.
+        wh: working size of the undistorted frames.
+        intrinsics: 3×3 nested list, pixels of the undistorted working frames.
+        fps: frames per second.
+        frames: number of frames.
+        first_source_frame: 0-based index in the source of working frame 0.
+        source: file or folder the frames came from, relative to the dataset.
+        source_sha256: digest of the file (of the sorted file digests for a folder).
+        source_wh: size of the source frames, after their rotation tag.
+        rotation_deg: rotation tag that was applied, 0 when none.
+        sync_offset_s: time added to this camera's clock (0 when synchronised).
+        changes: sentences: what was done to the footage.
+    """
+
+    camera: str
+    held_out: bool
+    wh: tuple[int, int]
+    intrinsics: list[list[float]]
+    fps: float
+    frames: int
+    first_source_frame: int
+    source: str
+    source_sha256: str
+    source_wh: tuple[int, int]
+    rotation_deg: int
+    sync_offset_s: float
+    changes: list[str]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """All cameras of a scene; ``footage`` is in the user's camera order, training cameras and held-out ones together."""
+
+    scene: str
+    fps: float
+    frames: int
+    footage: tuple[Footage, ...]
+
+    @property
+    def training(self) -> tuple[Footage, ...]:
+        return tuple(f for f in self.footage if not f.held_out)
+
+    @property
+    def held_out(self) -> tuple[Footage, ...]:
+        return tuple(f for f in self.footage if f.held_out)
+
+    def of(self, camera: str) -> Footage:
+        """The footage of one camera; KeyError when there is none of that name."""
+        for footage in self.footage:
+            if footage.camera == camera:
+                return footage
+        raise KeyError(camera)
+
+
+def write_footage(path: Path, footage: Footage) -> None:
+    write_json(path, asdict(footage))
+
+
+def read_footage(path: Path) -> Footage:
+    return _footage(read_json(path))
+
+
+def write_manifest(path: Path, manifest: Manifest) -> None:
+    write_json(path, asdict(manifest))
+
+
+def read_manifest(path: Path) -> Manifest:
+    value = read_json(path)
+    return Manifest(value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"]))
+
+
+def _footage(value: dict[str, Any]) -> Footage:
+    return Footage(**{**value, "wh": tuple(value["wh"]), "source_wh": tuple(value["source_wh"])})

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A dataset directory: what a user has on disk, found by its conventional names or named in ``capture.yaml``.
+
+Importable without numpy-heavy modules: the workflow reads it while it makes its plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from studiorecon.errors import Refusal
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
+_KEYS = {"frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "plates", "masks", "depth", "pixel_maps", "people"}
+# The first of these that exists is the calibration, when capture.yaml does not name one.
+_CALIBRATIONS = (
+    ("intri.yml", "extri.yml"),
+    ("optimized/intri.yml", "optimized/extri.yml"),
+    ("Intrinsic.yml", "Extrinsic.yml"),
+    ("sparse/0/cameras.txt", "sparse/0/images.txt"),
+    ("sparse/0/cameras.bin", "sparse/0/images.bin"),
+    ("sparse/cameras.txt", "sparse/images.txt"),
+    ("cameras.txt", "images.txt"),
+    ("transforms.json",),
+)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Where everything of one capture lies. All paths exist unless the studio is still to make them.
+
+    Attributes:
+        folder: the dataset directory.
+        footage: camera → video file, or folder of pictures.
+        held_out: cameras that only ``report`` may look at.
+        calibration: the calibration's file(s); empty when none was found.
+        keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
+        keypoint_layout: name of the layout, or ``"auto"``.
+        plates, masks, depth: camera → file or folder, where the user brings them.
+        pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
+            footage that was resized or padded after the calibration.
+        first_frame, frame_count: the part of the footage to use; ``frame_count`` 0 = to the end.
+        people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
+        truth: folder of exact truth (made studio only), else None.
+    """
+
+    folder: Path
+    footage: Mapping[str, Path]
+    held_out: tuple[str, ...]
+    calibration: tuple[Path, ...]
+    keypoints: Mapping[str, Path]
+    keypoint_layout: str
+    plates: Mapping[str, Path]
+    masks: Mapping[str, Path]
+    depth: Mapping[str, Path]
+    pixel_maps: Mapping[str, tuple[float, float, float]]
+    first_frame: int
+    frame_count: int
+    people: bool
+    truth: Path | None
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        return tuple(self.footage)
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        return tuple(c for c in self.footage if c not in self.held_out)
+
+
+def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
+    """The dataset in ``folder``, described by ``capture_yaml`` (default: ``folder/capture.yaml`` if it is there).
+
+    Paths inside ``capture.yaml`` are relative to ``folder``. Raises Refusal, naming the folder or key and the remedy.
+    """
+    if not folder.is_dir():
+        raise Refusal(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
+    description = _read_description(folder, capture_yaml)
+    footage = _find_footage(folder)
+    chosen = _names(description, "train", footage) + _names(description, "held_out", footage)
+    held_out = tuple(_names(description, "held_out", footage))
+    if "train" in description:
+        footage = {c: footage[c] for c in footage if c in chosen}
+    if len(footage) - len(held_out) < 2:
+        raise Refusal(f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); at least 2 videos are needed in videos/")
+    first, count = _frames(description, folder)
+    keypoints = _per_camera(folder, description.get("keypoints"), ("keypoints", "pose", "openpose", "annots"), footage)
+    return Dataset(
+        folder=folder,
+        footage=footage,
+        held_out=held_out,
+        calibration=_find_calibration(folder, description),
+        keypoints=keypoints,
+        keypoint_layout=str(description.get("keypoint_layout", "auto")),
+        plates=_per_camera(folder, description.get("plates"), ("plates",), footage),
+        masks=_per_camera(folder, description.get("masks"), ("masks",), footage),
+        depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
+        pixel_maps=_pixel_maps(description, footage),
+        first_frame=first,
+        frame_count=count,
+        people=description.get("people", 1) not in (0, False, "none"),
+        truth=None,
+    )
+
+
+def _read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
+    path = capture_yaml or folder / "capture.yaml"
+    if not path.is_file():
+        if capture_yaml is not None:
+            raise Refusal(f"{path} does not exist; pass an existing file with --config capture_yaml=FILE, or leave it out")
+        return {}
+    try:
+        description = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except yaml.YAMLError as error:
+        raise Refusal(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
+    unknown = sorted(set(description) - _KEYS) if isinstance(description, dict) else ["(not a mapping)"]
+    if unknown:
+        raise Refusal(f"{path} has the unknown key {unknown[0]!r}; known keys are {', '.join(sorted(_KEYS))}")
+    return description
+
+
+def _find_footage(folder: Path) -> dict[str, Path]:
+    videos = [p for p in sorted((folder / "videos").glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+    stems = [p.stem for p in videos]
+    for stem in stems:
+        if stems.count(stem) > 1:
+            raise Refusal(f"{folder / 'videos'} holds more than one video named {stem!r}; keep one per camera")
+    if videos:
+        return {p.stem: p for p in videos}
+    folders = [p for p in sorted((folder / "images").glob("*")) if p.is_dir()]
+    found = {p.name: p for p in folders if any(q.suffix.lower() in PICTURE_SUFFIXES for q in p.iterdir())}
+    if not found:
+        raise Refusal(f"dataset {folder} has neither videos/*.mp4 (or mov, mkv) nor images/<camera>/*.png (or jpg): put one video per camera there")
+    return found
+
+
+def _names(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
+    names = [str(n) for n in description.get(key) or []]
+    for name in names:
+        if name not in footage:
+            raise Refusal(f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros")
+    return names
+
+
+def _frames(description: dict[str, Any], folder: Path) -> tuple[int, int]:
+    frames = description.get("frames") or {}
+    if not isinstance(frames, dict) or set(frames) - {"first", "count"}:
+        raise Refusal(f"capture.yaml of {folder}: frames must look like {{first: 0, count: 60}}")
+    first, count = frames.get("first", 0), frames.get("count", 0)
+    if not all(isinstance(v, int) and v >= 0 for v in (first, count)):
+        raise Refusal(f"capture.yaml of {folder}: frames.first and frames.count must be whole numbers ≥ 0")
+    return first, count
+
+
+def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, ...]:
+    named = description.get("calibration")
+    if named is not None:
+        paths = tuple(folder / p for p in ([named] if isinstance(named, str) else named))
+        for path in paths:
+            if not path.exists():
+                raise Refusal(f"capture.yaml names the calibration {path}, which does not exist")
+        return paths
+    for names in _CALIBRATIONS:
+        if all((folder / n).is_file() for n in names):
+            return tuple(folder / n for n in names)
+    for pattern in ("*.toml", "calibration/*.toml", "*.qca.txt", "calibration/*.qca.txt"):
+        found = sorted(folder.glob(pattern))
+        if len(found) == 1:
+            return (found[0],)
+        if len(found) > 1:
+            raise Refusal(f"{folder} holds {len(found)} calibrations ({', '.join(p.name for p in found)}); name one in capture.yaml: calibration: FILE")
+    return ()
+
+
+def _per_camera(folder: Path, named: Any, defaults: tuple[str, ...], footage: Mapping[str, Path]) -> dict[str, Path]:
+    """camera → path inside the named (or first existing default) folder: ``<camera>``, ``<camera>_json``, ``<camera>.*``."""
+    base = folder / str(named) if named is not None else next((folder / d for d in defaults if (folder / d).is_dir()), None)
+    if base is None:
+        return {}
+    if not base.is_dir():
+        raise Refusal(f"capture.yaml names {base}, which is not a folder")
+    entries = sorted(base.iterdir())
+    found = {}
+    for camera in footage:
+        for entry in entries:
+            stem = entry.name if entry.is_dir() else entry.name.split(".")[0]
+            if stem in (camera, f"{camera}_json", f"{camera}_ext"):
+                found[camera] = entry
+                break
+    return found
+
+
+def _pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
+    maps = description.get("pixel_maps") or {}
+    if not isinstance(maps, dict):
+        raise Refusal("capture.yaml: pixel_maps must look like {cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
+    found = {}
+    for camera, entry in maps.items():
+        if str(camera) not in footage:
+            raise Refusal(f"capture.yaml lists camera {camera!r} under pixel_maps, but the footage has {', '.join(footage)}")
+        try:
+            found[str(camera)] = (float(entry["scale"]), float(entry["offset"][0]), float(entry["offset"][1]))
+        except (TypeError, KeyError, IndexError, ValueError):
+            raise Refusal(f"capture.yaml: pixel_maps of {camera} must look like {{scale: 0.99, offset: [0.0, 7.2]}}") from None
+    return found

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera path: which camera looks at which time for every frame of a film or a set of views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import read_json, write_json
+
+
+@dataclass(frozen=True)
+class Step:
+    """One picture of a path.
+
+    Attributes:
+        camera: where from.
+        frame: 0-based working frame that is shown (fractions between frames are allowed).
+        segment: name of the part of the path this picture belongs to (``"00"``, or a camera name for ``heldout``).
+    """
+
+    camera: Camera
+    frame: float
+    segment: str
+
+
+def write_path(path: Path, steps: list[Step], fps: float) -> None:
+    write_json(path, {"fps": fps, "steps": [{"camera": s.camera.as_json(), "frame": s.frame, "segment": s.segment} for s in steps]})
+
+
+def read_path(path: Path) -> tuple[list[Step], float]:
+    """The steps and the frame rate of a path file."""
+    value = read_json(path)
+    steps = [Step(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
+    return steps, float(value["fps"])

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Detections per camera, identities, and bodies over time: the files under ``people/``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.scene.files import read_table, write_npz, write_table
+
+PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence")
+IDENTITY_COLUMNS = ("camera", "track", "person")
+
+
+@dataclass(frozen=True)
+class Detections:
+    """2D keypoints of one camera in undistorted working pixels (centres at +0.5).
+
+    Attributes:
+        camera: camera name.
+        layout: name of the keypoint layout (``body/layouts.py``).
+        frame: (D,) int, working frame of each detection.
+        track: (D,) int, per-camera track id; a track lasts while the same person is followed in this camera.
+        keypoints: (D, K, 3) float64: x, y, confidence in [0, 1]; confidence 0 = missing (x, y are then NaN).
+    """
+
+    camera: str
+    layout: str
+    frame: np.ndarray
+    track: np.ndarray
+    keypoints: np.ndarray
+
+
+@dataclass(frozen=True)
+class Person:
+    """One person's body over all working frames, AMASS-style.
+
+    Attributes:
+        name: ``p0``, ``p1``, …
+        body: id of the body model and shape space (``BodyModel.identity``).
+        fps: frames per second.
+        poses: (T, 72) axis-angle, SMPL's 24-joint order, radians.
+        trans: (T, 3) world position of the pelvis joint, metres.
+        betas: (10,) shape.
+        joints: (T, 24, 3) world joints, metres.
+        valid: (T,) bool: frames in which the body was measured (others are filled, for films that must not blink).
+        sigma: (T, 24) standard deviation of the joints, metres (inf where unknown).
+        metric: True when lengths are metres.
+    """
+
+    name: str
+    body: str
+    fps: float
+    poses: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    joints: np.ndarray
+    valid: np.ndarray
+    sigma: np.ndarray
+    metric: bool
+
+
+def write_detections(path: Path, detections: Detections) -> None:
+    write_npz(path, {name: getattr(detections, name) for name in Detections.__dataclass_fields__})
+
+
+def read_detections(path: Path) -> Detections:
+    with _open(path) as data:
+        return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"])
+
+
+def write_person(path: Path, person: Person) -> None:
+    """Write the AMASS-style npz: ``poses trans betas mocap_framerate`` plus this project's own fields."""
+    arrays = {name: getattr(person, name) for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "sigma", "metric")}
+    write_npz(path, arrays | {"mocap_framerate": person.fps})
+
+
+def read_person(path: Path) -> Person:
+    with _open(path) as data:
+        arrays = {n: data[n] for n in ("poses", "trans", "betas", "joints", "valid", "sigma")}
+        return Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
+
+
+def write_people(path: Path, rows: list[tuple[str, int, str, float]]) -> None:
+    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1. May have no rows: an empty room."""
+    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}") for p, n, c, confidence in rows])
+
+
+def read_people(path: Path) -> list[str]:
+    """Person ids of ``people.tsv``, in file order."""
+    return [row["person"] for row in read_table(path, PEOPLE_COLUMNS)]
+
+
+def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None:
+    """Write ``identities.tsv`` from {(camera, track): person}; an empty person means the track was rejected."""
+    write_table(path, IDENTITY_COLUMNS, [(camera, track, person) for (camera, track), person in sorted(identities.items())])
+
+
+def read_identities(path: Path) -> dict[tuple[str, int], str]:
+    return {(row["camera"], int(row["track"])): row["person"] for row in read_table(path, IDENTITY_COLUMNS)}
+
+
+def _open(path: Path) -> np.lib.npyio.NpzFile:
+    if not path.is_file():
+        raise Refusal(f"{path} is missing")
+    return np.load(path, allow_pickle=False)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON settings of one step → a frozen dataclass, with errors that are sentences.
+
+Defaults are written once, in ``config/config.yaml``; the dataclasses have none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from studiorecon.errors import Refusal
+
+T = TypeVar("T")
+
+
+def load(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+    """The dataclass ``cls`` filled from ``values``; ``where`` (``"depth.sweep"``) names the place in messages.
+
+    A section of the configuration may serve several steps, so keys that ``cls`` does not have are ignored here: the
+    configuration schema is what refuses misspelt keys. Nested dataclasses are filled from nested mappings. Raises
+    Refusal for a missing key or a value of the wrong type.
+    """
+    hints = typing.get_type_hints(cls)
+    filled = {}
+    for field in dataclasses.fields(cls):
+        if field.name not in values:
+            raise Refusal(f"setting {where}.{field.name} is missing; config/config.yaml holds every setting with its default")
+        filled[field.name] = _convert(values[field.name], hints[field.name], f"{where}.{field.name}")
+    return cls(**filled)
+
+
+def _convert(value: Any, kind: Any, where: str) -> Any:
+    origin = typing.get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        options = typing.get_args(kind)
+        if value is None and type(None) in options:
+            return None
+        failures = []
+        for option in options:
+            if option is type(None):
+                continue
+            try:
+                return _convert(value, option, where)
+            except Refusal as refusal:
+                failures.append(str(refusal))
+        raise Refusal(failures[0])
+    if origin is typing.Literal:
+        choices = typing.get_args(kind)
+        if value not in choices:
+            raise Refusal(f"setting {where} is {value!r}; it must be one of {', '.join(map(str, choices))}")
+        return value
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(value, Mapping):
+            raise Refusal(f"setting {where} must be a section with keys, not {value!r}")
+        return load(kind, value, where)
+    if origin in (tuple, list, Sequence):
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            raise Refusal(f"setting {where} must be a list, not {value!r}")
+        inner = [a for a in typing.get_args(kind) if a is not Ellipsis]
+        if origin is tuple and Ellipsis not in typing.get_args(kind):
+            if len(value) != len(inner):
+                raise Refusal(f"setting {where} must have {len(inner)} entries, not {len(value)}")
+            return tuple(_convert(v, k, where) for v, k in zip(value, inner))
+        items = [_convert(v, inner[0] if inner else Any, where) for v in value]
+        return items if origin is list else tuple(items)
+    if origin in (dict, Mapping) or kind is dict:
+        if not isinstance(value, Mapping):
+            raise Refusal(f"setting {where} must be a section with keys, not {value!r}")
+        return dict(value)
+    if kind is Any:
+        return value
+    return _scalar(value, kind, where)
+
+
+def _scalar(value: Any, kind: type, where: str) -> Any:
+    # bool is an int in Python and YAML writes 1e-4 as a string: both are user errors worth a sentence of their own.
+    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if kind is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if kind in (bool, str) and isinstance(value, kind):
+        return value
+    raise Refusal(f"setting {where} is {value!r}; it must be {_NAMES.get(kind, str(kind))}")
+
+
+_NAMES = {float: "a number (write 1.0e-4, not 1e-4)", int: "a whole number", bool: "true or false", str: "text"}
