@@ -136,7 +136,9 @@ def _find_footage(folder: Path) -> dict[str, Path]:
     folders = [p for p in sorted((folder / "images").glob("*")) if p.is_dir()]
     found = {p.name: p for p in folders if any(q.suffix.lower() in PICTURE_SUFFIXES for q in p.iterdir())}
     if not found:
-        raise Refusal(f"dataset {folder} has neither videos/*.mp4 (or mov, mkv) nor images/<camera>/*.png (or jpg): put one video per camera there")
+        raise Refusal(
+            f"dataset {folder} has neither videos/*.mp4 (or mov, mkv) nor images/<camera>/*.png (or jpg): put one video per camera there"
+        )
     return found
 
 
@@ -144,7 +146,9 @@ def _names(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -
     names = [str(n) for n in description.get(key) or []]
     for name in names:
         if name not in footage:
-            raise Refusal(f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros")
+            raise Refusal(
+                f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros"
+            )
     return names
 
 
@@ -174,7 +178,8 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
         if len(found) == 1:
             return (found[0],)
         if len(found) > 1:
-            raise Refusal(f"{folder} holds {len(found)} calibrations ({', '.join(p.name for p in found)}); name one in capture.yaml: calibration: FILE")
+            names = ", ".join(p.name for p in found)
+            raise Refusal(f"{folder} holds {len(found)} calibrations ({names}); name one in capture.yaml: calibration: FILE")
     return ()
 
 

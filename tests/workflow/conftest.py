@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A copy of the workflow that tests may edit, break and kill."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+PARTS = ("Snakefile", "workflow", "envs", "config", "profiles", "resources")
+
+
+@dataclass(frozen=True)
+class House:
+    """A working directory with its own copy of the workflow and of the package."""
+
+    folder: Path
+    dataset: str
+
+    def snakemake(self, *arguments: str, check: bool = True, path: Path | None = None) -> subprocess.CompletedProcess:
+        """Run snakemake here on the house's dataset; output and errors come back as one text."""
+        done = subprocess.run(
+            self.command(*arguments), cwd=self.folder, env=self.environment(path), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        if check:
+            assert done.returncode == 0, done.stdout[-6000:]
+        return done
+
+    def command(self, *arguments: str) -> list[str]:
+        config = ["--config", f"dataset={self.dataset}"] if self.dataset else []
+        return [sys.executable, "-m", "snakemake", *arguments, *config]
+
+    def environment(self, path: Path | None = None) -> dict[str, str]:
+        binaries = [*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]]
+        return {**os.environ, "PYTHONPATH": str(self.folder / "workflow"), "PATH": os.pathsep.join(binaries)}
+
+    def plan(self, *arguments: str) -> dict[str, int]:
+        """Jobs per rule of a dry run; empty when there is nothing to do."""
+        text = self.snakemake("--dry-run", "--cores", "2", *arguments).stdout
+        if "Nothing to be done" in text:
+            return {}
+        table = text.partition("Job stats:")[2].partition("total")[0]
+        return {m.group(1): int(m.group(2)) for m in re.finditer(r"^(\w+) +(\d+)$", table, re.MULTILINE) if m.group(1) != "all"}
+
+    def overlay(self, **sections: dict) -> str:
+        """A configuration overlay file; returns its path."""
+        path = self.folder / "overlay.yaml"
+        path.write_text(yaml.safe_dump(sections))
+        return str(path)
+
+    def failing_python(self, *words: str) -> Path:
+        """A folder for PATH whose ``python`` fails for the one step whose command line holds all ``words``."""
+        folder = self.folder / "failing"
+        folder.mkdir(exist_ok=True)
+        tests = " && ".join(f'[[ " $* " == *" {w} "* ]]' for w in words)
+        script = folder / "python"
+        script.write_text(f'#!/usr/bin/env bash\nif {tests}; then echo "planted failure" >&2; exit 1; fi\nexec {sys.executable} "$@"\n')
+        script.chmod(script.stat().st_mode | stat.S_IXUSR)
+        return folder
+
+
+def make_house(folder: Path, dataset: str) -> House:
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in PARTS:
+        source = ROOT / part
+        if source.is_dir():
+            shutil.copytree(source, folder / part, ignore=shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc"))
+        else:
+            shutil.copy(source, folder / part)
+    return House(folder, dataset)
+
+
+@pytest.fixture(scope="session")
+def house(tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A house in which nothing was run yet."""
+    return make_house(tmp_path_factory.mktemp("house"), "resources/studio/tiny.yaml")
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A house in which the smallest studio ran to its end."""
+    made = make_house(tmp_path_factory.mktemp("finished"), "resources/studio/tiny.yaml")
+    made.snakemake("--cores", "2")
+    return made

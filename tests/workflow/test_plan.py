@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the plan holds before anything ran, and what is refused at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .conftest import ROOT, House, make_house
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The skeleton of a user's dataset: enough to plan with."""
+    folder = tmp_path_factory.mktemp("capture")
+    (folder / "videos").mkdir()
+    for camera in ("left", "right", "back"):
+        (folder / "videos" / f"{camera}.mp4").touch()
+        (folder / "keypoints" / camera).mkdir(parents=True)
+    for name in ("intri.yml", "extri.yml"):
+        (folder / name).touch()
+    return folder
+
+
+def on(house: House, dataset: Path) -> House:
+    return House(house.folder, str(dataset))
+
+
+def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset: Path) -> None:
+    plan = on(house, dataset).plan()
+    assert plan["capture_frames"] == 3
+    assert plan["depth_sweep"] == 3
+    assert plan["views_synthesize"] == 3
+    assert "studio_capture" not in plan
+
+
+def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
+    (dataset / "capture.yaml").write_text("people: 0\n")
+    plan = on(house, dataset).plan()
+    (dataset / "capture.yaml").unlink()
+    assert plan["background_train"] == 1
+    assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
+
+
+@pytest.mark.parametrize(
+    ("remove", "words"),
+    [("intri.yml", "has no calibration"), ("keypoints", "has no 2D keypoints"), ("keypoints/back", "camera back"), ("videos", "neither videos")],
+)
+def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
+    (dataset / remove).rename(dataset / "hidden")
+    done = on(house, dataset).snakemake("--dry-run", "--cores", "1", check=False)
+    (dataset / "hidden").rename(dataset / remove)
+    assert done.returncode != 0
+    assert words in done.stdout
+    assert "Traceback" not in done.stdout
+
+
+def test_a_missing_dataset_folder_is_named(house: House) -> None:
+    done = House(house.folder, "nowhere").snakemake("--dry-run", "--cores", "1", check=False)
+    assert done.returncode != 0
+    assert "nowhere does not exist" in done.stdout
+
+
+def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
+    overlay = house.overlay(depth={"plains": 3})
+    done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
+    assert done.returncode != 0
+    assert "plains" in done.stdout
+
+
+def test_workflow_also_runs_from_another_directory(tmp_path: Path) -> None:
+    made = make_house(tmp_path / "house", "")
+    (tmp_path / "elsewhere").mkdir()
+    plan = made.plan("--directory", str(tmp_path / "elsewhere"))
+    assert plan["studio_capture"] == 1
+
+
+def test_the_default_dataset_is_the_demo() -> None:
+    assert "dataset: resources/studio/demo.yaml" in (ROOT / "config/config.yaml").read_text()

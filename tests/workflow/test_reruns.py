@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smallest studio runs to its end once; then single edits re-run exactly what depends on them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from .conftest import House, make_house
+
+AFTER_HUMANS = {"render_shot", "enhance_shot", "report_score", "report_page", "deliver_export"}
+
+
+def results(house: House) -> Path:
+    return house.folder / "results" / "tiny"
+
+
+def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
+    for name in ("enhance/orbit.mp4", "report/index.html", "report/metrics.json", "background/scene.ply", "people/people.tsv"):
+        assert (results(finished) / name).stat().st_size > 0
+    assert len((results(finished) / "people/people.tsv").read_text().splitlines()) == 3, "two people and the header"
+
+
+def test_nothing_is_left_to_do(finished: House) -> None:
+    assert finished.plan() == {}
+
+
+def test_a_render_setting_renders_again_and_trains_nothing(finished: House) -> None:
+    plan = finished.plan("--configfile", finished.overlay(render={"background_rgb": [1.0, 1.0, 1.0]}))
+    assert set(plan) == AFTER_HUMANS
+
+
+def test_a_human_setting_trains_the_humans_and_leaves_the_room(finished: House) -> None:
+    plan = finished.plan("--configfile", finished.overlay(humans={"iterations": 7}))
+    assert plan["humans_train"] == 2
+    assert set(plan) == {"humans_train", *AFTER_HUMANS}
+
+
+def test_a_changed_line_of_one_step_runs_that_step_and_what_follows(finished: House) -> None:
+    module = finished.folder / "workflow/studiorecon/views/synthesize.py"
+    before = module.read_text()
+    module.write_text(before + "\nPLANTED = 1\n")
+    plan = finished.plan()
+    module.write_text(before + "\n# only a comment\n")
+    commented = finished.plan()
+    module.write_text(before)
+    assert "views_synthesize" in plan
+    assert "background_train" in plan
+    assert not {"capture_frames", "people_fit", "depth_refine", "humans_train"} & set(plan)
+    assert commented == {}
+
+
+def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts_as_finished(finished: House) -> None:
+    overlay = ("--configfile", finished.overlay(humans={"iterations": 20}))
+    broken = finished.snakemake("--cores", "2", *overlay, check=False, path=finished.failing_python("humans.train", "p1"))
+    assert broken.returncode != 0
+    assert (results(finished) / "humans/p0.ply").is_file()
+    assert (results(finished) / "background/scene.ply").is_file()
+    plan = finished.plan(*overlay)
+    assert plan["humans_train"] == 1, "exactly the person that failed"
+    assert set(plan) >= AFTER_HUMANS, "the old film is not finished"
+    finished.snakemake("--cores", "2", *overlay)
+    assert finished.plan(*overlay) == {}
+
+
+def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "killed", "resources/studio/tiny.yaml")
+    run = subprocess.Popen(
+        house.command("--cores", "2", "--until", "capture_manifest"),
+        cwd=house.folder,
+        env=house.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    incomplete = house.folder / ".snakemake" / "incomplete"
+    deadline = time.monotonic() + 120
+    while not (incomplete.is_dir() and any(incomplete.iterdir())):
+        assert time.monotonic() < deadline, "no job started"
+        time.sleep(0.1)
+    os.killpg(run.pid, signal.SIGKILL)
+    run.wait()
+    house.snakemake("--cores", "2", "--until", "capture_manifest")
+    assert (results(house) / "capture/manifest.json").is_file()
+
+
+def test_a_truncated_video_is_named_and_leaves_the_rest(finished: House, tmp_path: Path) -> None:
+    source = finished.folder / "results/studio/tiny/dataset"
+    dataset = tmp_path / "truncated"
+    subprocess.run(["cp", "-r", str(source), str(dataset)], check=True)
+    video = sorted((dataset / "videos").iterdir())[0]
+    video.write_bytes(video.read_bytes()[:2000])
+    house = House(finished.folder, str(dataset))
+    done = house.snakemake("--cores", "2", "--until", "capture_manifest", check=False)
+    assert done.returncode != 0
+    assert video.name in done.stdout
+    others = list((finished.folder / "results/truncated/capture").glob("*.mkv"))
+    assert len(others) >= 2, "the other cameras were decoded"
+
+
+@pytest.mark.slow
+def test_an_empty_room_becomes_a_background_film(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "empty", "resources/studio/empty.yaml")
+    house.snakemake("--cores", "2")
+    assert (house.folder / "results/empty/enhance/orbit.mp4").stat().st_size > 0
+    assert not (house.folder / "results/empty/humans").exists()
+    assert house.plan() == {}

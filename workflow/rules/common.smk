@@ -1,0 +1,171 @@
+# The only functions of the workflow. Rules are data: what they need to know about the dataset, the people that were found
+# and the settings, they ask here.
+
+import json
+from pathlib import Path
+
+import yaml
+from snakemake.exceptions import WorkflowError
+
+from studiorecon import code as package_code
+from studiorecon.errors import Refusal
+from studiorecon.scene.dataset import open_dataset
+from studiorecon.studio.description import planned_dataset, read_description
+
+IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text())
+DEVICE_STAGES = ("background", "humans", "render")
+
+
+def find_dataset():
+    """The dataset, its made-studio name ("" for a user's own) and description; a sentence when there is none."""
+    given = Path(config["dataset"])
+    try:
+        if given.suffix in (".yaml", ".yml"):
+            beside_workflow = Path(workflow.basedir) / given
+            description = given if given.is_file() or not beside_workflow.is_file() else beside_workflow
+            folder = Path("results/studio") / description.stem
+            planned = planned_dataset(read_description(description), folder / "dataset", folder / "truth")
+            return planned, description.stem, str(description)
+        capture_yaml = Path(config["capture_yaml"]) if config["capture_yaml"] else None
+        return open_dataset(given, capture_yaml), "", ""
+    except Refusal as refusal:
+        raise WorkflowError(str(refusal)) from None
+
+
+DATASET, STUDIO, DESCRIPTION = find_dataset()
+SCENE = str(config["scene"]) or STUDIO or DATASET.folder.resolve().name
+CAMERAS = list(DATASET.cameras)
+TRAINING = list(DATASET.training)
+HELDOUT = list(DATASET.held_out)
+SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"] else len(TRAINING) - 1)]
+# Every film, and "train": the training cameras themselves, which enhancement and report compare with the photos.
+FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]
+SHOTS = ["train", *FILMS]
+
+if not DATASET.calibration:
+    raise WorkflowError(
+        f"dataset {DATASET.folder} has no calibration: put intri.yml and extri.yml, a COLMAP model (sparse/0), a Pose2Sim or "
+        "caliscope .toml, a .qca.txt or a transforms.json there, or name it in capture.yaml (calibration: FILE)"
+    )
+if DATASET.people and not DATASET.keypoints:
+    raise WorkflowError(
+        f"dataset {DATASET.folder} has no 2D keypoints: put keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or "
+        "write people: 0 into capture.yaml for an empty room"
+    )
+if DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
+    raise WorkflowError(
+        f"camera {blind[0]} of dataset {DATASET.folder} has no keypoints in {next(iter(DATASET.keypoints.values())).parent}: "
+        f"add {blind[0]}/*.json there, or leave the camera out with train: [...] in capture.yaml"
+    )
+
+
+def settings(section):
+    """One stage's section of the configuration as JSON: the whole of what its steps are told."""
+    extra = {"device": config["device"]} if section in DEVICE_STAGES else {}
+    return json.dumps({**config[section], **extra}, sort_keys=True)
+
+
+def code(step):
+    """Digest of the code a step imports from this package, so that an edited line re-runs it."""
+    return package_code.digest(step)
+
+
+def image(name):
+    """Address of a container image, from envs/images.yaml."""
+    return f"docker://{IMAGES[name]['image']}:{IMAGES[name]['version']}"
+
+
+def people(wildcards):
+    """Ids of the people that association found; none, without asking, when the dataset says the room is empty."""
+    if not DATASET.people:
+        return []
+    table = Path(checkpoints.people_associate.get(scene=wildcards.scene).output.people)
+    return [line.split("\t")[0] for line in table.read_text().splitlines()[1:] if line.strip()]
+
+
+def fits(wildcards):
+    """Body file of every person."""
+    return [f"results/{wildcards.scene}/people/{p}.npz" for p in people(wildcards)]
+
+
+def human_gaussians(wildcards):
+    """Canonical Gaussians of every person."""
+    return [f"results/{wildcards.scene}/humans/{p}.ply" for p in people(wildcards)]
+
+
+def human_avatars(wildcards):
+    """Skinning and motion of every person."""
+    return [f"results/{wildcards.scene}/humans/{p}.npz" for p in people(wildcards)]
+
+
+def masks(wildcards):
+    """Person masks of every training camera; none when there are no people."""
+    if not people(wildcards):
+        return []
+    return [f"results/{wildcards.scene}/masks/{c}.mkv" for c in TRAINING]
+
+
+def detections(wildcards):
+    """Keypoints of every training camera; none when the room is known to be empty."""
+    if not DATASET.people:
+        return []
+    return [f"results/{wildcards.scene}/people/detections/{c}.npz" for c in TRAINING]
+
+
+def people_table(wildcards):
+    """The table of people, as an optional input: absent when the room is known to be empty."""
+    return [f"results/{wildcards.scene}/people/people.tsv"] if DATASET.people else []
+
+
+def footage_source(wildcards):
+    """Video file or folder of pictures of one camera."""
+    return str(DATASET.footage[wildcards.camera])
+
+
+def keypoint_source(wildcards):
+    """Recorded keypoints of one camera."""
+    return str(DATASET.keypoints[wildcards.camera])
+
+
+def given_plate(wildcards):
+    """The user's clean plate of one camera, if there is one."""
+    return [str(DATASET.plates[wildcards.camera])] if wildcards.camera in DATASET.plates else []
+
+
+def given_masks(wildcards):
+    """The user's person masks of one camera, if there are any."""
+    return [str(DATASET.masks[wildcards.camera])] if wildcards.camera in DATASET.masks else []
+
+
+def given_depth(wildcards):
+    """The user's depth map of one camera."""
+    return str(DATASET.depth[wildcards.camera])
+
+
+def products(wildcards):
+    """Every stage's product for this scene: the default target."""
+    scene = f"results/{SCENE}"
+    wildcards = type("Scene", (), {"scene": SCENE})()
+    return [
+        f"{scene}/capture/manifest.json",
+        *(f"{scene}/capture/{c}.mkv" for c in CAMERAS),
+        *(f"{scene}/capture/{c}.plate.png" for c in TRAINING),
+        f"{scene}/cameras/images.txt",
+        f"{scene}/cameras/heldout/images.txt",
+        f"{scene}/cameras/doctor.json",
+        *detections(wildcards),
+        *people_table(wildcards),
+        *fits(wildcards),
+        *masks(wildcards),
+        *(f"{scene}/depth/{c}.exr" for c in TRAINING),
+        f"{scene}/survey/decisions.json",
+        f"{scene}/views/path.json",
+        *(f"{scene}/views/{s}.mkv" for s in SEGMENTS),
+        f"{scene}/background/scene.ply",
+        *human_gaussians(wildcards),
+        *(f"{scene}/render/{s}.mkv" for s in SHOTS),
+        *(f"{scene}/enhance/{s}.mp4" for s in FILMS),
+        f"{scene}/report/metrics.json",
+        f"{scene}/report/index.html",
+        f"{scene}/deliver/manifest.json",
+    ]
