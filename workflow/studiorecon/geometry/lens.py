@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the pixels a real lens recorded to the pixels of the pinhole camera that the pipeline works with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.distortion import distort, undistort
+from studiorecon.scene.camera import Lens
+
+_BORDER_SAMPLES = 200
+_ASPECT_TOLERANCE = 0.005
+
+
+@dataclass(frozen=True)
+class WorkingView:
+    """The undistorted picture of a camera at working size.
+
+    Attributes:
+        wh: working width and height.
+        intrinsics: (3, 3) of the undistorted picture, pixel centres at +0.5.
+        oversampling: how many samples per working pixel and axis the maps take, so that shrinking does not alias.
+        map_x, map_y: (n·H, n·W) float32 positions in the source frame, in cv2.remap's integer-centre pixels.
+    """
+
+    wh: tuple[int, int]
+    intrinsics: np.ndarray
+    oversampling: int
+    map_x: np.ndarray
+    map_y: np.ndarray
+
+    def picture(self, source: np.ndarray) -> np.ndarray:
+        """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the oversampling."""
+        # The maps stay inside the footage; replication only serves the half pixel beyond the outermost centres.
+        sampled = cv2.remap(source, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return sampled if self.oversampling == 1 else cv2.resize(sampled, self.wh, interpolation=cv2.INTER_AREA)
+
+
+def working_wh(source_wh: tuple[int, int], width: int) -> tuple[int, int]:
+    """Working size of the given width (0 = the source's own) with the source's aspect; both even, for video codecs."""
+    width = source_wh[0] if width <= 0 else min(width, source_wh[0])
+    height = source_wh[1] * width / source_wh[0]
+    return max(2, int(width) // 2 * 2), max(2, round(height / 2) * 2)
+
+
+def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -> WorkingView:
+    """Intrinsics and sampling maps of the largest undistorted picture of size ``wh`` without black borders.
+
+    The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the calibrated
+    frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics are only scaled.
+    """
+    calibration_from_video = calibration_from_video_pixels(lens, source_wh)
+    left, top, right, bottom = _covered(lens, source_wh, calibration_from_video)
+    # Keep the pixel shape of the calibration and give the rectangle the aspect of the picture.
+    aspect = wh[0] / wh[1] * _pixel_aspect(lens, source_wh, wh)
+    width, height = right - left, bottom - top
+    if width > height * aspect:
+        left, right = (left + right) / 2 - height * aspect / 2, (left + right) / 2 + height * aspect / 2
+    else:
+        top, bottom = (top + bottom) / 2 - width / aspect / 2, (top + bottom) / 2 + width / aspect / 2
+    scale = np.array([wh[0] / (right - left), wh[1] / (bottom - top)])
+    focal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]])
+    principal = lens.intrinsics[:2, 2]
+    intrinsics = np.diag([*(focal * scale), 1.0])
+    intrinsics[:2, 2] = (principal - [left, top]) * scale
+    n = max(1, int(np.floor(min(np.sqrt(abs(np.linalg.det(calibration_from_video[:, :2]))) ** -1 / scale) + 0.5)))
+    columns, rows = np.meshgrid((np.arange(n * wh[0]) + 0.5) / n, (np.arange(n * wh[1]) + 0.5) / n)
+    video = video_from_working(np.stack([columns, rows], axis=-1), lens, source_wh, intrinsics)
+    return WorkingView(wh, intrinsics, n, (video[..., 0] - 0.5).astype(np.float32), (video[..., 1] - 0.5).astype(np.float32))
+
+
+def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> np.ndarray:
+    """(2, 3) map from video pixels to calibration pixels.
+
+    The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises Refusal when
+    the two sizes have different shapes: then the footage was cropped or padded, and only the user knows how.
+    """
+    given = np.asarray(lens.calibration_from_video, dtype=np.float64)
+    if not np.array_equal(given, np.eye(2, 3)) or 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
+        return given
+    scale = np.array(lens.wh) / np.array(source_wh)
+    if abs(scale[0] / scale[1] - 1) > _ASPECT_TOLERANCE:
+        raise Refusal(
+            f"camera {lens.name}: the calibration is for {lens.wh[0]}×{lens.wh[1]} but the footage is {source_wh[0]}×{source_wh[1]}, "
+            "another shape; give its place in capture.yaml: pixel_maps: {camera: {scale: …, offset: [x, y]}}"
+        )
+    return np.array([[scale[0], 0, 0], [0, scale[1], 0]])
+
+
+def normalised_from_calibration(pixels: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Undistorted normalised coordinates (..., 2) and validity (...,) of calibration pixels (..., 2)."""
+    focal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]])
+    return undistort((np.asarray(pixels, dtype=np.float64) - lens.intrinsics[:2, 2]) / focal, lens.model, lens.distortion)
+
+
+def working_from_calibration(pixels: np.ndarray, lens: Lens, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working picture."""
+    normalised, valid = normalised_from_calibration(pixels, lens)
+    return normalised * np.array([intrinsics[0, 0], intrinsics[1, 1]]) + intrinsics[:2, 2], valid
+
+
+def working_from_video(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Working pixels (..., 2) and validity (...,) of pixels of the video file (..., 2), centres at +0.5."""
+    affine = calibration_from_video_pixels(lens, source_wh)
+    return working_from_calibration(np.asarray(pixels, dtype=np.float64) @ affine[:, :2].T + affine[:, 2], lens, intrinsics)
+
+
+def video_from_working(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> np.ndarray:
+    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5."""
+    normalised = (pixels - intrinsics[:2, 2]) / np.array([intrinsics[0, 0], intrinsics[1, 1]])
+    distorted = distort(normalised, lens.model, lens.distortion)
+    calibration = distorted * np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]) + lens.intrinsics[:2, 2]
+    affine = calibration_from_video_pixels(lens, source_wh)
+    return (calibration - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+
+
+def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -> float:
+    """What makes an uncropped frame fit ``wh`` exactly although both sizes were rounded: 1 up to the rounding."""
+    affine = calibration_from_video_pixels(lens, source_wh)
+    stretch = affine[0, 0] / affine[1, 1]
+    return stretch * (source_wh[0] / source_wh[1]) / (wh[0] / wh[1])
+
+
+def _covered(lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.ndarray) -> tuple[float, float, float, float]:
+    """Left, top, right, bottom (undistorted calibration pixels) of the largest rectangle inside the undistorted footage."""
+    corners = np.array([[0.0, 0.0], source_wh]) @ calibration_from_video[:, :2].T + calibration_from_video[:, 2]
+    low, high = corners.min(0), corners.max(0)
+    if 0 not in lens.wh:
+        # A letter-boxed video reaches beyond the calibrated frame: that part is a black bar, not footage.
+        low, high = np.maximum(low, 0.0), np.minimum(high, np.array(lens.wh, dtype=np.float64))
+    along = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    x, y = low[0] + along * (high[0] - low[0]), low[1] + along * (high[1] - low[1])
+    edges = {
+        "left": np.stack([np.full_like(y, low[0]), y], -1),
+        "right": np.stack([np.full_like(y, high[0]), y], -1),
+        "top": np.stack([x, np.full_like(x, low[1])], -1),
+        "bottom": np.stack([x, np.full_like(x, high[1])], -1),
+    }
+    focal, principal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]), lens.intrinsics[:2, 2]
+    flat = {}
+    for side, edge in edges.items():
+        normalised, valid = normalised_from_calibration(edge, lens)
+        if not valid.all():
+            raise Refusal(
+                f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be undone at the "
+                f"{side} edge of its frame; the coefficients belong to another lens or another model"
+            )
+        flat[side] = normalised * focal + principal
+    return flat["left"][:, 0].max(), flat["top"][:, 1].max(), flat["right"][:, 0].min(), flat["bottom"][:, 1].min()
