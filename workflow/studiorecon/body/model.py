@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The body model: shape and pose to joints, surface and keypoints, for the bundled body and for a user's SMPL ``.npz``.
+
+Body axes are SMPL's (x to the body's left, y up, z forward); the world is z-up, and ``poses[:, :3]``, the rotation of the
+pelvis, carries one into the other. ``trans`` is the world position of the pelvis joint. Betas are coordinates of one shape
+space and mean nothing in another: files name the space (``identity``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.body import skinning
+from studiorecon.errors import Refusal
+from studiorecon.geometry import rotations
+
+JOINT_NAMES = (
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
+    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+)  # fmt: skip
+# Vertices of SMPL's own topology (6,890) for the points that no joint stands for; limb points are taken at the joints.
+_SMPL_VERTICES = {
+    "nose": 332, "right_eye": 6260, "left_eye": 2800, "right_ear": 4071, "left_ear": 583, "head_top": 411,
+    "left_big_toe": 3216, "left_small_toe": 3226, "left_heel": 3387,
+    "right_big_toe": 6617, "right_small_toe": 6624, "right_heel": 6787,
+}  # fmt: skip
+_SMPL_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+
+
+@dataclass(frozen=True)
+class BodyModel:
+    """A skinned body with 24 joints.
+
+    Attributes:
+        identity: names the model and its shape space; betas are only comparable within one identity.
+        names: 24 joint names; ``parents``: (24,) int, −1 for the root.
+        faces: (F, 3) int, outward by the right-hand rule.
+        template_m: (V, 3) float64 T-pose; ``shape_directions``: (V, 3, B), metres per unit of beta.
+        joint_template_m: (24, 3); ``joint_directions``: (24, 3, B).
+        weights: (V, 24) float32 skinning weights, rows sum to 1.
+        pose_directions: (V, 3, 207) pose correctives of an SMPL file, or None.
+        keypoint_names: names that ``keypoint_vertices`` (K, V) and ``keypoint_joints`` (K, 24) regress, see ``layouts``.
+        region: (V,) uint8 index into ``region_names``, for clothes and colours; all "skin" for an SMPL file.
+        proxy_vertices: (P,) vertices of a coarse mesh with ``proxy_faces`` (Q, 3), for silhouettes.
+    """
+
+    identity: str
+    names: tuple[str, ...]
+    parents: np.ndarray
+    faces: np.ndarray
+    template_m: np.ndarray
+    shape_directions: np.ndarray
+    joint_template_m: np.ndarray
+    joint_directions: np.ndarray
+    weights: np.ndarray
+    pose_directions: np.ndarray | None
+    keypoint_names: tuple[str, ...]
+    keypoint_vertices: np.ndarray
+    keypoint_joints: np.ndarray
+    region_names: tuple[str, ...]
+    region: np.ndarray
+    proxy_vertices: np.ndarray
+    proxy_faces: np.ndarray
+
+    @staticmethod
+    def load(path: Path) -> BodyModel:
+        """The bundled body or an SMPL ``.npz``; raises Refusal with one sentence for anything else."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                data = {name: file[name] for name in file.files}
+        except FileNotFoundError:
+            raise Refusal(f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz") from None
+        except (ValueError, OSError, zipfile.BadZipFile):
+            raise Refusal(
+                f"body model {path} is not an .npz of plain arrays; convert an SMPL .pkl with v_template, shapedirs, J_regressor, weights, "
+                "kintree_table and f to one"
+            ) from None
+        try:
+            return _read(data, path)
+        except KeyError as missing:
+            raise Refusal(f"body model {path} has no array {missing.args[0]!r}; it must hold the arrays of SMPL's .npz") from None
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.template_m)
+
+    @property
+    def shapes(self) -> int:
+        """Number of shape coordinates."""
+        return self.shape_directions.shape[-1]
+
+    def rest_vertices(self, betas: np.ndarray) -> np.ndarray:
+        """(V, 3) the shaped T-pose, pelvis at its rest position."""
+        return self.template_m + self.shape_directions @ _betas(betas, self.shapes)
+
+    def rest_joints(self, betas: np.ndarray) -> np.ndarray:
+        """(24, 3) joints of the shaped T-pose."""
+        return self.joint_template_m + self.joint_directions @ _betas(betas, self.shapes)
+
+    def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
+        """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3)."""
+        poses, trans_m = _frames(poses, trans_m)
+        local = rotations.exp(poses.reshape(-1, 24, 3))
+        return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
+
+    def joint_transforms(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
+        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``)."""
+        poses, trans_m = _frames(poses, trans_m)
+        rest = self.rest_joints(betas)
+        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
+        return skinning.world_from_rest(world, joints + trans_m[:, None], rest)
+
+    def vertices(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """(T, V, 3) float32 world vertices; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given."""
+        poses, trans_m = _frames(poses, trans_m)
+        everything = slice(None) if chosen is None else chosen
+        rest = self.rest_vertices(betas)[everything]
+        if self.pose_directions is not None:
+            bend = (rotations.exp(poses.reshape(-1, 24, 3)[:, 1:]) - np.eye(3)).reshape(len(poses), -1)
+            rest = rest + np.einsum("vxp,tp->tvx", self.pose_directions[everything], bend)
+        transforms = self.joint_transforms(poses, betas, trans_m)
+        return skinning.skin(rest, self.weights[everything], transforms)
+
+    def keypoints(self, names: Sequence[str], poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
+        """(T, K, 3) world keypoints by name (``keypoint_names``); exact for the surface without pose correctives."""
+        poses, trans_m = _frames(poses, trans_m)
+        share, anchors = self.keypoint_basis(names)
+        anchors = anchors @ np.append(1.0, _betas(betas, self.shapes))
+        rest = self.rest_joints(betas)
+        world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
+        offsets = anchors - share[..., None] * rest
+        return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
+
+    def keypoint_basis(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Shares (K, 24) and anchors (K, 24, 3, 1 + B) with which K keypoints need no mesh.
+
+        A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the joint's
+        world rotation: the sums over vertices are done once, here. Raises KeyError for a name the body does not have.
+        """
+        rows = [self.keypoint_names.index(n) if n in self.keypoint_names else _missing(n) for n in names]
+        vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
+        share = np.zeros((len(rows), 24))
+        anchors = np.zeros((len(rows), 24, 3, 1 + self.shapes))
+        surface = np.concatenate([self.template_m[..., None], self.shape_directions], axis=-1)
+        skeleton = np.concatenate([self.joint_template_m[..., None], self.joint_directions], axis=-1)
+        for k, row in enumerate(vertices):
+            used = np.flatnonzero(row)
+            carried = row[used, None] * self.weights[used].astype(np.float64)
+            share[k] = carried.sum(0) + joints[k]
+            anchors[k] = np.einsum("vj,vxb->jxb", carried, surface[used]) + joints[k][:, None, None] * skeleton
+        return share, anchors
+
+
+def upright_global_orientation(heading_rad: float) -> np.ndarray:
+    """(3,) axis-angle for ``poses[:, :3]`` of a body standing upright in the z-up world, facing (cos, sin) of ``heading_rad``."""
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    # Columns: where the body's left (x), up (y) and forward (z) point in the world.
+    return rotations.log(np.array([[-s, 0.0, c], [c, 0.0, s], [0.0, 1.0, 0.0]]))
+
+
+def _missing(name: str) -> int:
+    raise KeyError(name)
+
+
+def _betas(betas: np.ndarray, count: int) -> np.ndarray:
+    """Shape coordinates as (B,): missing ones are 0, surplus ones must be 0."""
+    given = np.asarray(betas, dtype=np.float64).reshape(-1)
+    if np.any(given[count:] != 0):
+        raise ValueError(f"{len(given)} betas for a shape space of {count}")
+    return np.append(given[:count], np.zeros(max(count - len(given), 0)))
+
+
+def _frames(poses: np.ndarray, trans_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    poses, trans_m = np.asarray(poses, dtype=np.float64), np.asarray(trans_m, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 72 or trans_m.shape != (len(poses), 3):
+        raise ValueError(f"poses must be (T, 72) and trans (T, 3), not {poses.shape} and {trans_m.shape}")
+    return poses, trans_m
+
+
+def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
+    parents = data["kintree_table"][0].astype(np.int64)
+    # SMPL files store the root's parent as 2³² − 1.
+    parents[parents > 1000] = -1
+    template = data["v_template"].astype(np.float64)
+    shapes = data["shapedirs"][..., :10].astype(np.float64)
+    if len(parents) != 24 or parents[0] >= 0 or np.any(parents[1:] >= np.arange(1, 24)):
+        raise Refusal(f"body model {path} has {len(parents)} joints; only SMPL's tree of 24 joints, parents first, is understood")
+    if "J_template" in data:
+        joint_template, joint_directions = data["J_template"].astype(np.float64), data["J_shapedirs"].astype(np.float64)
+    else:
+        regressor = data["J_regressor"].astype(np.float64)
+        joint_template, joint_directions = regressor @ template, np.einsum("jv,vxb->jxb", regressor, shapes)
+    if "weight_joints" in data:
+        weights = np.zeros((len(template), 24))
+        np.put_along_axis(weights, data["weight_joints"].astype(np.int64), data["weight_values"].astype(np.float64), axis=1)
+    else:
+        weights = data["weights"].astype(np.float64)
+    # Stored weights are rounded: renormalised here, else a sum off by 4e-4 moves a point 5 m away by 2 mm (numerics L07).
+    weights = (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+    names, on_vertices, on_joints = _keypoints(data, len(template))
+    faces = data["f"].astype(np.int64)
+    plain = "identity" not in data
+    digest = hashlib.sha256(template.tobytes() + shapes.tobytes()).hexdigest()[:8]
+    arrays = (template, shapes, joint_template, joint_directions, weights)
+    if not all(np.isfinite(a).all() for a in arrays):
+        raise Refusal(f"body model {path} holds numbers that are not finite")
+    return BodyModel(
+        identity=f"smpl {digest}" if plain else str(data["identity"]),
+        names=JOINT_NAMES,
+        parents=parents,
+        faces=faces,
+        template_m=template,
+        shape_directions=shapes,
+        joint_template_m=joint_template,
+        joint_directions=joint_directions,
+        weights=weights,
+        pose_directions=data["posedirs"].astype(np.float64) if "posedirs" in data else None,
+        keypoint_names=names,
+        keypoint_vertices=on_vertices,
+        keypoint_joints=on_joints,
+        region_names=tuple(str(n) for n in data["region_names"]) if "region" in data else ("skin",),
+        region=data["region"] if "region" in data else np.zeros(len(template), dtype=np.uint8),
+        proxy_vertices=data["proxy_vertices"].astype(np.int64) if "proxy_faces" in data else np.arange(len(template)),
+        proxy_faces=data["proxy_faces"].astype(np.int64) if "proxy_faces" in data else faces,
+    )
+
+
+def _keypoints(data: dict[str, np.ndarray], vertex_count: int) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
+    """Names and regressors (K, V), (K, 24): what the file brings, or SMPL's vertices and joints; every joint as ``<name>_joint``."""
+    rows: dict[str, tuple[dict[int, float], dict[int, float]]] = {f"{n}_joint": ({}, {j: 1.0}) for j, n in enumerate(JOINT_NAMES)}
+    if "keypoint_names" in data:
+        names = [str(n) for n in data["keypoint_names"]]
+        rows |= {n: ({}, {}) for n in names}
+        for k, v, value in zip(data["keypoint_rows"], data["keypoint_vertices"], data["keypoint_values"]):
+            rows[names[int(k)]][0][int(v)] = float(value)
+    elif vertex_count == 6890:
+        joint = {n: j for j, n in enumerate(JOINT_NAMES)}
+        rows |= {n: ({v: 1.0}, {}) for n, v in _SMPL_VERTICES.items()}
+        rows |= {f"{s}_{n}": ({}, {joint[f"{s}_{n}"]: 1.0}) for s in ("left", "right") for n in _SMPL_LIMBS}
+        for name, part in (("neck", "shoulder"), ("mid_hip", "hip")):
+            rows[name] = ({}, {joint[f"left_{part}"]: 0.5, joint[f"right_{part}"]: 0.5})
+        rows["upper_neck"] = ({}, {joint["neck"]: 0.5, joint["head"]: 0.5})
+    on_vertices, on_joints = np.zeros((len(rows), vertex_count)), np.zeros((len(rows), 24))
+    for k, (vertices, joints) in enumerate(rows.values()):
+        on_vertices[k, list(vertices)] = list(vertices.values())
+        on_joints[k, list(joints)] = list(joints.values())
+    return tuple(rows), on_vertices, on_joints

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations as (..., 3, 3) float64 matrices: to and from axis-angle and quaternions, between, on average.
+
+Stable at 0 and at π without thresholds that lose digits: exp by half-angle sincs, log by quaternions with the largest pivot.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Within this of half a turn the sign of the axis is decided by rounding; slerp then decides it by a direction instead.
+_HALF_TURN_RAD = 1e-6
+# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, for a mean to mean anything (numerics R17).
+_MEAN_GAP = 1e-6
+
+
+def cross_matrix(vectors: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) matrices [v]× with [v]× u = v × u."""
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+
+
+def exp(axis_angle_rad: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations of axis-angles (..., 3).
+
+    I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that
+    (1 − cos θ)/θ² loses (numerics R09, R10).
+    """
+    w = np.asarray(axis_angle_rad, dtype=np.float64)
+    turns = np.sqrt(np.einsum("...i,...i", w, w))[..., None, None] / np.pi
+    cross = cross_matrix(w)
+    return np.eye(3) + np.sinc(turns) * cross + 0.5 * np.sinc(0.5 * turns) ** 2 * (cross @ cross)
+
+
+def log(rotations: np.ndarray) -> np.ndarray:
+    """(..., 3) axis-angles, angle in [0, π], of rotations (..., 3, 3); 1e-8 rad or better also at 0 and π (R11, R12)."""
+    q = to_quaternion(rotations)
+    sine = np.sqrt(np.einsum("...i,...i", q[..., 1:], q[..., 1:]))
+    # θ / sin(θ/2) tends to 2 at 0; the denominator is replaced before dividing, not after (double where).
+    small = sine < 1e-12
+    factor = np.where(small, 2.0, 2.0 * np.arctan2(sine, q[..., 0]) / np.where(small, 1.0, sine))
+    return factor[..., None] * q[..., 1:]
+
+
+def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...,) angle in radians between rotations a and b, in [0, π], without arccos."""
+    relative = np.swapaxes(np.asarray(a, dtype=np.float64), -1, -2) @ np.asarray(b, dtype=np.float64)
+    return np.linalg.norm(log(relative), axis=-1)
+
+
+def to_quaternion(rotations: np.ndarray) -> np.ndarray:
+    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots (R13)."""
+    r = np.asarray(rotations, dtype=np.float64)
+    m = np.moveaxis(r.reshape(-1, 9), -1, 0)
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = m
+    # Row k is 4 q_k q: each row is proportional to the quaternion, and the one with the largest diagonal is the safest.
+    rows = np.array(
+        [
+            [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, 1 + xx - yy - zz, yx + xy, xz + zx],
+            [xz - zx, yx + xy, 1 - xx + yy - zz, zy + yz],
+            [yx - xy, xz + zx, zy + yz, 1 - xx - yy + zz],
+        ]
+    )
+    pivot = np.argmax(rows[range(4), range(4)], axis=0)
+    q = rows[pivot, :, np.arange(len(pivot))]
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    q[q[:, 0] < 0] *= -1
+    return q.reshape(*r.shape[:-2], 4)
+
+
+def from_quaternion(quaternions: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity (R14)."""
+    q = np.asarray(quaternions, dtype=np.float64)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(length < 1e-12, np.array([1.0, 0, 0, 0]), q / np.where(length < 1e-12, 1.0, length))
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    entries = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+               2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+               2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]  # fmt: skip
+    return np.stack(entries, axis=-1).reshape(*q.shape[:-1], 3, 3)
+
+
+def project_to_so3(matrices: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01)."""
+    u, _, vt = np.linalg.svd(np.asarray(matrices, dtype=np.float64))
+    u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    return u @ vt
+
+
+def slerp(a: np.ndarray, b: np.ndarray, share: np.ndarray | float, up: np.ndarray | None = None) -> np.ndarray:
+    """(..., 3, 3) the rotation ``share`` (...,) of the shortest way from a to b, both world_from_… rotations.
+
+    Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the world's
+    z when None), whatever the rounding (R01-R06).
+    """
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    turn = log(b @ np.swapaxes(a, -1, -2))
+    up = np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, dtype=np.float64)
+    ambiguous = np.linalg.norm(turn, axis=-1, keepdims=True) > np.pi - _HALF_TURN_RAD
+    # A half turn about a horizontal axis says nothing about up; x, then y, break that tie.
+    key = turn @ up
+    key = np.where(np.abs(key) < 1e-5, np.where(np.abs(turn[..., 0]) < 1e-5, turn[..., 1], turn[..., 0]), key)
+    turn = np.where(ambiguous & (key[..., None] < 0), -turn, turn)
+    return exp(np.asarray(share, dtype=np.float64)[..., None] * turn) @ a
+
+
+def mean(rotations: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (..., 3, 3) over the axis of N in (..., N, 3, 3), and whether it is determined (...,).
+
+    Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues meet,
+    as for thirds of a turn (R17); the rotation returned there is one of many.
+    """
+    q = to_quaternion(rotations)
+    w = np.ones(q.shape[:-1]) if weights is None else np.broadcast_to(np.asarray(weights, dtype=np.float64), q.shape[:-1])
+    values, vectors = np.linalg.eigh(np.einsum("...n,...ni,...nj->...ij", w, q, q))
+    total = w.sum(-1)
+    determined = (total > 0) & (values[..., 3] - values[..., 2] > _MEAN_GAP * total)
+    return from_quaternion(vectors[..., :, 3]), determined
+
+
+def kabsch(source_m: np.ndarray, target_m: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotation (..., 3, 3) and translation (..., 3) with target ≈ R source + t, and whether they are determined (...,).
+
+    Weighted least squares over N points (..., N, 3); determinant +1 also for planar sets (R19). Undetermined with fewer
+    than three points of positive weight or with points on a line. Points of weight 0 may be NaN.
+    """
+    w = np.asarray(weights, dtype=np.float64)
+    source, target = (np.where(w[..., None] > 0, p, 0.0) for p in np.broadcast_arrays(source_m, target_m))
+    total = np.maximum(w.sum(-1), 1e-300)[..., None]
+    centre_s, centre_t = (np.einsum("...n,...ni->...i", w, p) / total for p in (source, target))
+    covariance = np.einsum("...n,...ni,...nj->...ij", w, target - centre_t[..., None, :], source - centre_s[..., None, :])
+    u, s, vt = np.linalg.svd(covariance)
+    u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    rotation = u @ vt
+    determined = ((w > 0).sum(-1) >= 3) & (s[..., 1] > 1e-9 * np.maximum(s[..., 0], 1e-300))
+    return rotation, centre_t - np.einsum("...ij,...j->...i", rotation, centre_s), determined
