@@ -1,0 +1,34 @@
+rule enhance_shot:
+    input:
+        render="results/{scene}/render/{shot}.mkv",
+        render_path="results/{scene}/render/{shot}.json",
+        render_depth="results/{scene}/render/{shot}.depth.mkv",
+        train="results/{scene}/render/train.mkv",
+        train_path="results/{scene}/render/train.json",
+        train_depth="results/{scene}/render/train.depth.mkv",
+        model="results/{scene}/cameras/images.txt",
+        manifest="results/{scene}/capture/manifest.json",
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
+        ),
+    output:
+        video="results/{scene}/enhance/{shot}.mkv",
+        film="results/{scene}/enhance/{shot}.mp4",
+    log:
+        "logs/{scene}/enhance/shot/{shot}.log",
+    benchmark:
+        "benchmarks/{scene}/enhance/shot/{shot}.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("enhance"),
+        code=code("enhance.shot"),
+    shell:
+        "python -m studiorecon enhance.shot --settings {params.settings:q} --log {log}"
+        " --shot {wildcards.shot} --render {input.render} --render-path {input.render_path} --render-depth {input.render_depth}"
+        " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
+        " --model {input.model} --manifest {input.manifest} --videos {input.videos}"
+        " --video {output.video} --film {output.film}"

@@ -1,0 +1,33 @@
+rule render_shot:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        heldout_model="results/{scene}/cameras/heldout/images.txt",
+        manifest="results/{scene}/capture/manifest.json",
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        gaussians=human_gaussians,
+        avatars=human_avatars,
+        body="resources/body.npz",
+    output:
+        video="results/{scene}/render/{shot}.mkv",
+        truth="results/{scene}/render/{shot}.truth.mkv",
+        depth="results/{scene}/render/{shot}.depth.mkv",
+        path="results/{scene}/render/{shot}.json",
+    log:
+        "logs/{scene}/render/shot/{shot}.log",
+    benchmark:
+        "benchmarks/{scene}/render/shot/{shot}.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=2000,
+    params:
+        settings=settings("render"),
+        code=code("render.shot"),
+    shell:
+        "python -m studiorecon render.shot --settings {params.settings:q} --log {log}"
+        " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
+        " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians}"
+        " --avatars {input.avatars} --body {input.body}"
+        " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"

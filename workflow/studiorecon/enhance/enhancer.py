@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an enhancer is, the one that does nothing, and the check that recursion through an enhancer stays stable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.scene.camera import Camera
+
+# An enhancer may brighten a flat field by this much before its recursion drifts visibly (numerics E14: 5 % becomes 7 %).
+_LARGEST_GAIN = 1.02
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known about one picture besides its colours.
+
+    Attributes:
+        camera: where it is seen from.
+        frame: (fractional) frame of the capture it shows.
+        depth_m: (H, W) rendered depth, 0 = unknown.
+        injected: (H, W) share of the input that comes from earlier outputs, which already were enhanced.
+    """
+
+    camera: Camera
+    frame: float
+    depth_m: np.ndarray
+    injected: np.ndarray
+
+
+class Enhancer(Protocol):
+    """Anything that improves a rendered picture, given a real photo for reference."""
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
+        ...
+
+
+class Unchanged:
+    """The enhancer ``none``: what comes in goes out; injection around it only steadies the picture."""
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        return image
+
+
+def loop_gain(enhancer: Enhancer, reference: np.ndarray, moment: Moment) -> float:
+    """How much the enhancer amplifies a change of a flat field: the mean response to +0.2, as a multiple of 0.2."""
+    flat = np.full((*moment.depth_m.shape, 3), 0.4, np.float32)
+    low, high = enhancer.enhance(flat, reference, moment), enhancer.enhance(flat + np.float32(0.2), reference, moment)
+    return float((high.astype(np.float64) - low).mean() / 0.2)
+
+
+def check_gain(gain: float, strength: float) -> None:
+    """Raises Refusal when outputs fed back with share ``strength`` would diverge (w·g ≥ 1) or visibly drift (g > 1.02)."""
+    if not np.isfinite(gain) or strength * gain >= 1 or (strength > 0 and gain > _LARGEST_GAIN):
+        raise Refusal(
+            f"the enhancer multiplies a flat field by {gain:.3f}, so feeding its outputs back with share {strength} would brighten "
+            "the film frame by frame; set enhance.injection.history to 0 or use another enhancer"
+        )

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``enhance.shot``: one shot, picture by picture, through an enhancer with motion-adaptive consistency injection."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.enhance.enhancer import Enhancer, Moment, Unchanged, check_gain, loop_gain
+from studiorecon.enhance.injection import Injection, confidence, inject
+from studiorecon.enhance.playback import Playback
+from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
+from studiorecon.errors import Refusal
+from studiorecon.images.flow import consistent, dis_flow, grey_levels, one_thread
+from studiorecon.images.streams import writing
+from studiorecon.images.video import read_frames, to_bytes, to_float, write_lossless, write_watchable
+from studiorecon.images.warp import warp
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.path import Step, read_path
+
+# Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
+_LEAST_EVIDENCE = 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    enhancer: Literal["residual", "none"]
+    strength: float | Literal["auto"]
+    judged_frames: int
+    transfer: Transfer
+    injection: Injection
+    flow_preset: Literal["ultrafast", "fast", "medium"]
+    crf: int
+
+
+@dataclass(frozen=True)
+class Training:
+    """The training cameras' footage and renders, frame by frame."""
+
+    cameras: Sequence[Camera]
+    photos: Sequence[Playback]
+    renders: Sequence[Playback]
+    depths: Sequence[Playback]
+    frames: int
+
+    def nearest_frame(self, frame: float) -> int:
+        """The whole frame that is shown at a fractional one."""
+        return int(np.clip(round(frame), 0, self.frames - 1))
+
+    def sources(self, frame: int, transfer: Transfer) -> list[Source]:
+        """Residual and depth of every training camera at one frame."""
+        return [
+            source(camera, photo.at(frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
+            for camera, photo, render, depth in zip(self.cameras, self.photos, self.renders, self.depths)
+        ]
+
+    def reference(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes (U09)."""
+        cosines = [float(one.forward @ camera.forward) for one in self.cameras]
+        return self.photos[int(np.argmax(cosines))].at(frame)
+
+
+def judge_strength(training: Training, settings: Settings) -> tuple[float, str]:
+    """Strength of the residual transfer, and why: the factor that best predicts each training camera from the other ones.
+
+    Undetermined, hence 0, when the training cameras see too little in common.
+    """
+    if settings.strength != "auto":
+        return float(settings.strength), "as set"
+    predicted, actual = [], []
+    for frame in np.unique(np.linspace(0, training.frames - 1, settings.judged_frames).round().astype(int)):
+        sources = training.sources(int(frame), settings.transfer)
+        for index, own in enumerate(sources):
+            predicted.append(carried_over(own.camera, own.depth_m, sources[:index] + sources[index + 1 :], settings.transfer))
+            actual.append(own.residual)
+    strength, evidence = best_strength(predicted, actual)
+    if evidence < _LEAST_EVIDENCE:
+        return 0.0, f"undetermined: only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
+    return strength, f"the best factor between training cameras, judged on {100 * evidence:.0f} % of their pixels"
+
+
+def enhanced(
+    steps: Sequence[Step],
+    pictures: Iterable[np.ndarray],
+    depths_mm: Iterable[np.ndarray],
+    reference: Callable[[Camera, float], np.ndarray],
+    enhancer: Enhancer,
+    injection: Injection,
+    flow_preset: str,
+) -> Iterator[np.ndarray]:
+    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path.
+
+    Memory holds the K latest pictures whatever the length of the shot. Raises Refusal for an enhancer whose outputs may not be fed back.
+    """
+    history: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=injection.history)
+    segment = None
+    with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
+        for step, picture, depth_mm in zip(steps, pictures, depths_mm, strict=True):
+            photo = to_float(reference(step.camera, step.frame))
+            depth_m = depth_mm.astype(np.float32) / 1000
+            if segment is None and injection.history:
+                untouched = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
+                check_gain(loop_gain(enhancer, photo, untouched), injection.strength)
+            if step.segment != segment or (history and history[0][0].shape != picture.shape):
+                history.clear()
+                segment = step.segment
+            render, grey = to_float(picture), grey_levels(picture)
+            found = list(pool.map(lambda past: _aligned(render, grey, past, injection, flow_preset), history))  # noqa: B023
+            blended, injected = inject(render, [w for w, _ in found], [c for _, c in found], injection)
+            output = enhancer.enhance(blended, photo, Moment(step.camera, step.frame, depth_m, injected))
+            output = np.clip(output, 0, 1).astype(np.float32)
+            history.appendleft((output, grey))
+            yield to_bytes(output)
+
+
+def _aligned(
+    render: np.ndarray, grey: np.ndarray, past: tuple[np.ndarray, np.ndarray], injection: Injection, preset: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """An earlier output on the current picture, and its confidence; the flow is that of the raw renders (U06)."""
+    output, past_grey = past
+    backward, forward = dis_flow(grey, past_grey, preset), dis_flow(past_grey, grey, preset)
+    warped, inside = warp(output, backward)
+    return warped, confidence(render, warped, inside & consistent(backward, forward), injection)
+
+
+def run(
+    settings: Settings,
+    shot: str,
+    render: Path,
+    render_path: Path,
+    render_depth: Path,
+    train: Path,
+    train_path: Path,
+    train_depth: Path,
+    model: Path,
+    manifest: Path,
+    videos: list[Path],
+    video: Path,
+    film: Path,
+) -> None:
+    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders."""
+    capture = read_manifest(manifest)
+    steps, fps = read_path(render_path)
+    training = _training(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
+    enhancer: Enhancer = Unchanged()
+    if settings.enhancer == "residual":
+        strength, why = judge_strength(training, settings)
+        say(f"shot {shot}: residuals of the training photos are carried over with strength {strength:.2f} ({why})")
+        latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
+        enhancer = ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer)
+    injection = settings.injection
+    say(f"shot {shot}: the {injection.history} latest outputs are injected with strength {injection.strength} at full confidence")
+
+    def reference(camera: Camera, frame: float) -> np.ndarray:
+        return training.reference(camera, training.nearest_frame(frame))
+
+    depths = read_frames(render_depth, 0, len(steps))
+    pictures = read_frames(render, 0, len(steps))
+    outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, settings.flow_preset)
+    writers = (lambda frames: write_lossless(video, frames, fps), lambda frames: write_watchable(film, frames, fps, settings.crf))
+    with writing(writers) as put:
+        for output in progress(outputs, f"pictures of {shot}", total=len(steps)):
+            put(output, output)
+
+
+def _training(cameras: list[Camera], steps: list[Step], videos: list[Path], renders: Path, depths: Path, frames: int) -> Training:
+    segments = [step.segment for step in steps]
+    if [camera.name for camera in cameras] != list(dict.fromkeys(segments)) or len(segments) != len(cameras) * frames:
+        raise Refusal(f"{renders} does not show {frames} frames of each training camera; render the shot train again")
+    parts = range(len(cameras))
+    return Training(
+        cameras,
+        [Playback(one, 0, frames) for one in videos],
+        [Playback(renders, part * frames, frames) for part in parts],
+        [Playback(depths, part * frames, frames) for part in parts],
+        frames,
+    )

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optical flow between two pictures, and where it can be trusted.
+
+A flow (H, W, 2) float32 in pixels belongs to the first picture: its pixel p shows what the second picture shows at p + flow(p).
+So the *backward* flow t → t-1 is ``dis_flow(picture_t, picture_t_minus_1)``, and warping picture t-1 with it gives picture t.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.images.warp import warp
+
+PRESETS = {
+    "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
+    "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,
+    "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
+}
+# Below this DIS has no pyramid level left to search.
+_SMALLEST_SIDE_PX = 24
+# Stands for an unknown reverse flow: leads back to nowhere.
+_NOWHERE_PX = 1e6
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """OpenCV with one thread inside the block: DIS propagates inside stripes, and has as many stripes as threads.
+
+    Results must not depend on the number of cores; callers that want speed run several flows side by side.
+    """
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def grey_levels(rgb: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 luminance of an RGB picture, uint8 or float in [0, 1]."""
+    levels = rgb if rgb.dtype == np.uint8 else np.rint(np.clip(np.nan_to_num(rgb), 0, 1) * 255).astype(np.uint8)
+    return cv2.cvtColor(np.ascontiguousarray(levels), cv2.COLOR_RGB2GRAY)
+
+
+def dis_flow(first_grey: np.ndarray, second_grey: np.ndarray, preset: str) -> np.ndarray:
+    """Flow (H, W, 2) from the first to the second uint8 picture by dense inverse search (Kroeger et al. 2016).
+
+    Deterministic inside ``one_thread``. Raises Refusal for pictures that differ in size or are too small to search.
+    """
+    if first_grey.shape != second_grey.shape:
+        raise Refusal(f"optical flow needs pictures of one size, not {first_grey.shape[::-1]} and {second_grey.shape[::-1]}")
+    if min(first_grey.shape) < _SMALLEST_SIDE_PX:
+        raise Refusal(f"optical flow needs pictures of at least {_SMALLEST_SIDE_PX} pixels a side, not {first_grey.shape[::-1]}")
+    return cv2.DISOpticalFlow_create(PRESETS[preset]).calc(first_grey, second_grey, None)
+
+
+def consistent(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
+    """(H, W) bool: pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
+
+    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It is what
+    finds uncovered background, where colours may agree by chance (numerics E10). Non-finite flow is inconsistent (E13).
+    """
+    back, inside = warp(np.nan_to_num(reverse_flow, nan=_NOWHERE_PX), flow)
+    safe = np.where(inside[..., None], flow, 0)
+    gap = ((safe + back) ** 2).sum(axis=-1)
+    motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)
+    return inside & (gap < 0.01 * motion + 0.5)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Background and people as one set of Gaussians, so that one rasterisation sorts out who hides whom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from studiorecon.scene.gaussians import Gaussians, concatenate
+
+# Classes of the provenance files beside 0 = measured, and the grey level each has in a truth video.
+INFERRED, INVENTED = 1, 2
+TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
+# This many solid Gaussians within reach are a surface, fewer are floaters.
+_SOLID_GROUP = 10
+
+
+class Posed(Protocol):
+    """What a composite needs of an avatar: Gaussians at a time, their classes (N,), and the frames (T,) that were measured."""
+
+    provenance: np.ndarray
+    valid: np.ndarray
+
+    def posed(self, frame: float) -> Gaussians: ...
+
+
+@dataclass(frozen=True)
+class Composite:
+    """A scene that can be put together at any time.
+
+    Attributes:
+        background: static Gaussians.
+        classes: (N,) uint8 per background Gaussian: measured, inferred or invented.
+        people: one posable set per person.
+    """
+
+    background: Gaussians
+    classes: np.ndarray
+    people: Sequence[Posed]
+
+    def at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
+        """All Gaussians at a (fractional) frame, and their classes (N,), in the same order."""
+        if not self.people:
+            return self.background, self.classes
+        gaussians = concatenate([self.background, *(person.posed(frame) for person in self.people)])
+        return gaussians, np.concatenate([self.classes, *(_classes_of(person, frame) for person in self.people)]).astype(np.uint8)
+
+
+def _classes_of(person: Posed, frame: float) -> np.ndarray:
+    """A person's classes at a frame: nothing of a body is measured in a frame whose pose was filled in."""
+    measured = bool(person.valid[int(np.clip(round(frame), 0, len(person.valid) - 1))])
+    return person.provenance if measured else np.maximum(person.provenance, INFERRED)
+
+
+def class_colours(gaussians: Gaussians, classes: np.ndarray) -> Gaussians:
+    """The same Gaussians, coloured pure red, green or blue by class: rendering them gives each class's share of every pixel."""
+    return gaussians.with_colours(np.eye(3)[classes])
+
+
+def truth_levels(shares: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
+
+    The class with the largest share of the pixel wins; where more than half of the light comes from nothing at all, the pixel is
+    invented too: nobody measured that there is nothing.
+    """
+    nothing = shares.sum(axis=-1) < 0.5
+    return TRUTH_LEVELS[np.where(nothing, INVENTED, shares.argmax(axis=-1))]
+
+
+def millimetres(depth_m: np.ndarray) -> np.ndarray:
+    """(H, W) uint16 millimetres; 0 stays unknown, anything beyond 65.535 m becomes 65535."""
+    return np.clip(np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=65.535) * 1000), 0, 65535).astype(np.uint16)
+
+
+def blocked(eyes_m: np.ndarray, background: Gaussians, clearance_m: float) -> np.ndarray:
+    """(E,) bool: camera positions with solid background within ``clearance_m``.
+
+    Solid is a group of Gaussians of opacity above a half: a single floater must not push a camera path around.
+    """
+    solid = background.means_m[background.logit_opacities > 0]
+    if len(solid) == 0 or clearance_m <= 0:
+        return np.zeros(len(eyes_m), bool)
+    near = cKDTree(solid).query_ball_point(np.asarray(eyes_m), clearance_m, return_length=True)
+    return np.asarray(near) >= _SOLID_GROUP
