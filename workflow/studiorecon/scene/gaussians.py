@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A set of 3D Gaussians, stored as 3DGS stores them: log scales, logit opacities, spherical harmonics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+SH_C0 = 0.28209479177387814
+"""The constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0] + higher bands."""
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N Gaussians in the world.
+
+    Attributes:
+        means_m: (N, 3) float32, metres.
+        quaternions: (N, 4) float32, (w, x, y, z), any norm: rotation world_from_gaussian.
+        log_scales: (N, 3) float32, natural logarithm of the standard deviations in metres.
+        logit_opacities: (N,) float32.
+        sh: (N, (degree + 1)², 3) float32 spherical harmonics, 3DGS order and signs.
+    """
+
+    means_m: np.ndarray
+    quaternions: np.ndarray
+    log_scales: np.ndarray
+    logit_opacities: np.ndarray
+    sh: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.means_m)
+        bands = self.sh.shape[1] if self.sh.ndim == 3 else 0
+        expected = {"means_m": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "logit_opacities": (count,), "sh": (count, bands, 3)}
+        for name, shape in expected.items():
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ValueError(f"{name} has shape {value.shape}, expected {shape}")
+            object.__setattr__(self, name, np.ascontiguousarray(value, dtype=np.float32))
+        if bands not in (1, 4, 9, 16):
+            raise ValueError(f"sh has {bands} coefficients per channel; expected 1, 4, 9 or 16")
+
+    @property
+    def count(self) -> int:
+        return len(self.means_m)
+
+    @property
+    def sh_degree(self) -> int:
+        return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
+
+    def take(self, index: np.ndarray) -> Gaussians:
+        """The Gaussians at ``index`` (integers or a boolean mask), in that order."""
+        return Gaussians(self.means_m[index], self.quaternions[index], self.log_scales[index], self.logit_opacities[index], self.sh[index])
+
+    def with_sh_degree(self, degree: int) -> Gaussians:
+        """The same Gaussians with more (zero) or fewer (cut) spherical harmonics."""
+        bands = (degree + 1) ** 2
+        sh = np.zeros((self.count, bands, 3), np.float32)
+        kept = min(bands, self.sh.shape[1])
+        sh[:, :kept] = self.sh[:, :kept]
+        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh)
+
+    def with_colours(self, rgb: np.ndarray) -> Gaussians:
+        """The same shapes with constant colours (N, 3): what feature maps such as the truth map are rendered from."""
+        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh_from_rgb(rgb)[:, None, :])
+
+
+def sh_from_rgb(rgb: np.ndarray) -> np.ndarray:
+    """The constant spherical harmonic (..., 3) that shows as ``rgb`` (..., 3)."""
+    return ((np.asarray(rgb, np.float64) - 0.5) / SH_C0).astype(np.float32)
+
+
+def empty(sh_degree: int) -> Gaussians:
+    """A set without Gaussians."""
+    return Gaussians(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, (sh_degree + 1) ** 2, 3)))
+
+
+def concatenate(sets: Sequence[Gaussians]) -> Gaussians:
+    """All sets in one, in order; harmonics are padded with zeros to the highest degree among them."""
+    if not sets:
+        return empty(0)
+    degree = max(s.sh_degree for s in sets)
+    padded = [s.with_sh_degree(degree) for s in sets]
+    fields = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
+    return Gaussians(*(np.concatenate([getattr(s, name) for s in padded]) for name in fields))

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Colour from spherical harmonics (degree 0 to 3, 3DGS order and signs), sixteen Gaussians at a time, and its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from studiorecon.splatting.conventions import INLINE, LANES, SH
+from studiorecon.splatting.simd import broadcast, madd, where
+from studiorecon.splatting.simd_rows import load, store
+
+C0 = np.float32(0.28209479177387814)
+C1 = np.float32(0.4886025119029199)
+D0, D2, D4 = np.float32(1.0925484305920792), np.float32(0.31539156525252005), np.float32(0.5462742152960396)
+T0, T1, T2 = np.float32(-0.5900435899266435), np.float32(2.890611442640554), np.float32(-0.4570457994644658)
+T3, T5 = np.float32(0.3731763325901154), np.float32(1.445305721320277)
+
+
+@njit(**INLINE)
+def degree_one(x, y, z):
+    """Three basis functions of degree 1 at unit directions."""
+    return -C1 * y, C1 * z, -C1 * x
+
+
+@njit(**INLINE)
+def degree_two(x, y, z):
+    """Five basis functions of degree 2 at unit directions."""
+    return D0 * x * y, -D0 * y * z, D2 * (2 * z * z - x * x - y * y), -D0 * x * z, D4 * (x * x - y * y)
+
+
+@njit(**INLINE)
+def degree_three(x, y, z):
+    """Seven basis functions of degree 3 at unit directions."""
+    xx, yy, zz = x * x, y * y, z * z
+    return (
+        T0 * y * (3 * xx - yy), T1 * x * y * z, T2 * y * (4 * zz - xx - yy), T3 * z * (2 * zz - 3 * xx - 3 * yy),
+        T2 * x * (4 * zz - xx - yy), T5 * z * (xx - yy), T0 * x * (xx - 3 * yy),
+    )  # fmt: skip
+
+
+@njit(**INLINE)
+def _accumulate(parameters, base, band, weight, red, green, blue):
+    row = base + (SH + 3 * band) * LANES
+    return (
+        madd(weight, load(parameters, row), red),
+        madd(weight, load(parameters, row + LANES), green),
+        madd(weight, load(parameters, row + 2 * LANES), blue),
+    )
+
+
+@njit(**INLINE)
+def colour(parameters, base, degree, x, y, z):
+    """Red, green and blue (not yet clamped at 0) of the block at ``base`` seen along the unit directions (x, y, z)."""
+    half = broadcast(np.float32(0.5))
+    r, g, b = _accumulate(parameters, base, 0, broadcast(C0), half, half, half)
+    if degree > 0:
+        w1, w2, w3 = degree_one(x, y, z)
+        r, g, b = _accumulate(parameters, base, 1, w1, r, g, b)
+        r, g, b = _accumulate(parameters, base, 2, w2, r, g, b)
+        r, g, b = _accumulate(parameters, base, 3, w3, r, g, b)
+    if degree > 1:
+        w4, w5, w6, w7, w8 = degree_two(x, y, z)
+        r, g, b = _accumulate(parameters, base, 4, w4, r, g, b)
+        r, g, b = _accumulate(parameters, base, 5, w5, r, g, b)
+        r, g, b = _accumulate(parameters, base, 6, w6, r, g, b)
+        r, g, b = _accumulate(parameters, base, 7, w7, r, g, b)
+        r, g, b = _accumulate(parameters, base, 8, w8, r, g, b)
+    if degree > 2:
+        w9, w10, w11, w12, w13, w14, w15 = degree_three(x, y, z)
+        r, g, b = _accumulate(parameters, base, 9, w9, r, g, b)
+        r, g, b = _accumulate(parameters, base, 10, w10, r, g, b)
+        r, g, b = _accumulate(parameters, base, 11, w11, r, g, b)
+        r, g, b = _accumulate(parameters, base, 12, w12, r, g, b)
+        r, g, b = _accumulate(parameters, base, 13, w13, r, g, b)
+        r, g, b = _accumulate(parameters, base, 14, w14, r, g, b)
+        r, g, b = _accumulate(parameters, base, 15, w15, r, g, b)
+    return r, g, b
+
+
+@njit(**INLINE)
+def _spread(parameters, gradient, base, band, mask, weight, red, green, blue):
+    """Stores the gradient of one band and returns dL/d(basis function)."""
+    row = base + (SH + 3 * band) * LANES
+    store(gradient, row, where(mask, weight * red))
+    store(gradient, row + LANES, where(mask, weight * green))
+    store(gradient, row + 2 * LANES, where(mask, weight * blue))
+    return madd(red, load(parameters, row), madd(green, load(parameters, row + LANES), blue * load(parameters, row + 2 * LANES)))
+
+
+@njit(**INLINE)
+def colour_gradient(parameters, gradient, base, degree, mask, x, y, z, red, green, blue):
+    """Stores the gradients of all harmonics for colour gradients (red, green, blue); returns dL/d(x, y, z), not yet tangential.
+
+    The colour gradients must be 0 outside ``mask``.
+    """
+    _spread(parameters, gradient, base, 0, mask, broadcast(C0), red, green, blue)
+    dx = broadcast(np.float32(0))
+    dy, dz = dx, dx
+    if degree > 0:
+        w1, w2, w3 = degree_one(x, y, z)
+        dy = dy - C1 * _spread(parameters, gradient, base, 1, mask, w1, red, green, blue)
+        dz = dz + C1 * _spread(parameters, gradient, base, 2, mask, w2, red, green, blue)
+        dx = dx - C1 * _spread(parameters, gradient, base, 3, mask, w3, red, green, blue)
+    if degree > 1:
+        w4, w5, w6, w7, w8 = degree_two(x, y, z)
+        f4 = D0 * _spread(parameters, gradient, base, 4, mask, w4, red, green, blue)
+        f5 = D0 * _spread(parameters, gradient, base, 5, mask, w5, red, green, blue)
+        f6 = (2 * D2) * _spread(parameters, gradient, base, 6, mask, w6, red, green, blue)
+        f7 = D0 * _spread(parameters, gradient, base, 7, mask, w7, red, green, blue)
+        f8 = (2 * D4) * _spread(parameters, gradient, base, 8, mask, w8, red, green, blue)
+        dx = dx + y * f4 - x * f6 - z * f7 + x * f8
+        dy = dy + x * f4 - z * f5 - y * f6 - y * f8
+        dz = dz - y * f5 + 2 * z * f6 - x * f7
+    if degree > 2:
+        w9, w10, w11, w12, w13, w14, w15 = degree_three(x, y, z)
+        f9 = T0 * _spread(parameters, gradient, base, 9, mask, w9, red, green, blue)
+        f10 = T1 * _spread(parameters, gradient, base, 10, mask, w10, red, green, blue)
+        f11 = T2 * _spread(parameters, gradient, base, 11, mask, w11, red, green, blue)
+        f12 = T3 * _spread(parameters, gradient, base, 12, mask, w12, red, green, blue)
+        f13 = T2 * _spread(parameters, gradient, base, 13, mask, w13, red, green, blue)
+        f14 = T5 * _spread(parameters, gradient, base, 14, mask, w14, red, green, blue)
+        f15 = T0 * _spread(parameters, gradient, base, 15, mask, w15, red, green, blue)
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        dx = dx + 6 * xy * f9 + yz * f10 - 2 * xy * f11 - 6 * xz * f12
+        dx = dx + (4 * zz - 3 * xx - yy) * f13 + 2 * xz * f14 + 3 * (xx - yy) * f15
+        dy = dy + 3 * (xx - yy) * f9 + xz * f10 + (4 * zz - xx - 3 * yy) * f11 - 6 * yz * f12
+        dy = dy - 2 * xy * f13 - 2 * yz * f14 - 6 * xy * f15
+        dz = dz + xy * f10 + 8 * yz * f11 + (6 * zz - 3 * xx - 3 * yy) * f12 + 8 * xz * f13 + (xx - yy) * f14
+    return dx, dy, dz

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moments of the backward pass → gradients of the parameter blocks; the projection is evaluated again instead of being stored."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float32, int64, njit, prange
+
+from studiorecon.splatting.conventions import (
+    BLOCK_FLOATS, BLUE, FOCAL, GREEN, INLINE, KERNEL, LANES, NEAR, OPACITY, QUATERNION, RECORD, RED, SCALE,
+)  # fmt: skip
+from studiorecon.splatting.harmonics import colour_gradient
+from studiorecon.splatting.projection import (
+    OPACITY_MIN, axes_in_image, covariance, direction, frame_limits, image_from_world, in_camera, rotation, unit_quaternion,
+)  # fmt: skip
+from studiorecon.splatting.simd import above, at_least, both, broadcast, least, mask_from_bits, most, select, where
+from studiorecon.splatting.simd_rows import item, load, store, take_moments
+
+QUATERNION_SQUARE_MIN = np.float32(1e-24)
+"""Quaternions shorter than 1e-12 get no gradient: its size would be one over their norm."""
+
+
+@njit(**INLINE)
+def _positive(splats, first, field):
+    """Bits of the records from ``first`` on whose ``field`` is above 0."""
+    bits = int64(0)
+    for lane in range(LANES):
+        bits |= int64(item(splats, (first + lane) * RECORD + field) > float32(0)) << lane
+    return bits
+
+
+@njit(**INLINE)
+def _moments(moments, first, size, shares):
+    """The ten moments of sixteen Gaussians, summed over shares in order; the records are zero afterwards."""
+    m0, m1, m2, m3, m4, m5, m6, m7, m8, m9 = take_moments(moments, first * RECORD)
+    for share in range(1, shares):
+        n0, n1, n2, n3, n4, n5, n6, n7, n8, n9 = take_moments(moments, (share * size + first) * RECORD)
+        m0, m1, m2, m3, m4 = m0 + n0, m1 + n1, m2 + n2, m3 + n3, m4 + n4
+        m5, m6, m7, m8, m9 = m5 + n5, m6 + n6, m7 + n7, m8 + n8, m9 + n9
+    return m0, m1, m2, m3, m4, m5, m6, m7, m8, m9
+
+
+@njit(**INLINE)
+def _quaternion_gradient(w, x, y, z, g):
+    """Gradient by a unit quaternion of the gradient ``g`` by the rotation matrix, projected onto the tangent space."""
+    g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
+    gw = 2 * (y * g02 - z * g01 + z * g10 - x * g12 - y * g20 + x * g21)
+    gx = 2 * (y * g01 + z * g02 + y * g10 - 2 * x * g11 - w * g12 + z * g20 + w * g21 - 2 * x * g22)
+    gy = 2 * (x * g01 - 2 * y * g00 + w * g02 + x * g10 + z * g12 - w * g20 + z * g21 - 2 * y * g22)
+    gz = 2 * (x * g02 - 2 * z * g00 - w * g01 + w * g10 - 2 * z * g11 + y * g12 + x * g20 + y * g21)
+    along = gw * w + gx * x + gy * y + gz * z
+    return gw - along * w, gx - along * x, gy - along * y, gz - along * z
+
+
+@njit(parallel=True, **KERNEL)
+def project_gradient(parameters, camera, degree, splats, visible, moments, gradient, screen):
+    """Fills ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in pixels).
+
+    Gradients are by the stored (activated) scale and opacity. Blocks without a visible Gaussian are left as they are.
+    """
+    size = len(visible)
+    shares = len(moments) // (RECORD * size)
+    left, right, top, bottom = frame_limits(camera)
+    fx, fy = camera[FOCAL], camera[FOCAL + 1]
+    for block in prange(size // LANES):
+        first, base = block * LANES, block * BLOCK_FLOATS
+        bits = int64(0)
+        for lane in range(LANES):
+            bits |= int64(visible[first + lane]) << lane
+        if bits == 0:
+            continue
+        seen = mask_from_bits(bits)
+        # The forward projection once more.
+        x, y, z = in_camera(parameters, base, camera)
+        inverse_depth = float32(1) / select(above(z, broadcast(camera[NEAR])), z, broadcast(float32(1)))
+        tangent_x, tangent_y = x * inverse_depth, y * inverse_depth
+        ax = least(most(tangent_x, broadcast(left)), broadcast(right))
+        ay = least(most(tangent_y, broadcast(top)), broadcast(bottom))
+        free_x = both(at_least(tangent_x, broadcast(left)), at_least(broadcast(right), tangent_x))
+        free_y = both(at_least(tangent_y, broadcast(top)), at_least(broadcast(bottom), tangent_y))
+        qw, qx, qy, qz, inverse_norm, square = unit_quaternion(parameters, base)
+        r = rotation(qw, qx, qy, qz)
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = r
+        t = image_from_world(camera, ax, ay, inverse_depth)
+        t00, t01, t02, t10, t11, t12 = t
+        e0, e1, e2, h0, h1, h2 = axes_in_image(t, r)
+        row = base + SCALE * LANES
+        s0, s1, s2 = load(parameters, row), load(parameters, row + LANES), load(parameters, row + 2 * LANES)
+        a0, a1, a2, b0, b1, b2 = e0 * s0, e1 * s1, e2 * s2, h0 * s0, h1 * s1, h2 * s2
+        _, yy, xy, determinant = covariance(a0, a1, a2, b0, b1, b2)
+        ellipse_a, inverse_yy = yy / determinant, float32(1) / yy
+        k = xy * inverse_yy
+        # Moments → gradients by the centre and by the ellipse (A, k, c), here without the factor log2(e)/2.
+        m0, m1, m2, m3, m4, m5, m6, m7, m8, m9 = _moments(moments, first, size, shares)
+        m0, m1, m2 = where(seen, m0), where(seen, m1), where(seen, m2)
+        by_a, by_k, by_c = float32(-0.5) * where(seen, m3), ellipse_a * where(seen, m4), float32(-0.5) * where(seen, m5)
+        by_px = ellipse_a * m1
+        by_py = inverse_yy * m2 - k * by_px
+        store(screen, first, where(seen, by_px))
+        store(screen, size + first, where(seen, by_py))
+        # → by the image covariance → by its rows a = m1, b = m2.
+        by_xx = -(ellipse_a * ellipse_a * by_a)
+        by_xy = inverse_yy * by_k - 2 * k * by_xx
+        by_yy = k * k * by_xx - k * inverse_yy * by_k - inverse_yy * inverse_yy * by_c
+        ga0, ga1, ga2 = 2 * by_xx * a0 + by_xy * b0, 2 * by_xx * a1 + by_xy * b1, 2 * by_xx * a2 + by_xy * b2
+        gb0, gb1, gb2 = by_xy * a0 + 2 * by_yy * b0, by_xy * a1 + 2 * by_yy * b1, by_xy * a2 + 2 * by_yy * b2
+        store(gradient, row, where(seen, ga0 * e0 + gb0 * h0))
+        store(gradient, row + LANES, where(seen, ga1 * e1 + gb1 * h1))
+        store(gradient, row + 2 * LANES, where(seen, ga2 * e2 + gb2 * h2))
+        pa0, pa1, pa2, pb0, pb1, pb2 = ga0 * s0, ga1 * s1, ga2 * s2, gb0 * s0, gb1 * s1, gb2 * s2
+        by_rotation = (
+            t00 * pa0 + t10 * pb0, t00 * pa1 + t10 * pb1, t00 * pa2 + t10 * pb2,
+            t01 * pa0 + t11 * pb0, t01 * pa1 + t11 * pb1, t01 * pa2 + t11 * pb2,
+            t02 * pa0 + t12 * pb0, t02 * pa1 + t12 * pb1, t02 * pa2 + t12 * pb2,
+        )  # fmt: skip
+        gw, gx, gy, gz = _quaternion_gradient(qw, qx, qy, qz, by_rotation)
+        turned = both(seen, above(square, broadcast(QUATERNION_SQUARE_MIN)))
+        row = base + QUATERNION * LANES
+        store(gradient, row, where(turned, gw * inverse_norm))
+        store(gradient, row + LANES, where(turned, gx * inverse_norm))
+        store(gradient, row + 2 * LANES, where(turned, gy * inverse_norm))
+        store(gradient, row + 3 * LANES, where(turned, gz * inverse_norm))
+        row = base + OPACITY * LANES
+        store(gradient, row, where(seen, m0 / most(load(parameters, row), broadcast(OPACITY_MIN))))
+        # → by J·W, which depends on depth and on the tangents.
+        u00, u01, u02 = pa0 * r00 + pa1 * r01 + pa2 * r02, pa0 * r10 + pa1 * r11 + pa2 * r12, pa0 * r20 + pa1 * r21 + pa2 * r22
+        u10, u11, u12 = pb0 * r00 + pb1 * r01 + pb2 * r02, pb0 * r10 + pb1 * r11 + pb2 * r12, pb0 * r20 + pb1 * r21 + pb2 * r22
+        d0, d2 = u00 * camera[0] + u01 * camera[1] + u02 * camera[2], u00 * camera[6] + u01 * camera[7] + u02 * camera[8]
+        d1, d3 = u10 * camera[3] + u11 * camera[4] + u12 * camera[5], u10 * camera[6] + u11 * camera[7] + u12 * camera[8]
+        by_inverse_depth = fx * (d0 - ax * d2) + fy * (d1 - ay * d3)
+        by_tangent_x = fx * by_px - where(free_x, fx * inverse_depth * d2)
+        by_tangent_y = fy * by_py - where(free_y, fy * inverse_depth * d3)
+        by_x, by_y = by_tangent_x * inverse_depth, by_tangent_y * inverse_depth
+        by_z = where(seen, m9) - (by_inverse_depth + by_tangent_x * x + by_tangent_y * y) * inverse_depth * inverse_depth
+        # → by the colour, whose clamp at 0 passes nothing, and by the viewing direction.
+        red = where(both(seen, mask_from_bits(_positive(splats, first, RED))), m6)
+        green = where(both(seen, mask_from_bits(_positive(splats, first, GREEN))), m7)
+        blue = where(both(seen, mask_from_bits(_positive(splats, first, BLUE))), m8)
+        dx, dy, dz, inverse_distance = direction(parameters, base, camera)
+        vx, vy, vz = colour_gradient(parameters, gradient, base, degree, seen, dx, dy, dz, red, green, blue)
+        along = vx * dx + vy * dy + vz * dz
+        wx = camera[0] * by_x + camera[3] * by_y + camera[6] * by_z + (vx - along * dx) * inverse_distance
+        wy = camera[1] * by_x + camera[4] * by_y + camera[7] * by_z + (vy - along * dy) * inverse_distance
+        wz = camera[2] * by_x + camera[5] * by_y + camera[8] * by_z + (vz - along * dz) * inverse_distance
+        store(gradient, base, where(seen, wx))
+        store(gradient, base + LANES, where(seen, wy))
+        store(gradient, base + 2 * LANES, where(seen, wz))

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What other packages call: render Gaussians from a camera, and gradients of that.
+
+Conventions are gsplat's: dilation 0.3 px², pixel centres at +0.5, alpha below 1/255 skipped and cut at 0.999, blending stops when the
+transmittance would fall to 1e-4, colour max(0, 0.5 + harmonics).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting import blocks, tiles
+from studiorecon.splatting.blocks import BlockedGaussians, aligned
+from studiorecon.splatting.conventions import BLOCK_FLOATS, CAMERA_FLOATS, LANES, PAIRS_MAX, RECORD, TILE_PX
+from studiorecon.splatting.forward import LANE_OFFSETS, blend
+from studiorecon.splatting.planes import gradients_into_planes, planes_to_images
+from studiorecon.splatting.projection import project
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One rendered view.
+
+    Attributes:
+        rgb: (H, W, 3) float32 over the background; not clamped above.
+        alpha: (H, W) float32, 1 − transmittance.
+        depth_m: (H, W) float32 expected z-depth (the blended depth over alpha), 0 where alpha is below 1e-4.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class GaussianGradients:
+    """Gradients by the stored form of N Gaussians (log scales, logit opacities); 0 for the invisible.
+
+    Attributes:
+        screen: (N,) length of the gradient by the projected centre, per pixel. 3DGS' densification threshold is for normalised
+            coordinates: multiply by half the image width.
+    """
+
+    means_m: np.ndarray
+    quaternions: np.ndarray
+    log_scales: np.ndarray
+    logit_opacities: np.ndarray
+    sh: np.ndarray
+    screen: np.ndarray
+
+
+def rasterise(
+    gaussians: Gaussians | BlockedGaussians,
+    camera: Camera,
+    *,
+    background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
+    near_m: float,
+    threads: int | None = None,
+) -> Rendering:
+    """One view of the Gaussians; nothing nearer than ``near_m`` is drawn. For many views keep a ``Rasteriser``."""
+    return Rasteriser(near_m=near_m, threads=threads).forward(gaussians, camera, background_rgb)
+
+
+def camera_vector(camera: Camera, near_m: float) -> np.ndarray:
+    """The camera as kernels take it, (22,) float32; the centre is computed in float64."""
+    vector = np.empty(CAMERA_FLOATS, np.float64)
+    vector[0:9] = camera.rotation_camera_from_world.ravel()
+    vector[9:12] = camera.camera_from_world[:3, 3]
+    vector[12:14], vector[14:16], vector[16:18] = camera.focal_px, camera.principal_px, camera.wh
+    vector[18], vector[19:22] = near_m, camera.centre_m
+    return vector.astype(np.float32)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """numba with ``count`` threads inside the block, or all it has when it has fewer."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+class Rasteriser:
+    """Forward and backward passes that reuse their buffers.
+
+    The same inputs give the same bytes for the same ``threads`` (work is split into that many shares whether or not the machine
+    has as many cores). One instance serves one Python thread.
+
+    Attributes:
+        near_m: Gaussians at or before this depth are not drawn.
+        threads: shares of the work.
+        refused: Gaussians of the last view left out for NaN, infinite or absurd values (1e7 metres or pixels).
+        visible_count: Gaussians of the last view that can touch a pixel.
+        pair_count: splat–tile pairs of the last view.
+    """
+
+    def __init__(self, *, near_m: float, threads: int | None = None) -> None:
+        self.near_m = float(near_m)
+        self.threads = numba.get_num_threads() if threads is None else int(threads)
+        if self.threads < 1 or not self.near_m > 0:
+            raise ValueError(f"threads ({threads}) must be at least 1 and near_m ({near_m}) above 0")
+        self.refused = self.visible_count = self.pair_count = 0
+        self._blocked: BlockedGaussians | None = None
+        self._sized_for = (0, (0, 0))
+        self._pairs, self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint16)
+        self._ticket = np.zeros(1, np.int64)
+
+    def forward(
+        self, gaussians: Gaussians | BlockedGaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> Rendering:
+        """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first."""
+        with _threads(self.threads):
+            blocked = gaussians if isinstance(gaussians, BlockedGaussians) else blocks.block(gaussians)
+            self.draw(blocked, camera, background_rgb)
+            height, width = self.planes.shape[1:]
+            rgb, alpha, depth_m = (np.empty(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width)))
+            planes_to_images(self.planes, rgb, alpha, depth_m)
+        return Rendering(rgb, alpha, depth_m)
+
+    def backward(
+        self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
+    ) -> GaussianGradients:
+        """Gradients of a scalar by the Gaussians of the last ``forward``, from its gradients by rgb (H, W, 3), alpha and depth (H, W).
+
+        Blocks changed in between give wrong gradients. Pixels whose alpha is below 1e-4 pass no depth gradient.
+        """
+        if self._blocked is None:
+            raise ValueError("backward needs a forward pass first")
+        hw = self.planes.shape[1:]
+        given = [np.zeros(0, np.float32) if g is None else np.ascontiguousarray(g, np.float32) for g in (grad_rgb, grad_alpha, grad_depth)]
+        for name, gradient, shape in zip(("rgb", "alpha", "depth"), given, ((*hw, 3), hw, hw)):
+            if gradient.size and gradient.shape != shape:
+                raise ValueError(f"grad_{name} has shape {gradient.shape}, expected {shape}")
+        n, bands = self._blocked.count, (self._blocked.degree + 1) ** 2
+        shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3), (n,))
+        gradients = GaussianGradients(*(np.empty(shape, np.float32) for shape in shapes))
+        with _threads(self.threads):
+            plane_gradients = np.empty_like(self.planes)
+            gradients_into_planes(self.planes, *(g.reshape(-1) for g in given), plane_gradients)
+            self.gather(plane_gradients)
+            blocks.take_gradients(
+                self.gradient, self._blocked.parameters, self.visible, self.screen, gradients.means_m, gradients.quaternions,
+                gradients.log_scales, gradients.logit_opacities, gradients.sh, gradients.screen,
+            )  # fmt: skip
+        return gradients
+
+    def draw(self, blocked: BlockedGaussians, camera: Camera, background_rgb: Sequence[float]) -> np.ndarray:
+        """Inner loop of training: fills and returns ``planes`` (5, H, W) — red, green, blue, depth sum, transmittance — until the next call."""
+        self._resize(blocked.padded, camera.hw)
+        columns, rows = self._grid
+        self._blocked, self._camera = blocked, camera_vector(camera, self.near_m)
+        splats, visible = self._splats, self.visible
+        project(blocked.parameters, self._camera, blocked.degree, splats, self._depth_m, visible, self._refused)
+        self.refused = int(self._refused.sum())
+        count = tiles.depth_order(self._depth_m.view(np.uint32), visible, *self._sorting)
+        self.visible_count = count
+        order = self._sorting[0]
+        self._cursor[:] = 0
+        shared = (count, order, splats, columns, rows, self.threads, self._cursor, self._rectangles)
+        tiles.scatter_into_tiles(*shared, self._pairs, False)
+        self.pair_count = int(tiles.place_tiles(self._cursor, self.threads, self._starts))
+        if self.pair_count > PAIRS_MAX:
+            raise Refusal(
+                f"camera {camera.name}: {count} visible Gaussians cover {self.pair_count} tiles, more than {PAIRS_MAX}; "
+                "the Gaussians have grown out of bounds: lower their learning rates or their number"
+            )
+        if self.pair_count > len(self._pairs):
+            room = int(1.2 * self.pair_count) + (1 << 14)
+            self._pairs, self._touched = np.empty(room, np.uint32), np.empty(room, np.uint16)
+        tiles.scatter_into_tiles(*shared, self._pairs, True)
+        lists = (self._starts, self._pairs, self._touched, self._ends)
+        background = np.array(background_rgb, np.float32)
+        blend(self.threads, columns, rows, splats, *lists, background, LANE_OFFSETS, self.planes, self._ticket)
+        return self.planes
+
+    def gather(self, plane_gradients: np.ndarray) -> np.ndarray:
+        """Inner loop of training: fills and returns ``gradient`` (blocks; by activated scale and opacity) from gradients (5, H, W).
+
+        The planes are red, green, blue, depth sum, alpha. Blocks without a visible Gaussian keep what they held; ``visible`` says which.
+        """
+        # Imported here so that who only renders never loads or compiles the gradients.
+        from studiorecon.splatting.backward import gather
+        from studiorecon.splatting.projection_gradient import project_gradient
+
+        padded = self._blocked.padded
+        if len(self._moments) != self.threads * padded * RECORD:
+            self._moments = aligned(self.threads * padded * RECORD)
+            self.gradient, self.screen = aligned(padded // LANES * BLOCK_FLOATS), aligned(2 * padded)
+        lists = (self._starts, self._pairs, self._touched, self._ends)
+        gather(self.threads, *self._grid, self._splats, *lists, LANE_OFFSETS, self.planes, plane_gradients, self._moments)
+        parameters, degree = self._blocked.parameters, self._blocked.degree
+        project_gradient(parameters, self._camera, degree, self._splats, self.visible, self._moments, self.gradient, self.screen)
+        return self.gradient
+
+    def _resize(self, padded: int, hw: tuple[int, int]) -> None:
+        before, hw_before = self._sized_for
+        if padded != before:
+            self._splats, self._depth_m = aligned(padded * RECORD), aligned(padded)
+            self.visible, self._refused = np.zeros(padded, np.uint8), np.zeros(padded // LANES, np.uint8)
+            self._sorting = tuple(np.zeros(padded, np.uint32) for _ in range(4))
+            self._rectangles = np.zeros(4 * padded, np.int16)
+            self._moments = np.zeros(0, np.float32)
+        if hw != hw_before:
+            self._grid = (-(-hw[1] // TILE_PX), -(-hw[0] // TILE_PX))
+            count = self._grid[0] * self._grid[1]
+            self._cursor, self._starts = np.zeros(self.threads * count, np.uint32), np.zeros(count + 1, np.uint32)
+            self._ends = np.zeros(count, np.uint32)
+            self.planes = aligned(5 * hw[0] * hw[1]).reshape(5, *hw)
+        self._sized_for = (padded, hw)

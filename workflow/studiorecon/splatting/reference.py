@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The slow truth: a dense float64 rasteriser in torch whose gradients are autograd's. Only tests import it.
+
+Every Gaussian is evaluated at every pixel, so cost and memory are Gaussians × pixels. Conventions as in ``rasterise``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.conventions import ALPHA_MAX, DILATION_PX2, FRAME_MARGIN, TRANSMITTANCE_MIN
+
+FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
+
+
+def leaves(gaussians: Gaussians) -> dict[str, torch.Tensor]:
+    """The Gaussians as float64 tensors that collect gradients."""
+    return {name: torch.tensor(getattr(gaussians, name), dtype=torch.float64, requires_grad=True) for name in FIELDS}
+
+
+def render(
+    parameters: dict[str, torch.Tensor], camera: Camera, background_rgb: Sequence[float], near_m: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """rgb (H, W, 3), alpha (H, W) and depth sum (H, W), differentiable."""
+    centres, covariances, depth, colours = _project(parameters, camera, near_m)
+    opacity = torch.sigmoid(parameters["logit_opacities"])
+    drawn = torch.nonzero((depth > near_m) & (opacity >= 1 / 255)).flatten()
+    # The order is float32's, as in the kernels, so that near ties resolve alike.
+    drawn = drawn[torch.sort(depth.detach()[drawn].float(), stable=True).indices]
+    determinant = covariances[drawn, 0, 0] * covariances[drawn, 1, 1] - covariances[drawn, 0, 1] ** 2
+    a, b, c = (covariances[drawn, i, j] / determinant for i, j in ((1, 1), (0, 1), (0, 0)))
+    pixels = torch.as_tensor(camera.pixel_centres()).reshape(-1, 2)
+    dx = pixels[None, :, 0] - centres[drawn, 0, None]  # (drawn, pixels)
+    dy = pixels[None, :, 1] - centres[drawn, 1, None]
+    exponent = 0.5 * (a[:, None] * dx * dx + c[:, None] * dy * dy) - b[:, None] * dx * dy
+    alpha = (opacity[drawn, None] * torch.exp(-exponent)).clamp_max(float(ALPHA_MAX))
+    alpha = torch.where(alpha >= 1 / 255, alpha, torch.zeros_like(alpha))
+    with torch.no_grad():
+        open_pixels = torch.cumprod((torch.cumprod(1 - alpha, 0) > float(TRANSMITTANCE_MIN)).double(), 0)
+    alpha = alpha * open_pixels
+    after = torch.cumprod(1 - alpha, 0)
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
+    weight = alpha * before
+    rest = torch.prod(1 - alpha, 0)
+    background = torch.as_tensor(background_rgb, dtype=torch.float64)
+    rgb = weight.T @ colours[drawn] + rest[:, None] * background
+    depth_sum = (weight * depth[drawn, None]).sum(0)
+    return rgb.reshape(*camera.hw, 3), (1 - rest).reshape(camera.hw), depth_sum.reshape(camera.hw)
+
+
+def _project(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float) -> tuple[torch.Tensor, ...]:
+    camera_from_world = torch.as_tensor(camera.camera_from_world)
+    rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
+    in_camera = parameters["means_m"] @ rotation.T + translation
+    depth = in_camera[:, 2]
+    safe = torch.where(depth > near_m, depth, torch.ones_like(depth))
+    (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.wh
+    margin = float(FRAME_MARGIN)
+    ax = (in_camera[:, 0] / safe).clamp(-cx / fx - margin * width / fx, (width - cx) / fx + margin * width / fx)
+    ay = (in_camera[:, 1] / safe).clamp(-cy / fy - margin * height / fy, (height - cy) / fy + margin * height / fy)
+    zero = torch.zeros_like(safe)
+    jacobian = torch.stack([fx / safe, zero, -fx * ax / safe, zero, fy / safe, -fy * ay / safe], -1).reshape(-1, 2, 3)
+    axes = _rotations(parameters["quaternions"]) * torch.exp(parameters["log_scales"])[:, None, :]
+    in_image = jacobian @ (rotation @ axes)
+    covariances = in_image @ in_image.transpose(1, 2) + float(DILATION_PX2) * torch.eye(2, dtype=torch.float64)
+    centres = torch.stack([fx * in_camera[:, 0] / safe + cx, fy * in_camera[:, 1] / safe + cy], -1)
+    directions = parameters["means_m"] + rotation.T @ translation
+    directions = directions / directions.norm(dim=-1, keepdim=True)
+    bands = parameters["sh"].shape[1]
+    colours = (_harmonics(directions)[:, :bands, None] * parameters["sh"]).sum(1) + 0.5
+    return centres, covariances, depth, colours.clamp_min(0)
+
+
+def _rotations(quaternions: torch.Tensor) -> torch.Tensor:
+    w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, -1).reshape(-1, 3, 3)
+
+
+def _harmonics(directions: torch.Tensor) -> torch.Tensor:
+    x, y, z = directions.unbind(-1)
+    xx, yy, zz = x * x, y * y, z * z
+    basis = [
+        torch.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x,
+        1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z, -0.4570457994644658 * y * (4 * zz - xx - yy),
+        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy), -0.4570457994644658 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy), -0.5900435899266435 * x * (xx - 3 * yy),
+    ]  # fmt: skip
+    return torch.stack(basis, -1)
