@@ -55,27 +55,27 @@ def ssim_map(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.minimum(numerator / ((mean_a**2 + mean_b**2 + _C1) * (variance_a + variance_b + _C2)), 1.0)
 
 
-def ssim(prediction: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Mean structural similarity over windows that lie inside the picture; with ``mask``, over windows wholly inside the mask.
+def ssim(similarity: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+    """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the mask.
 
     Eroding the mask by the window's radius keeps errors outside it out of the mean (numerics I08). None when a side is under 11
     pixels or fewer than 256 masked pixels remain.
     """
-    if min(truth.shape[:2]) < _WINDOW:
+    if min(similarity.shape[:2]) < _WINDOW:
         return None
     radius = _WINDOW // 2
-    inside = np.zeros(truth.shape[:2], bool)
+    inside = np.zeros(similarity.shape[:2], bool)
     inside[radius:-radius, radius:-radius] = True
     if mask is not None:
         inside &= cv2.erode(mask.astype(np.uint8), np.ones((_WINDOW, _WINDOW), np.uint8)).astype(bool)
         if inside.sum() < SMALLEST_MASK_PX:
             return None
-    return float(ssim_map(prediction, truth)[inside].mean())
+    return float(similarity[inside].mean())
 
 
-def ssim_3dgs(prediction: np.ndarray, truth: np.ndarray) -> float | None:
-    """Mean structural similarity over the whole picture with zero padding, as papers of the 3DGS lineage print it."""
-    return None if min(truth.shape[:2]) < _WINDOW else float(ssim_map(prediction, truth).mean())
+def ssim_3dgs(similarity: np.ndarray) -> float | None:
+    """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers of the 3DGS lineage print it."""
+    return None if min(similarity.shape[:2]) < _WINDOW else float(similarity.mean())
 
 
 def warp_error(current: np.ndarray, warped_previous: np.ndarray, valid: np.ndarray) -> tuple[float, float] | None:

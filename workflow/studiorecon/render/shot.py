@@ -26,7 +26,7 @@ from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import Step, write_path
-from studiorecon.splatting.rasterise import rasterise
+from studiorecon.splatting.rasterise import Rasteriser
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,13 @@ def clear_orbit(orbit: Callable[[float], list[Step]], shot: str, background: Gau
     return orbit(_SHRINK[best])
 
 
-def picture(scene: Composite, step: Step, settings: Settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def picture(
+    scene: Composite, step: Step, rasteriser: Rasteriser, background_rgb: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
     gaussians, classes = scene.at(step.frame)
-    rendering = rasterise(gaussians, step.camera, background_rgb=settings.background_rgb, near_m=settings.near_m)
-    shares = rasterise(class_colours(gaussians, classes), step.camera, background_rgb=(0.0, 0.0, 0.0), near_m=settings.near_m)
+    rendering = rasteriser.forward(gaussians, step.camera, background_rgb)
+    shares = rasteriser.forward(class_colours(gaussians, classes), step.camera)
     return to_bytes(rendering.rgb), truth_levels(shares.rgb), millimetres(rendering.depth_m)
 
 
@@ -136,11 +138,12 @@ def run(
     positions = np.concatenate([np.asarray(person.trans, np.float64) for person in people]) if people else np.zeros((0, 3))
     steps = plan(shot, settings, training, held_out, capture.frames, scene, positions)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(people)} people")
+    rasteriser = Rasteriser(near_m=settings.near_m)
     counted = np.zeros(256, np.int64)
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
     with writing([lambda frames, w=w: w(frames=frames) for w in writers]) as put:
         for step in progress(steps, f"pictures of {shot}"):
-            rgb, truth_map, depth_mm = picture(scene, step, settings)
+            rgb, truth_map, depth_mm = picture(scene, step, rasteriser, settings.background_rgb)
             counted += np.bincount(truth_map.ravel(), minlength=256)
             put(rgb, truth_map, depth_mm)
     write_path(path, steps, capture.fps)
