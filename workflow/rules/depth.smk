@@ -1,0 +1,106 @@
+# Depth of the static scene: every camera looks for planes, the room is fitted to what they found, every camera looks again.
+# A depth map the user brought takes the place of the last look.
+
+import re
+
+
+ruleorder: depth_given > depth_refine
+
+
+rule depth_sweep:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
+    output:
+        sweep="results/{scene}/depth/{camera}.sweep.npz",
+    log:
+        "logs/{scene}/depth/sweep/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/depth/sweep/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("depth"),
+        code=code("depth.sweep"),
+    shell:
+        "python -m studiorecon depth.sweep --settings {params.settings:q} --log {log}"
+        " --camera {wildcards.camera:q} --model {input.model} --plates {input.plates:q} --sweep {output.sweep:q}"
+
+
+rule depth_shell:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
+        sweeps=collect("results/{scene}/depth/{other}.sweep.npz", other=TRAINING, allow_missing=True),
+    output:
+        shell="results/{scene}/depth/shell.json",
+        passes="results/{scene}/depth/passes.npz",
+    log:
+        "logs/{scene}/depth/shell.log",
+    benchmark:
+        "benchmarks/{scene}/depth/shell.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=2500,
+    params:
+        settings=settings("depth"),
+        code=code("depth.shell"),
+    shell:
+        "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
+        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --shell {output.shell} --passes {output.passes}"
+
+
+rule depth_refine:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
+        shell="results/{scene}/depth/shell.json",
+        passes="results/{scene}/depth/passes.npz",
+    output:
+        depth="results/{scene}/depth/{camera}.exr",
+    log:
+        "logs/{scene}/depth/refine/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/depth/refine/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("depth"),
+        code=code("depth.refine"),
+    shell:
+        "python -m studiorecon depth.refine --settings {params.settings:q} --log {log}"
+        " --camera {wildcards.camera:q} --model {input.model} --plates {input.plates:q} --passes {input.passes}"
+        " --shell {input.shell} --depth {output.depth:q}"
+
+
+rule depth_given:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        source=given_depth,
+    output:
+        depth="results/{scene}/depth/{camera}.exr",
+    log:
+        "logs/{scene}/depth/given/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/depth/given/{camera}.tsv"
+    wildcard_constraints:
+        camera="|".join(map(re.escape, DATASET.depth)) or "(?!)",
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("depth"),
+        code=code("depth.given"),
+    shell:
+        "python -m studiorecon depth.given --settings {params.settings:q} --log {log}"
+        " --camera {wildcards.camera:q} --model {input.model} --source {input.source:q} --depth {output.depth:q}"

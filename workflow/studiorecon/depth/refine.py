@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along edges.
+
+Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge them
+have A at or below ``default_confidence``; measured ones lie above it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from studiorecon.depth.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.pictures import Picture, equalised, read_pictures
+from studiorecon.errors import Refusal
+from studiorecon.images.exr import write_depth
+from studiorecon.images.stills import read_plate
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.shell import Shell, read_shell
+
+# Colour difference (sum over channels) at which a neighbour's plane is half as likely, when planes are carried to full size.
+_EDGE_CONTRAST = 0.15
+
+
+@dataclass(frozen=True)
+class Settings(PassSettings):
+    """The second look's costs and the size it is done at; see config.yaml."""
+
+    refine_width: int
+    default_confidence: float
+
+
+def confidence(labelled: Labelled, default_confidence: float) -> np.ndarray:
+    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; judged pixels stay above it, others below.
+
+    Where no other camera can judge, the value is half of ``default_confidence``.
+    """
+    quality = np.clip(1 - labelled.cost, 0, 1)
+    measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
+    return np.where(labelled.judged, measured, default_confidence / 2).astype(np.float32)
+
+
+def carry(values: np.ndarray, guide: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+    """(H, W) int index into the flattened small picture: for every full-size pixel the small pixel it takes its plane from.
+
+    ``values`` (h, w) are the small picture's planes, ``guide`` (h, w, 3) its colours, ``rgb`` (H, W, 3) the full picture. The
+    plane with the most weight among the 3×3 nearest small pixels wins; weight falls with distance and colour difference.
+    """
+    return _carry(np.ascontiguousarray(values, np.int64), guide.astype(np.float32), rgb.astype(np.float32), np.float32(_EDGE_CONTRAST))
+
+
+@njit(cache=True)
+def _carry(values, guide, rgb, contrast):
+    height, width = rgb.shape[:2]
+    small_height, small_width = values.shape
+    source = np.zeros((height, width), np.int64)
+    weights, where = np.zeros(9), np.zeros(9, np.int64)
+    for y in range(height):
+        v = (y + 0.5) * small_height / height
+        for x in range(width):
+            u = (x + 0.5) * small_width / width
+            n = 0
+            for j in range(int(v) - 1, int(v) + 2):
+                for i in range(int(u) - 1, int(u) + 2):
+                    if j < 0 or i < 0 or j >= small_height or i >= small_width:
+                        continue
+                    far = (u - i - 0.5) ** 2 + (v - j - 0.5) ** 2
+                    apart = 0.0
+                    for c in range(3):
+                        apart += abs(rgb[y, x, c] - guide[j, i, c])
+                    weights[n] = np.exp(-far - apart / contrast)
+                    where[n] = j * small_width + i
+                    n += 1
+            best, best_weight = 0, -1.0
+            for a in range(n):
+                total = 0.0
+                for b in range(n):
+                    if values.flat[where[a]] == values.flat[where[b]]:
+                        total += weights[b]
+                # Among the winners' pixels the heaviest one hands on its cost and confidence.
+                total += 1e-6 * weights[a]
+                if total > best_weight:
+                    best, best_weight = a, total
+            source[y, x] = where[best]
+    return source
+
+
+def at_full_size(camera: Camera, rgb: np.ndarray, small: Picture, labelled: Labelled, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H, W)."""
+    source = carry(labelled.plane, small.rgb, rgb)
+    plane = planes[labelled.plane.ravel()[source]]
+    depth_m = replace(small, camera=camera).depth_of(plane)
+    # A plane that is grazed can run off just beyond the pixel it was found at: never further than its neighbours' depth allows.
+    found = labelled.depth_m.ravel()[source]
+    runaway = (depth_m <= 0) | (depth_m > 1.5 * found + 0.1)
+    return np.where(runaway, found, depth_m).astype(np.float32), source
+
+
+def final_pass(
+    cameras: list[Camera], pictures: list[Picture], index: int, shell: Shell, passes: list[np.ndarray], settings: Settings
+) -> Labelled:
+    """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w) depths."""
+    picture = pictures[index]
+    depths = plane_depths(picture, shell.planes, shell, settings)
+    rest = [i for i in range(len(pictures)) if i != index]
+    scores = [plane_scores(picture, pictures[i], shell.planes, depths, settings) for i in rest]
+    seen = [(cameras[i].resized((passes[i].shape[1], passes[i].shape[0])), passes[i]) for i in rest]
+    return explain(picture, shell.planes, depths, scores, seen, settings)
+
+
+def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes: Path, shell: Path, depth: Path) -> None:
+    """Write one camera's depth and confidence."""
+    cameras = read_model(model.parent)
+    names = [c.name for c in cameras]
+    if camera not in names:
+        raise Refusal(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+    index = names.index(camera)
+    room = read_shell(shell)
+    with np.load(passes, allow_pickle=False) as stored:
+        agreed = [stored[f"depth_{name}"] for name in names]
+    gains = np.stack([room.gains[name] for name in names])
+    pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
+    labelled = final_pass(cameras, pictures, index, room, agreed, settings)
+    rgb, _ = read_plate(plates[index])
+    depth_m, source = at_full_size(cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes)
+    certainty = confidence(labelled, settings.default_confidence).ravel()[source]
+    say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
+    say(f"{(labelled.plane >= 6).mean():.0%} of {camera} is furniture, the rest walls, floor and ceiling")
+    write_depth(depth, depth_m, certainty)

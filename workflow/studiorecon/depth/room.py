@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From votes to a room: the most voted wall on each side, its place to the centimetre, and the planes worth trying inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.depth.matching import UNKNOWN
+from studiorecon.depth.pictures import Picture
+from studiorecon.scene.shell import Shell
+
+_UP = np.array([0.0, 0.0, 1.0])
+# Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
+_SAME_SURFACE = 0.2
+_LEAST_VOTERS = 30
+
+
+@dataclass(frozen=True)
+class Votes:
+    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
+
+    planes: np.ndarray
+    chosen: Sequence[np.ndarray]
+    confident: Sequence[np.ndarray]
+
+    def count(self) -> np.ndarray:
+        """(L,) confident pixels per plane, over all pictures."""
+        return sum(np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
+
+    def voters(self, normal: np.ndarray, offset: float, reach_m: float) -> list[np.ndarray]:
+        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of ``offset``."""
+        near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
+        return [m & near[c] for c, m in zip(self.chosen, self.confident)]
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How planes are compared when they are placed: window in pixels, weight of the mean difference, depth range in metres."""
+
+    window: int
+    mean_weight: float
+    near_m: float
+    far_m: float
+
+
+def plane_support(pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, how: Matching) -> tuple[float, int]:
+    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and how many comparisons that is."""
+    total, count = 0.0, 0
+    for i, picture in enumerate(pictures):
+        if voters[i].sum() < _LEAST_VOTERS:
+            continue
+        for j, other in enumerate(pictures):
+            if i == j:
+                continue
+            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
+            score = score[score > _SAME_SURFACE]
+            total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
+    return total / max(count, 1), count
+
+
+def place_plane(
+    pictures: Sequence[Picture],
+    voters: Sequence[np.ndarray],
+    normal: np.ndarray,
+    offset: float,
+    span_m: float,
+    step_m: float,
+    how: Matching,
+) -> tuple[float, float]:
+    """The offset near ``offset`` at which the voters' pictures agree best (parabola through the best three), and that score."""
+    tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
+    support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
+    # Comparisons are lost at the wrong offset, so the mean alone would reward a plane that few pixels still match.
+    most = max(count for _, count in support)
+    if most < _LEAST_VOTERS:
+        return offset, float("nan")
+    value = np.array([mean * np.sqrt(count / most) for mean, count in support])
+    best = int(value.argmax())
+    shift = 0.0
+    if 0 < best < len(value) - 1:
+        before, at, after = value[best - 1 : best + 2]
+        bend = before - 2 * at + after
+        shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(tried[best] + shift * step_m), float(support[best][0])
+
+
+def turned_offset(pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, normal: np.ndarray, how: Matching) -> float:
+    """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
+    points = [p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v] for p, v in zip(pictures, voters)]
+    points = np.concatenate(points)
+    return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
+
+
+def find_face(planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float) -> float | None:
+    """Offset of the most voted plane with this normal on the outer side of ``beyond``; None when too few pixels voted for any.
+
+    The most voted, not the outermost: a periodic wallpaper also votes for planes behind the wall.
+    """
+    parallel = np.flatnonzero((planes[:, :3] @ normal > 0.999) & (side * (planes[:, 3] - beyond) > 0))
+    if not len(parallel):
+        return None
+    parallel = parallel[np.argsort(planes[parallel, 3], kind="stable")]
+    count = votes[parallel].astype(np.float64)
+    around = np.convolve(count, np.ones(3), mode="same")
+    best = int(around.argmax())
+    if around[best] < least_votes:
+        return None
+    span = slice(max(best - 1, 0), best + 2)
+    return float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum())
+
+
+def refine_yaw(
+    pictures: Sequence[Picture], votes: Votes, walls: Sequence[tuple[np.ndarray, float]], span_rad: float, step_rad: float, how: Matching
+) -> float:
+    """Turn (radians) of all fitted walls about their own voters' centre that makes the pictures agree best."""
+    turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
+    value = np.zeros(len(turns))
+    for normal, offset in walls:
+        voters = votes.voters(normal, offset, 0.15)
+        if sum(int(v.sum()) for v in voters) < _LEAST_VOTERS:
+            continue
+        for k, turn in enumerate(turns):
+            c, s = np.cos(turn), np.sin(turn)
+            turned = np.array([c * normal[0] - s * normal[1], s * normal[0] + c * normal[1], 0.0])
+            begin = turned_offset(pictures, voters, np.array([*normal, offset]), turned, how)
+            mean, count = plane_support(pictures, voters, np.array([*turned, begin]), how)
+            value[k] += mean * count
+    return float(turns[int(value.argmax())]) if value.any() else 0.0
+
+
+def candidates(planes: np.ndarray, votes: np.ndarray, shell: Shell, most: int, least_votes: int) -> np.ndarray:
+    """(K, 4) the shell's six faces, then the most voted planes inside it that are not near-copies of one another."""
+    chosen = list(shell.faces)
+    for k in np.argsort(-votes, kind="stable"):
+        if votes[k] < least_votes or len(chosen) >= most + 6:
+            break
+        plane = planes[k]
+        apart = 0.06 if abs(plane[2]) > 0.5 else 0.1
+        if all(plane[:3] @ other[:3] < 0.999 or abs(plane[3] - other[3]) > apart for other in chosen):
+            chosen.append(plane)
+    return np.array(chosen)

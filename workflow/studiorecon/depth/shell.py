@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The room around all cameras, from every sweep's votes, and a first depth of every camera that agrees with the others.
+
+Writes ``depth/shell.json`` (``scene.shell.Shell``) and ``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.depth import room
+from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.sweep import CONFIDENT
+from studiorecon.errors import Refusal
+from studiorecon.progress import progress, say
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.shell import FACES, Shell, write_shell
+
+_PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
+_CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
+_VOTER_REACH_M = 0.15
+_OUTSIDE_MARGIN_M = 0.05
+_YAW_SPAN_RAD, _YAW_STEP_RAD = np.radians(0.8), np.radians(0.1)
+
+
+@dataclass(frozen=True)
+class Settings(PassSettings):
+    """What makes a wall, and the second look's costs; see config.yaml."""
+
+    sweep_width: int
+    window: int
+    wall_clearance_m: float
+    wall_votes: float
+    ceiling_default_m: float
+    candidates: int
+    passes: int
+
+
+def fit_shell(pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_m: float, settings: Settings) -> Shell:
+    """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
+
+    A default wall stands ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at least a
+    metre above the highest camera): an open place has no walls, and ``fitted`` says so.
+    """
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    count = votes.count()
+    least = settings.wall_votes * sum(c.size for c in votes.chosen)
+    centres = np.stack([p.camera.centre_m for p in pictures])
+    start = Shell(yaw_rad, np.full(3, -np.inf), np.full(3, np.inf), np.zeros(6, bool), np.full(6, np.nan))
+
+    def found(face: int, clearance_m: float) -> float | None:
+        axis, side = start.axes[face // 2], 2 * (face % 2) - 1
+        edge = side * (side * centres @ axis).max()
+        return room.find_face(votes.planes, count, axis, edge + side * clearance_m, side, least)
+
+    walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
+    turn = room.refine_yaw(pictures, votes, [(start.axes[f // 2], o) for f, o in walls.items()], _YAW_SPAN_RAD, _YAW_STEP_RAD, how)
+    axes = replace(start, yaw_rad=yaw_rad + turn).axes
+    low, high, fitted, score = np.zeros(3), np.zeros(3), np.zeros(6, bool), np.full(6, np.nan)
+    for face in range(4):
+        axis, side = face // 2, 2 * (face % 2) - 1
+        offset = side * ((side * centres @ axes[axis]).max() + settings.far_m)
+        if face in walls:
+            voters = votes.voters(start.axes[axis], walls[face], _VOTER_REACH_M)
+            begin = room.turned_offset(pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how)
+            offset, score[face] = room.place_plane(pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how)
+            fitted[face] = True
+        (low, high)[face % 2][axis] = offset
+    voters = votes.voters(axes[2], floor_m, 0.06)
+    low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
+    fitted[4] = sum(int(v.sum()) for v in voters) >= least
+    high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
+    top = found(5, 0.2)
+    if top is not None:
+        voters = votes.voters(axes[2], top, _VOTER_REACH_M)
+        high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, _PLACING_SPAN_M, _PLACING_STEP_M, how)
+        fitted[5] = True
+    return Shell(yaw_rad + turn, low, high, fitted, score)
+
+
+def inside_votes(pictures: list[Picture], votes: room.Votes, shell: Shell, settings: Settings) -> room.Votes:
+    """The votes whose points lie inside the shell; nothing is seen through a wall."""
+    kept = []
+    for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
+        depth_m = picture.depth_of(votes.planes[chosen])
+        points = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
+        kept.append(confident & (depth_m > 0) & shell.contains(points, _OUTSIDE_MARGIN_M))
+    return replace(votes, confident=kept)
+
+
+def refine_candidates(pictures: list[Picture], votes: room.Votes, planes: np.ndarray, settings: Settings) -> np.ndarray:
+    """The candidate planes with their offsets placed by their own voters; the six faces of the shell stay."""
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    placed = planes.copy()
+    for k in progress(range(6, len(planes)), "placing planes"):
+        voters = votes.voters(planes[k, :3], planes[k, 3], 0.07)
+        offset, score = room.place_plane(pictures, voters, planes[k, :3], planes[k, 3], _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M, how)
+        if np.isfinite(score):
+            placed[k, 3] = offset
+    return placed
+
+
+def agreeing_depths(pictures: list[Picture], shell: Shell, starts: list[np.ndarray], settings: Settings) -> list[np.ndarray]:
+    """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth."""
+    depths = [plane_depths(p, shell.planes, shell, settings) for p in pictures]
+    scores = [
+        [plane_scores(p, o, shell.planes, d, settings) for j, o in enumerate(pictures) if j != i]
+        for i, (p, d) in enumerate(zip(pictures, depths))
+    ]
+    latest = starts
+    for _ in progress(range(settings.passes), "agreeing"):
+        others = [[(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))]
+        latest = [explain(p, shell.planes, d, s, o, settings).depth_m for p, d, s, o in zip(pictures, depths, scores, others)]
+    return latest
+
+
+def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], shell: Path, passes: Path) -> None:
+    """Fit the room shell to all sweeps, and let the cameras agree on depth."""
+    cameras = read_model(model.parent)
+    swept = [dict(np.load(path, allow_pickle=False)) for path in sweeps]
+    if len(swept) != len(cameras) or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
+        raise Refusal(f"{len(swept)} sweeps for {len(cameras)} cameras, or sweeps of different settings: run depth.sweep again for all")
+    gains = swept[0]["gains"]
+    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), gains)
+    votes = room.Votes(
+        swept[0]["planes"], [s["chosen"].astype(int) for s in swept], [(s["cost"] < CONFIDENT) & p.known for s, p in zip(swept, pictures)]
+    )
+    fitted = fit_shell(pictures, votes, float(swept[0]["yaw_rad"]), float(swept[0]["floor_m"]), settings)
+    for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
+        say(f"{name} at {face[3]:.3f} m" + (f" (correlation {score:.2f})" if ok else ": a default, no such surface was found"))
+    votes = inside_votes(pictures, votes, fitted, settings)
+    planes = room.candidates(votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures))
+    planes = refine_candidates(pictures, votes, planes, settings)
+    fitted = replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, gains)})
+    say(f"{len(planes) - 6} planes inside the room are worth trying")
+    starts = []
+    for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
+        wall_m = fitted.intersect(*picture.camera.rays())[0]
+        starts.append(np.where(confident, picture.depth_of(votes.planes[chosen]), wall_m).astype(np.float32))
+    depths = agreeing_depths(pictures, fitted, starts, settings)
+    write_shell(shell, fitted)
+    write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
+
+
+def _least_voters(pictures: list[Picture]) -> int:
+    """A plane needs this many pixels: 40 at 320×176, the size the value was measured at."""
+    return max(8, round(40 * pictures[0].rgb.shape[0] * pictures[0].rgb.shape[1] / (320 * 176)))

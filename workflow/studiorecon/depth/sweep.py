@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""First look of one camera: which plane of the whole catalogue explains each pixel best.
+
+Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, the votes (L,) of confident
+pixels, and what the scene shares: floor height, wall yaw, exposure gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.depth.labelling import label
+from studiorecon.depth.matching import UNKNOWN
+from studiorecon.depth.pictures import Picture, equalised, floor_and_gains, read_pictures
+from studiorecon.depth.planes import hypotheses, rig_centre, wall_yaw
+from studiorecon.errors import Refusal
+from studiorecon.progress import progress, say
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.files import write_npz
+
+# Cost of a plane where no other camera can judge it, and of one that is out of range.
+UNJUDGED = 0.75
+IMPOSSIBLE = 2.0
+# A pixel votes for its plane when the plane's cost is below this.
+CONFIDENT = 0.35
+# Least share of line length that must agree on a yaw; evenly spread lines give 0.03.
+_LEAST_YAW_SUPPORT = 0.12
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The catalogue of planes and the matching; see config.yaml."""
+
+    sweep_width: int
+    near_m: float
+    far_m: float
+    horizontal_step_m: float
+    wall_step_m: float
+    furniture_m: float
+    ceiling_m: tuple[float, float]
+    reach_m: float
+    window: int
+    mean_weight: float
+    sweep_penalty: float
+
+
+def best_costs(pictures: list[Picture], index: int, planes: np.ndarray, settings: Settings) -> np.ndarray:
+    """(H, W, L) float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
+
+    Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.
+    """
+    picture = pictures[index]
+    others = [p for i, p in enumerate(pictures) if i != index]
+    cost = np.full((*picture.known.shape, len(planes)), IMPOSSIBLE, np.float32)
+    for k, plane in enumerate(progress(planes, f"planes seen by {picture.camera.name}")):
+        seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
+        best = np.full(picture.known.shape, UNKNOWN, np.float32)
+        for other in others:
+            best = np.maximum(best, picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m))
+        cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
+    return cost
+
+
+def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Path) -> None:
+    """Sweep the planes through one camera's plate and write what it voted for."""
+    cameras = read_model(model.parent)
+    names = [c.name for c in cameras]
+    if camera not in names:
+        raise Refusal(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+    pictures = read_pictures(cameras, plates, settings.sweep_width)
+    floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
+    pictures = equalised(pictures, gains)
+    index = names.index(camera)
+    say(f"exposure of {camera} is {gains[index].mean():.3f} of the rig's mean, from {pairs} views of the floor at z = {floor_m:.2f} m")
+    yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
+    if support < _LEAST_YAW_SUPPORT:
+        yaw_rad = 0.0
+        say(f"no common direction of lines (support {support:.2f}): walls are tried along the world's x and y axes")
+    else:
+        say(f"lines run at {np.degrees(yaw_rad):.1f}° and across (support {support:.2f})")
+    planes = hypotheses(
+        rig_centre(cameras),
+        yaw_rad,
+        floor_m,
+        horizontal_step_m=settings.horizontal_step_m,
+        wall_step_m=settings.wall_step_m,
+        furniture_m=settings.furniture_m,
+        ceiling_m=settings.ceiling_m,
+        reach_m=settings.reach_m,
+    )
+    cost = best_costs(pictures, index, planes, settings)
+    chosen = label(cost, pictures[index].rgb, settings.sweep_penalty)
+    chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
+    confident = (chosen_cost < CONFIDENT) & pictures[index].known
+    votes = np.bincount(chosen[confident], minlength=len(planes))
+    say(f"{confident.mean():.0%} of {camera} found a plane among {len(planes)}")
+    write_npz(
+        sweep,
+        {"planes": planes, "chosen": chosen.astype(np.int16), "cost": chosen_cost, "votes": votes, "floor_m": floor_m, "yaw_rad": yaw_rad,
+         "gains": gains},
+    )  # fmt: skip

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a depth map to the surface it measures: points, normals, and the places where the surface breaks."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+
+
+def depth_breaks(depth_m: np.ndarray, jump: float) -> np.ndarray:
+    """(H, W) bool: pixels beside a jump in depth, and pixels beside unknown depth.
+
+    The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear in
+    pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such pixels
+    (numerics C12).
+    """
+    known = depth_m > 0
+    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
+    padded = np.pad(inverse, 1, mode="edge")
+    bends = [
+        np.abs(padded[1:-1, 2:] - 2 * inverse + padded[1:-1, :-2]),
+        np.abs(padded[2:, 1:-1] - 2 * inverse + padded[:-2, 1:-1]),
+    ]
+    # At the image border the replicated neighbour turns a slope into a bend; there is no evidence of a break there.
+    bends[0][:, [0, -1]] = 0
+    bends[1][[0, -1], :] = 0
+    broken = np.maximum(*bends) * depth_m > jump
+    unknown_near = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return broken | unknown_near
+
+
+def points_and_normals(depth_m: np.ndarray, camera: Camera, jump: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World points (H, W, 3), unit normals (H, W, 3) towards the camera, and (H, W) bool where both are measured.
+
+    Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its neighbours,
+    and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth is taken as 1 m.
+    """
+    height, width = camera.hw
+    known = depth_m > 0
+    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 1.0).astype(np.float64)
+    points = camera.unproject(camera.pixel_centres(), 1.0 / inverse)
+    # On the plane n·X = o in camera axes, 1/z = n·ray/o is affine in the pixel: its gradient and value give n up to length.
+    along_row, along_column = np.gradient(inverse, axis=1), np.gradient(inverse, axis=0)
+    (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
+    columns, rows = np.meshgrid(np.arange(width) + 0.5 - cx, np.arange(height) + 0.5 - cy)
+    normal = np.stack([along_row * fx, along_column * fy, inverse - along_row * columns - along_column * rows], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    # n·ray/o = 1/z > 0 makes this n point away from the camera.
+    normals = -(normal @ camera.rotation_camera_from_world)
+    valid = known & ~depth_breaks(depth_m, jump)
+    return points, normals, valid

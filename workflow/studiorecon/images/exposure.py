@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exposure and white balance that make the cameras agree, from colours of surfaces that two cameras see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# Colours outside this range are clipped or noise: their ratio says nothing about gains.
+DARKEST, BRIGHTEST = 0.03, 0.97
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Median log colour ratio (3,) of camera ``first`` over camera ``second`` (indices) on ``pixels`` common pixels."""
+
+    first: int
+    second: int
+    log_ratio: np.ndarray
+    pixels: int
+
+
+def compare(first: int, second: int, first_rgb: np.ndarray, second_rgb: np.ndarray, least_pixels: int) -> Overlap | None:
+    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable ones."""
+    usable = ((first_rgb > DARKEST) & (first_rgb < BRIGHTEST) & (second_rgb > DARKEST) & (second_rgb < BRIGHTEST)).all(axis=-1)
+    count = int(usable.sum())
+    if count < max(least_pixels, 1):
+        return None
+    ratio = np.log(first_rgb[usable].astype(np.float64)) - np.log(second_rgb[usable].astype(np.float64))
+    return Overlap(first, second, np.median(ratio, axis=0), count)
+
+
+def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> np.ndarray:
+    """(cameras, 3) factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without any.
+
+    Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their own
+    group's mean (minimum-norm solution).
+    """
+    if not overlaps:
+        return np.ones((cameras, 3))
+    weights = np.sqrt([o.pixels for o in overlaps])[:, None]
+    design = np.zeros((len(overlaps), cameras))
+    for row, overlap in enumerate(overlaps):
+        design[row, overlap.first], design[row, overlap.second] = 1, -1
+    ratios = np.stack([o.log_ratio for o in overlaps])
+    # The common factor is in the null space; the minimum-norm solution sets its log to zero in every connected group.
+    return np.exp(np.linalg.lstsq(design * weights, ratios * weights, rcond=1e-9)[0])

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading an image at fractional pixels: one place for the pixel-centre convention, so that an identity warp is one.
+
+Pixel coordinates have their centres at +0.5; OpenCV's ``remap`` puts them at whole numbers, and this is the only module that
+subtracts the half pixel. Nothing is ever interpolated across the border or across invalid pixels without saying so in ``valid``.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+
+_FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
+
+
+def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
+    """Values (h, w[, C]) of an image (H, W[, C]) at pixel coordinates (h, w, 2), and (h, w) bool where they are real.
+
+    A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).
+    Elsewhere the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite
+    (numerics E06, E13: zero padding or an unmasked NaN would enter every later mean).
+    """
+    height, width = image.shape[:2]
+    finite = np.isfinite(pixels).all(axis=-1)
+    # Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed point.
+    column = np.clip(np.where(finite, pixels[..., 0], 0.0), 0.0, width)
+    row = np.clip(np.where(finite, pixels[..., 1], 0.0), 0.0, height)
+    margin = 0.0 if how == "nearest" else 0.5
+    slack = 1e-6  # a coordinate computed to be exactly on the outermost centre counts as inside
+    inside = (pixels[..., 0] >= margin - slack) & (pixels[..., 0] <= width - margin + slack)
+    inside &= (pixels[..., 1] >= margin - slack) & (pixels[..., 1] <= height - margin + slack)
+    if how == "nearest":
+        columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
+        rows = np.minimum(np.floor(row).astype(np.intp), height - 1)
+        return image[rows, columns], finite & inside
+    as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
+    x, y = (column - 0.5).astype(np.float32), (row - 0.5).astype(np.float32)
+    return cv2.remap(as_float, x, y, _FILTERS[how], borderMode=cv2.BORDER_REPLICATE), finite & inside
+
+
+def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
+    """Backward warp: the output at pixel p is the image at p + flow(p); also (H, W) bool where that lies inside the image.
+
+    ``flow`` is (H, W, 2) in pixels, from the output to the image (numerics E09: a forward flow moves things the wrong way).
+    A zero flow returns the image itself, bit for bit (E07).
+    """
+    height, width = flow.shape[:2]
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return sample(image, np.stack([columns, rows], axis=-1) + flow, how)
