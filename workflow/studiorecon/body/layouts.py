@@ -25,6 +25,9 @@ def _numbered(part: str, count: int) -> tuple[str, ...]:
     return tuple(f"{part}_{i}" for i in range(count))
 
 
+_COCO18 = (
+    *_RIGHT_ARM_LEFT_ARM, "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", *_EYES_EARS,
+)  # fmt: skip
 _BODY_25 = (
     *_RIGHT_ARM_LEFT_ARM, "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", *_EYES_EARS, *_FEET,
 )  # fmt: skip

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pose and shape of a body from 3D keypoints over time: batched Levenberg-Marquardt with analytic derivatives.
+
+One person, T frames, K keypoints: 24 rotations and a position per frame, one shape (and optionally one scale) for all, which
+a Schur complement of the 75 × 75 blocks of the frames eliminates to (paper §fitting; numerics S06, M03-M07, U37-U39).
+The cost is that of a maximum a posteriori estimate: residuals in standard deviations with a Huber bound, angles in
+deviations of a pose prior, betas in deviations of the shape space. 25 points do not determine 24 rotations: without the
+prior spine, collar and twist run away (21 → 34 mm at the surface for 10 mm of noise).
+
+Derivatives: turning joint i by ω about world axes moves keypoint k by ω × D_ki, D_ki the sum over i's descendants j of
+G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). All products of two such rows follow from Σ w D Dᵀ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.body import prior
+from studiorecon.body.model import BodyModel
+from studiorecon.body.skinning import forward_kinematics
+from studiorecon.body.start import start
+from studiorecon.geometry import rotations
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What the fit trusts.
+
+    Attributes:
+        iterations: most Levenberg-Marquardt steps; it ends earlier when a step gains less than ``tolerance`` of the cost.
+        tolerance: relative gain below which it has converged.
+        point_sigma_m: deviation between a detector's point and the body's, added to the triangulation's.
+        huber_units: deviations beyond which a point pulls with constant force.
+        pose_weight: multiplies the squared angle prior; 1 = the deviations of ``body/prior.py``.
+        beta_weight: multiplies Σ β², once per person (paper: λ_β = 10).
+        free_scale: estimate one scale as well; only where lengths are not metres, since scale and β₀ are exchangeable.
+    """
+
+    iterations: int
+    tolerance: float
+    point_sigma_m: float
+    huber_units: float
+    pose_weight: float
+    beta_weight: float
+    free_scale: bool
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result for T frames; frames without enough points are NaN and not valid.
+
+    Attributes:
+        rotations: (T, 24, 3, 3) relative to the parent, ``trans_m`` (T, 3) pelvis, ``betas`` (B,), ``scale`` of the body.
+        valid: (T,) bool.
+        joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue.
+        residual_m: (T, K) distance between body and keypoint, NaN where there was none.
+        iterations: steps taken; ``converged``: whether the last one gained less than the tolerance.
+    """
+
+    rotations: np.ndarray
+    trans_m: np.ndarray
+    betas: np.ndarray
+    scale: float
+    valid: np.ndarray
+    joints_m: np.ndarray
+    joint_sigma_m: np.ndarray
+    residual_m: np.ndarray
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class _State:
+    local: np.ndarray  # (F, 24, 3, 3)
+    trans: np.ndarray  # (F, 3)
+    betas: np.ndarray  # (B,)
+    log_scale: float
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Posed keypoints and what their derivatives are made of."""
+
+    points: np.ndarray  # (F, K, 3)
+    turned: np.ndarray  # (F, K, 24, 3): D
+    shaped: np.ndarray  # (F, K, 3, S): by betas, then log scale
+    world: np.ndarray  # (F, 24, 3, 3)
+
+
+def fit(body: BodyModel, names: list[str], points_m: np.ndarray, sigma_m: np.ndarray, settings: FitSettings) -> Fit:
+    """The body that explains ``points_m`` (T, K, 3) named ``names``, with deviations ``sigma_m`` (T, K); NaN or inf = not seen.
+
+    float64; about 1 ms a frame for 25 points. Frames whose points do not fix the body's position are left out (M06).
+    """
+    frames, count = points_m.shape[:2]
+    seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
+    problem_start = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
+    valid = problem_start.determined
+    empty = np.full((frames, 24, 3, 3), np.nan)
+    if not valid.any():
+        nothing = np.full((frames, 24), np.nan)
+        return Fit(empty, np.full((frames, 3), np.nan), np.zeros(body.shapes), 1.0, valid, np.full((frames, 24, 3), np.nan), nothing + np.inf,
+                   np.full((frames, count), np.nan), 0, False)  # fmt: skip
+    problem = _Problem(body, names, points_m[valid], sigma_m[valid], seen[valid], settings)
+    state = _State(problem_start.local[valid], problem_start.trans_m[valid], np.zeros(body.shapes), 0.0)
+    state, steps, converged = _descend(problem, state, settings)
+    residual = np.linalg.norm(problem.linear(state).points - problem.targets, axis=-1)
+    joints, sigma = problem.joints(state)
+    out = Fit(empty, np.full((frames, 3), np.nan), state.betas, float(np.exp(state.log_scale)), valid, np.full((frames, 24, 3), np.nan),
+              np.full((frames, 24), np.inf), np.full((frames, count), np.nan), steps, converged)  # fmt: skip
+    out.rotations[valid], out.trans_m[valid] = state.local, state.trans
+    out.joints_m[valid], out.joint_sigma_m[valid] = joints, sigma
+    out.residual_m[valid] = np.where(problem.seen, residual, np.nan)
+    return out
+
+
+def _descend(problem: _Problem, state: _State, settings: FitSettings) -> tuple[_State, int, bool]:
+    """Levenberg-Marquardt with one damping for all frames; a step that raises the cost is not taken."""
+    damping, cost = 1e-3, problem.cost(state)
+    for step in range(1, settings.iterations + 1):
+        normal = problem.normal(state)
+        for _ in range(8):
+            moved = problem.step(state, normal, damping)
+            new_cost = problem.cost(moved)
+            if new_cost < cost:
+                break
+            damping *= 8
+        else:
+            return state, step, True  # no direction gains: a minimum to rounding
+        gain = (cost - new_cost) / cost
+        state, cost, damping = moved, new_cost, max(damping / 5, 1e-7)
+        if gain < settings.tolerance:
+            return state, step, True
+    return state, settings.iterations, False
+
+
+class _Problem:
+    """Targets and the body's keypoint basis; nothing here changes after construction."""
+
+    def __init__(self, body: BodyModel, names: list[str], targets: np.ndarray, sigma: np.ndarray, seen: np.ndarray, settings: FitSettings):
+        self.body, self.settings, self.seen = body, settings, seen
+        self.targets = np.where(seen[..., None], targets, 0.0)
+        variance = np.where(seen, sigma, 0.0) ** 2 + settings.point_sigma_m**2
+        self.weights = np.where(seen, 1.0 / variance, 0.0)
+        self.ancestors = np.eye(24)
+        for j, parent in enumerate(body.parents):
+            if parent >= 0:
+                self.ancestors[:, j] += self.ancestors[:, parent]
+        self.basis = _Basis(body, *body.keypoint_basis(names), self.ancestors)
+        self.skeleton = _Basis(body, *body.keypoint_basis([f"{n}_joint" for n in body.names]), self.ancestors)
+        self.precision = prior.precision() * settings.pose_weight  # (24, 3); 0 for the root
+        shape_precision = np.full(body.shapes, settings.beta_weight)
+        # A fixed scale is a scale with an enormous prior: one code path, and it costs one column.
+        self.shared_precision = np.append(shape_precision, 1.0 if settings.free_scale else 1e12)
+
+    def linear(self, state: _State) -> _Linear:
+        return self.basis.linear(state)
+
+    def _whitened(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual = points - self.targets
+        return residual, np.sqrt(self.weights * np.einsum("fkx,fkx->fk", residual, residual))
+
+    def cost(self, state: _State) -> float:
+        _, units = self._whitened(self.basis.points(state)[0])
+        bound = self.settings.huber_units
+        data = np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound)).sum()
+        bend = prior.bend(state.local)
+        shared = np.append(state.betas, state.log_scale)
+        return float(data + 0.5 * (self.precision * bend**2).sum() + 0.5 * (self.shared_precision * shared**2).sum())
+
+    def normal(self, state: _State) -> tuple[np.ndarray, ...]:
+        """Normal matrices of the frames (F, 75, 75), coupling (F, 75, S), shared (S, S), and both right sides; and G."""
+        linear = self.linear(state)
+        residual, units = self._whitened(linear.points)
+        # Weight of the Huber bound by its value, not per coordinate (T11).
+        bound = self.settings.huber_units
+        w = self.weights * np.where(units < bound, 1.0, bound / np.maximum(units, bound))
+        frames, count, shared = len(w), w.shape[1], linear.shaped.shape[-1]
+        turned = linear.turned.reshape(frames, count, 72)
+        right = np.concatenate([turned, linear.shaped.reshape(frames, count, -1), residual, np.ones((frames, count, 1))], axis=-1)
+        products = np.swapaxes(turned * w[..., None], 1, 2) @ right
+        matrix = np.zeros((frames, 75, 75))
+        # Jᵀ J of two turns: [a]×ᵀ [b]× = (a·b) I − b aᵀ.
+        dd = products[..., :72].reshape(frames, 24, 3, 24, 3)
+        block = -np.swapaxes(dd, 2, 4)
+        trace = np.einsum("fixjx->fij", dd)
+        for axis in range(3):
+            block[:, :, axis, :, axis] += trace
+        matrix[:, :72, :72] = block.reshape(frames, 72, 72)
+        matrix[:, 72:, :72] = -np.swapaxes(rotations.cross_matrix(products[..., -1].reshape(frames, 24, 3)), 1, 2).reshape(frames, 3, 72)
+        matrix[:, :72, 72:] = np.swapaxes(matrix[:, 72:, :72], 1, 2)
+        matrix[:, range(72, 75), range(72, 75)] = w.sum(1)[:, None]
+        # Jᵀ v of a turn: D × v, from the antisymmetric part of Σ w D vᵀ.
+        shaped = products[..., 72 : 72 + 3 * shared].reshape(frames, 24, 3, 3, shared)
+        coupling = np.zeros((frames, 75, shared))
+        coupling[:, :72] = _antisymmetric(shaped).reshape(frames, 72, shared)
+        weighted_shape = linear.shaped * w[..., None, None]
+        coupling[:, 72:] = weighted_shape.sum(1)
+        side = np.zeros((frames, 75))
+        side[:, :72] = _antisymmetric(products[..., -4:-1].reshape(frames, 24, 3, 3, 1)).reshape(frames, 72)
+        side[:, 72:] = np.einsum("fk,fkx->fx", w, residual)
+        flat = weighted_shape.reshape(-1, shared)
+        shared_matrix = flat.T @ linear.shaped.reshape(-1, shared) + np.diag(self.shared_precision)
+        shared_side = flat.T @ residual.reshape(-1) + self.shared_precision * np.append(state.betas, state.log_scale)
+        self._add_prior(state, linear.world, matrix, side)
+        return matrix, coupling, shared_matrix, side, shared_side, linear.world
+
+    def _add_prior(self, state: _State, world: np.ndarray, matrix: np.ndarray, side: np.ndarray) -> None:
+        bend = prior.bend(state.local)
+        rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
+        weighted = np.swapaxes(rows, -1, -2) * self.precision[:, None, :]
+        block = weighted @ rows
+        for j in range(24):
+            matrix[:, 3 * j : 3 * j + 3, 3 * j : 3 * j + 3] += block[:, j]
+        side[:, :72] += (weighted @ bend[..., None]).reshape(len(side), 72)
+
+    def step(self, state: _State, normal: tuple[np.ndarray, ...], damping: float) -> _State:
+        matrix, coupling, shared_matrix, side, shared_side, world = normal
+        damped = matrix.copy()
+        diagonal = np.einsum("fii->fi", damped)
+        diagonal += damping * (diagonal + 1.0)
+        solved = np.linalg.solve(damped, np.concatenate([coupling, side[..., None]], axis=-1))
+        by_shared, own = solved[..., :-1], solved[..., -1]
+        reduced = shared_matrix * (1 + damping * np.eye(len(shared_matrix))) - np.einsum("fps,fpr->sr", coupling, by_shared)
+        shared = -np.linalg.solve(reduced, shared_side - np.einsum("fps,fp->s", coupling, own))
+        change = -own - by_shared @ shared
+        # World-axis turn ω of joint i is the turn Gᵀω about its own axes.
+        turn = np.einsum("fjyx,fjy->fjx", world, change[:, :72].reshape(-1, 24, 3))
+        return _State(
+            state.local @ rotations.exp(turn), state.trans + change[:, 72:], state.betas + shared[:-1], state.log_scale + shared[-1]
+        )
+
+    def joints(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+        """(F, 24, 3) joints and (F, 24) posterior deviations, Laplace's approximation at the minimum."""
+        matrix, coupling, shared_matrix, _, _, _ = self.normal(state)
+        linear = self.skeleton.linear(state)
+        frames = len(matrix)
+        inverse = np.linalg.inv(matrix + 1e-9 * np.eye(75))
+        by_shared = inverse @ coupling
+        reduced = shared_matrix - np.einsum("fps,fpr->sr", coupling, by_shared)
+        rows = np.zeros((frames, 24, 3, 75))
+        rows[..., :72] = -np.moveaxis(rotations.cross_matrix(linear.turned), 2, 3).reshape(frames, 24, 3, 72)
+        rows[..., range(3), range(72, 75)] = 1.0
+        own = np.einsum("fkxp,fkxp->fk", rows @ inverse[:, None], rows)
+        through = linear.shaped - rows @ by_shared[:, None]
+        shape = np.einsum("fkxs,fkxs->fk", through @ np.linalg.inv(reduced), through)
+        return linear.points, np.sqrt((own + shape) / 3)
+
+
+class _Basis:
+    """Keypoints (or joints) as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``."""
+
+    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray) -> None:
+        self.body, self.share, self.ancestors = body, share, ancestors
+        skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
+        # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
+        self.offsets = np.moveaxis(anchors - share[:, :, None, None] * skeleton, 0, 1)
+        self.subtree_share = ancestors @ share.T  # (24, K)
+        bones = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
+        self.bone_directions = bones
+
+    def points(self, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Points (F, K, 3), their parts per joint (F, 24, K, 3), G, and posed joints about the pelvis, unscaled."""
+        world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
+        offsets = self.offsets @ np.append(1.0, state.betas)  # (24, K, 3)
+        parts = offsets @ np.swapaxes(world, -1, -2) + self.share.T[..., None] * joints[:, :, None]
+        points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
+        return points, parts, world, joints
+
+    def linear(self, state: _State) -> _Linear:
+        points, parts, world, joints = self.points(state)
+        frames, _, count, _ = parts.shape
+        scale = np.exp(state.log_scale)
+        below = (self.ancestors @ parts.reshape(frames, 24, -1)).reshape(parts.shape)
+        turned = scale * np.swapaxes(below - self.subtree_share[..., None] * joints[:, :, None], 1, 2)
+        shapes = self.body.shapes
+        moved = np.zeros((frames, 24, 3, shapes))
+        for j, parent in enumerate(self.body.parents):
+            if parent >= 0:
+                moved[:, j] = moved[:, parent] + world[:, parent] @ self.bone_directions[j]
+        by_turn = np.swapaxes(world, 1, 2).reshape(frames, 3, 72) @ np.swapaxes(self.offsets[..., 1:], 1, 2).reshape(72, count * shapes)
+        by_shape = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
+        by_shape = by_shape + (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
+        by_scale = (points - state.trans[:, None])[..., None]
+        return _Linear(points, turned, np.concatenate([scale * by_shape, by_scale], axis=-1), world)
+
+
+def _antisymmetric(products: np.ndarray) -> np.ndarray:
+    """(F, 24, 3, S): Σ w D × v from Σ w D vᵀ (F, 24, 3, 3, S)."""
+    x = products[:, :, 1, 2] - products[:, :, 2, 1]
+    y = products[:, :, 2, 0] - products[:, :, 0, 2]
+    z = products[:, :, 0, 1] - products[:, :, 1, 0]
+    return np.stack([x, y, z], axis=2)

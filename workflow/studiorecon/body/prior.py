@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known about poses before any measurement: a relaxed standing body, and how far each joint usually bends from it.
+
+Keypoints leave twist and the split along the spine unobserved (numerics M04); these deviations decide there. They are wide
+where keypoints speak (hips, shoulders, elbows, knees) and narrow where they do not (collars, spine, hands).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.body.model import JOINT_NAMES
+from studiorecon.geometry import rotations
+
+# Axis-angle of the relaxed pose from the T-pose for the left side, and deviations about x, y, z; radians. SMPL's axes: the arm
+# lies along x (x is its twist, elbows bend about y), the leg along y (y is its twist, hips and knees bend about x).
+_MIDDLE = {"shoulder": (0.0, 0.0, -1.0), "elbow": (0.0, -0.4, 0.0), "hip": (-0.15, 0.0, 0.0), "knee": (0.3, 0.0, 0.0)}
+_DEVIATION = {
+    "hip": (0.9, 0.5, 0.5), "spine1": (0.3, 0.2, 0.2), "knee": (1.0, 0.25, 0.2), "spine2": (0.2, 0.2, 0.2), "ankle": (0.4, 0.3, 0.3),
+    "spine3": (0.2, 0.2, 0.2), "foot": (0.15, 0.1, 0.1), "neck": (0.4, 0.4, 0.3), "collar": (0.15, 0.2, 0.2), "head": (0.4, 0.4, 0.3),
+    "shoulder": (0.7, 0.9, 0.9), "elbow": (0.6, 1.1, 0.3), "wrist": (0.3, 0.3, 0.4), "hand": (0.1, 0.1, 0.1),
+}  # fmt: skip
+
+
+def middle() -> np.ndarray:
+    """(24, 3, 3) local rotations of the relaxed pose; the right side mirrors the left, so y and z change sign."""
+    axis_angle = np.zeros((24, 3))
+    for j, name in enumerate(JOINT_NAMES):
+        side, _, part = name.rpartition("_")
+        axis_angle[j] = np.array(_MIDDLE.get(part, (0, 0, 0))) * (np.array([1, -1, -1]) if side == "right" else 1)
+    return rotations.exp(axis_angle)
+
+
+def precision() -> np.ndarray:
+    """(24, 3) inverse variances about each joint's axes; 0 for the pelvis, which may face anywhere."""
+    deviations = np.array([_DEVIATION.get(name.rpartition("_")[2], (np.inf,) * 3) for name in JOINT_NAMES])
+    return 1.0 / deviations**2
+
+
+def bend(local: np.ndarray) -> np.ndarray:
+    """(F, 24, 3) axis-angles from the relaxed pose to ``local`` (F, 24, 3, 3)."""
+    return rotations.log(np.swapaxes(middle(), -1, -2) @ local)
+
+
+def bend_derivative(bent: np.ndarray) -> np.ndarray:
+    """(F, 24, 3, 3) derivative of ``bend`` by a small turn about the joint's own axes: the inverse right Jacobian of SO(3).
+
+    I + [φ]×/2 + (1 − (θ/2) cot(θ/2)) / θ² [φ]×²; the last factor tends to 1/12 at 0.
+    """
+    cross = rotations.cross_matrix(bent)
+    squared = np.einsum("...i,...i", bent, bent)
+    small = squared < 1e-6
+    safe = np.where(small, 1.0, squared)
+    half = 0.5 * np.sqrt(safe)
+    factor = np.where(small, 1 / 12 + squared / 720, (1 - half * np.cos(half) / np.sin(half)) / safe)
+    return np.eye(3) + 0.5 * cross + factor[..., None, None] * (cross @ cross)

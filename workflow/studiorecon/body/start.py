@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a fit starts: the pelvis in closed form from the torso's points, then each limb swung towards its next point.
+
+A gradient alone does not turn a body that faces the wrong way (numerics M05), so nothing here is iterative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.body import prior
+from studiorecon.body.model import BodyModel
+from studiorecon.body.skinning import forward_kinematics
+from studiorecon.geometry import rotations
+
+# Points that move with the trunk, detector's and SMPL's names; then joint, its point, the next point down the limb.
+_TORSO = ("shoulder", "hip", "shoulder_joint", "hip_joint")
+_TORSO_MIDDLE = ("neck", "mid_hip", "upper_neck", "neck_joint", "pelvis_joint", "spine3_joint")
+_SWINGS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+# Fewer points than this leave more unknown than known even with the prior.
+_MIN_POINTS = 6
+
+
+@dataclass(frozen=True)
+class Start:
+    """Local rotations (T, 24, 3, 3), pelvis (T, 3) in metres, and the frames (T,) in which they are determined."""
+
+    local: np.ndarray
+    trans_m: np.ndarray
+    determined: np.ndarray
+
+
+def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndarray) -> Start:
+    """A first guess of the mean shape from keypoints (T, K, 3) seen in (T, K); undetermined frames keep the relaxed pose."""
+    frames = len(points_m)
+    at = {n: k for k, n in enumerate(names)}
+    local = np.tile(prior.middle(), (frames, 1, 1, 1))
+    relaxed = body.keypoints(names, _axis_angles(local[:1]), np.zeros(1), np.zeros((1, 3)))[0]
+    torso = [k for n, k in at.items() if n in _TORSO_MIDDLE or n.partition("_")[2] in _TORSO]
+    in_torso = np.zeros(len(names), dtype=bool)
+    in_torso[torso] = True
+    turn, shift, determined = rotations.kabsch(relaxed, points_m, seen & in_torso)
+    # Without three points of the torso all points together must do; limbs then bias the guess, not the fit.
+    all_turn, all_shift, all_determined = rotations.kabsch(relaxed, points_m, seen)
+    local[:, 0] = np.where(determined[:, None, None], turn, all_turn)
+    trans = np.where(determined[:, None], shift, all_shift)
+    determined = (determined | all_determined) & (seen.sum(1) >= _MIN_POINTS)
+    rest = body.rest_joints(np.zeros(1))
+    for suffix in ("", "_joint"):
+        for upper, lower in _SWINGS:
+            for side in ("left_", "right_"):
+                joint, child = body.names.index(side + upper), body.names.index(side + lower)
+                own, following = at.get(f"{side}{upper}{suffix}"), at.get(f"{side}{lower}{suffix}")
+                if own is None or following is None:
+                    continue
+                world, _ = forward_kinematics(local, rest, body.parents)
+                target = points_m[:, following] - points_m[:, own]
+                bone = world[:, joint] @ (rest[child] - rest[joint])
+                known = seen[:, own] & seen[:, following] & (np.linalg.norm(target, axis=-1) > 1e-6)
+                swung = np.swapaxes(world[:, joint], -1, -2) @ _swing(bone, np.where(known[:, None], target, bone)) @ world[:, joint]
+                local[:, joint] = local[:, joint] @ swung
+    return Start(local, trans, determined)
+
+
+def _swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) smallest rotations that take directions a (T, 3) to b; opposite directions turn about any perpendicular."""
+    a, b = (v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b))
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis, axis=-1)
+    # The coordinate axis least along a is never parallel to it.
+    other = np.cross(a, np.eye(3)[np.argmin(np.abs(a), axis=-1)])
+    opposite = (sine < 1e-9)[:, None]
+    axis = np.where(opposite, other / np.linalg.norm(other, axis=-1, keepdims=True), axis / np.where(opposite, 1.0, sine[:, None]))
+    return rotations.exp(axis * np.arctan2(sine, np.einsum("ti,ti->t", a, b))[:, None])
+
+
+def _axis_angles(local: np.ndarray) -> np.ndarray:
+    return rotations.log(local).reshape(len(local), 72)
