@@ -7,7 +7,7 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import (
-    BLOCK_FLOATS, BLUE, FOCAL, GREEN, INLINE, KERNEL, LANES, NEAR, OPACITY, QUATERNION, RECORD, RED, SCALE,
+    BLOCK_FLOATS, BLUE, DILATION_PX2, FOCAL, GREEN, INLINE, KERNEL, LANES, NEAR, OPACITY, QUATERNION, RECORD, RED, SCALE,
 )  # fmt: skip
 from studiorecon.splatting.harmonics import colour_gradient
 from studiorecon.splatting.projection import (
@@ -41,15 +41,18 @@ def _moments(moments, first, size, shares):
 
 
 @njit(**INLINE)
-def _quaternion_gradient(w, x, y, z, g):
-    """Gradient by a unit quaternion of the gradient ``g`` by the rotation matrix, projected onto the tangent space."""
-    g00, g01, g02, g10, g11, g12, g20, g21, g22 = g
-    gw = 2 * (y * g02 - z * g01 + z * g10 - x * g12 - y * g20 + x * g21)
-    gx = 2 * (y * g01 + z * g02 + y * g10 - 2 * x * g11 - w * g12 + z * g20 + w * g21 - 2 * x * g22)
-    gy = 2 * (x * g01 - 2 * y * g00 + w * g02 + x * g10 + z * g12 - w * g20 + z * g21 - 2 * y * g22)
-    gz = 2 * (x * g02 - 2 * z * g00 - w * g01 + w * g10 - 2 * z * g11 + y * g12 + x * g20 + y * g21)
-    along = gw * w + gx * x + gy * y + gz * z
-    return gw - along * w, gx - along * x, gy - along * y, gz - along * z
+def _across(e, h, a1, b1, a2, b2):
+    """Syy·(e − k·h) for one unit axis (e, h) of the Gaussian and the other two scaled ones, without cancellation."""
+    return b1 * (e * b1 - a1 * h) + b2 * (e * b2 - a2 * h) + DILATION_PX2 * e
+
+
+@njit(**INLINE)
+def _quaternion_gradient(w, x, y, z, t0, t1, t2):
+    """2·q⊗(0, t): gradient by a unit quaternion, tangent to the sphere, of a torque about the Gaussian's own axes."""
+    return (
+        -2 * (x * t0 + y * t1 + z * t2), 2 * (w * t0 + y * t2 - z * t1),
+        2 * (w * t1 + z * t0 - x * t2), 2 * (w * t2 + x * t1 - y * t0),
+    )  # fmt: skip
 
 
 @njit(parallel=True, **KERNEL)
@@ -81,9 +84,7 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
         qw, qx, qy, qz, inverse_norm, square = unit_quaternion(parameters, base)
         r = rotation(qw, qx, qy, qz)
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = r
-        t = image_from_world(camera, ax, ay, inverse_depth)
-        t00, t01, t02, t10, t11, t12 = t
-        e0, e1, e2, h0, h1, h2 = axes_in_image(t, r)
+        e0, e1, e2, h0, h1, h2 = axes_in_image(image_from_world(camera, ax, ay, inverse_depth), r)
         row = base + SCALE * LANES
         s0, s1, s2 = load(parameters, row), load(parameters, row + LANES), load(parameters, row + 2 * LANES)
         a0, a1, a2, b0, b1, b2 = e0 * s0, e1 * s1, e2 * s2, h0 * s0, h1 * s1, h2 * s2
@@ -98,22 +99,24 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
         by_py = inverse_yy * m2 - k * by_px
         store(screen, first, where(seen, by_px))
         store(screen, size + first, where(seen, by_py))
-        # → by the image covariance → by its rows a = m1, b = m2.
-        by_xx = -(ellipse_a * ellipse_a * by_a)
-        by_xy = inverse_yy * by_k - 2 * k * by_xx
-        by_yy = k * k * by_xx - k * inverse_yy * by_k - inverse_yy * inverse_yy * by_c
-        ga0, ga1, ga2 = 2 * by_xx * a0 + by_xy * b0, 2 * by_xx * a1 + by_xy * b1, 2 * by_xx * a2 + by_xy * b2
-        gb0, gb1, gb2 = by_xy * a0 + 2 * by_yy * b0, by_xy * a1 + 2 * by_yy * b1, by_xy * a2 + 2 * by_yy * b2
-        store(gradient, row, where(seen, ga0 * e0 + gb0 * h0))
-        store(gradient, row + LANES, where(seen, ga1 * e1 + gb1 * h1))
-        store(gradient, row + 2 * LANES, where(seen, ga2 * e2 + gb2 * h2))
+        # → by the rows a, b of the image covariance's root, through f = e − k·h: the part of each axis across the conjugate one.
+        # Written as cross products it does not cancel, which the same in (Sxx, Sxy, Syy) does along needles.
+        f0, f1, f2 = _across(e0, h0, a1, b1, a2, b2), _across(e1, h1, a2, b2, a0, b0), _across(e2, h2, a0, b0, a1, b1)
+        f0, f1, f2 = f0 * inverse_yy, f1 * inverse_yy, f2 * inverse_yy
+        w0, w1, w2 = f0 * s0, f1 * s1, f2 * s2
+        p, q, v = -2 * ellipse_a * ellipse_a * by_a, inverse_yy * by_k, -2 * inverse_yy * inverse_yy * by_c
+        ga0, ga1, ga2 = p * w0 + q * b0, p * w1 + q * b1, p * w2 + q * b2
+        z0, z1, z2 = q * w0 + v * b0, q * w1 + v * b1, q * w2 + v * b2
+        gb0, gb1, gb2 = z0 - k * ga0, z1 - k * ga1, z2 - k * ga2
+        store(gradient, row, where(seen, ga0 * f0 + z0 * h0))
+        store(gradient, row + LANES, where(seen, ga1 * f1 + z1 * h1))
+        store(gradient, row + 2 * LANES, where(seen, ga2 * f2 + z2 * h2))
         pa0, pa1, pa2, pb0, pb1, pb2 = ga0 * s0, ga1 * s1, ga2 * s2, gb0 * s0, gb1 * s1, gb2 * s2
-        by_rotation = (
-            t00 * pa0 + t10 * pb0, t00 * pa1 + t10 * pb1, t00 * pa2 + t10 * pb2,
-            t01 * pa0 + t11 * pb0, t01 * pa1 + t11 * pb1, t01 * pa2 + t11 * pb2,
-            t02 * pa0 + t12 * pb0, t02 * pa1 + t12 * pb1, t02 * pa2 + t12 * pb2,
-        )  # fmt: skip
-        gw, gx, gy, gz = _quaternion_gradient(qw, qx, qy, qz, by_rotation)
+        # Torque about the Gaussian's own axes: a gradient by rotations alone, so nothing has to be projected out afterwards.
+        torque0 = pa1 * f2 - pa2 * f1 + s1 * z1 * h2 - s2 * z2 * h1
+        torque1 = pa2 * f0 - pa0 * f2 + s2 * z2 * h0 - s0 * z0 * h2
+        torque2 = pa0 * f1 - pa1 * f0 + s0 * z0 * h1 - s1 * z1 * h0
+        gw, gx, gy, gz = _quaternion_gradient(qw, qx, qy, qz, torque0, torque1, torque2)
         turned = both(seen, above(square, broadcast(QUATERNION_SQUARE_MIN)))
         row = base + QUATERNION * LANES
         store(gradient, row, where(turned, gw * inverse_norm))
