@@ -16,13 +16,17 @@ IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text(
 DEVICE_STAGES = ("background", "humans", "render")
 
 
+def beside_workflow(path):
+    """A path of the configuration: as given when it exists from here, else beside the Snakefile."""
+    return str(path) if Path(path).is_file() else str(Path(workflow.basedir) / path)
+
+
 def find_dataset():
     """The dataset, its made-studio name ("" for a user's own) and description; a sentence when there is none."""
     given = Path(config["dataset"])
     try:
         if given.suffix in (".yaml", ".yml"):
-            beside_workflow = Path(workflow.basedir) / given
-            description = given if given.is_file() or not beside_workflow.is_file() else beside_workflow
+            description = Path(beside_workflow(given))
             folder = Path("results/studio") / description.stem
             planned = planned_dataset(read_description(description), folder / "dataset", folder / "truth")
             return planned, description.stem, str(description)
@@ -33,6 +37,7 @@ def find_dataset():
 
 
 DATASET, STUDIO, DESCRIPTION = find_dataset()
+BODY = beside_workflow(config["body"])
 SCENE = str(config["scene"]) or STUDIO or DATASET.folder.resolve().name
 CAMERAS = list(DATASET.cameras)
 TRAINING = list(DATASET.training)
