@@ -10,7 +10,11 @@ ruleorder: depth_given > depth_refine
 rule depth_sweep:
     input:
         model="results/{scene}/cameras/images.txt",
-        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
+        plates=collect(
+            "results/{scene}/capture/{other}.plate.png",
+            other=TRAINING,
+            allow_missing=True,
+        ),
     output:
         sweep="results/{scene}/depth/{camera}.sweep.npz",
     log:
@@ -33,8 +37,16 @@ rule depth_sweep:
 rule depth_shell:
     input:
         model="results/{scene}/cameras/images.txt",
-        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
-        sweeps=collect("results/{scene}/depth/{other}.sweep.npz", other=TRAINING, allow_missing=True),
+        plates=collect(
+            "results/{scene}/capture/{other}.plate.png",
+            other=TRAINING,
+            allow_missing=True,
+        ),
+        sweeps=collect(
+            "results/{scene}/depth/{other}.sweep.npz",
+            other=TRAINING,
+            allow_missing=True,
+        ),
     output:
         shell="results/{scene}/depth/shell.json",
         passes="results/{scene}/depth/passes.npz",
@@ -58,7 +70,11 @@ rule depth_shell:
 rule depth_refine:
     input:
         model="results/{scene}/cameras/images.txt",
-        plates=collect("results/{scene}/capture/{other}.plate.png", other=TRAINING, allow_missing=True),
+        plates=collect(
+            "results/{scene}/capture/{other}.plate.png",
+            other=TRAINING,
+            allow_missing=True,
+        ),
         shell="results/{scene}/depth/shell.json",
         passes="results/{scene}/depth/passes.npz",
     output:

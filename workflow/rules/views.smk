@@ -28,8 +28,15 @@ rule views_synthesize:
     input:
         path="results/{scene}/views/path.json",
         model="results/{scene}/cameras/images.txt",
-        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-        depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+        plates=collect(
+            "results/{scene}/capture/{camera}.plate.png",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        depth=collect(
+            "results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True
+        ),
+        shell="results/{scene}/depth/shell.json",
     output:
         views="results/{scene}/views/{segment}.mkv",
         support="results/{scene}/views/{segment}.mask.mkv",
@@ -48,4 +55,4 @@ rule views_synthesize:
     shell:
         "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
         " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
-        " --depth {input.depth:q} --views {output.views} --support {output.support}"
+        " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.depth.matching import UNKNOWN
 from studiorecon.depth.pictures import Picture
 from studiorecon.scene.shell import Shell
 

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Camera paths between the cameras of a rig: order around the scene, turn by slerp, move straight or along an arc."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.geometry.rotations import slerp
+from studiorecon.scene.camera import Camera
+
+# How far in front of the rig the scene is taken to be when the optical axes do not say (parallel axes, one camera).
+_ASSUMED_DISTANCE_M = 3.0
+# Weight of that assumption against one optical axis: decides only what the axes leave open.
+_ASSUMPTION_WEIGHT = 1e-3
+
+
+def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
+    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave it open."""
+    ahead = np.mean([c.centre_m + _ASSUMED_DISTANCE_M * c.forward for c in cameras], axis=0)
+    normal, right = _ASSUMPTION_WEIGHT * np.eye(3), _ASSUMPTION_WEIGHT * ahead
+    for camera in cameras:
+        across = np.eye(3) - np.outer(camera.forward, camera.forward)
+        normal, right = normal + across, right + across @ camera.centre_m
+    return np.linalg.solve(normal, right)
+
+
+def azimuths_rad(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+    """(V,) direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi)."""
+    offsets = np.stack([camera.centre_m - centre_m for camera in cameras])
+    return np.arctan2(offsets[:, 1], offsets[:, 0]) % (2 * np.pi)
+
+
+def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) -> tuple[list[int], float]:
+    """Camera indices counter-clockwise around the centre (U18), and the largest gap between neighbours in radians.
+
+    A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown through.
+    """
+    azimuth = azimuths_rad(cameras, centre_m)
+    order = np.argsort(azimuth, kind="stable")
+    gaps = np.diff(np.concatenate([azimuth[order], azimuth[order[:1]] + 2 * np.pi]))
+    start = int(np.flatnonzero(order == 0)[0]) if closed else (int(gaps.argmax()) + 1) % len(order)
+    return [int(i) for i in np.roll(order, -start)], float(gaps.max())
+
+
+def look_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
+    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down looks along y."""
+    forward = np.asarray(target_m, np.float64) - eye_m
+    length = np.linalg.norm(forward)
+    forward = forward / length if length > 1e-9 else np.array([0.0, 1.0, 0.0])
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6:
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+def with_pose(camera: Camera, world_from_camera: np.ndarray, centre_m: np.ndarray) -> Camera:
+    """The camera turned to the (3, 3) rotation ``world_from_camera`` and moved to ``centre_m``."""
+    camera_from_world = np.eye(4)
+    camera_from_world[:3, :3] = world_from_camera.T
+    camera_from_world[:3, 3] = -world_from_camera.T @ centre_m
+    return replace(camera, camera_from_world=camera_from_world)
+
+
+def straight(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """(N, 3) points on the chord."""
+    return start_m + shares[:, None] * (end_m - start_m)
+
+
+def arc(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray, centre_m: np.ndarray) -> np.ndarray:
+    """(N, 3) points around the vertical through the centre, the short way: angle, radius and height change evenly.
+
+    Exactly opposite ends go counter-clockwise.
+    """
+    a, b = start_m - centre_m, end_m - centre_m
+    turn = np.arctan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
+    # Rounding must not decide which side of the scene is flown along (R05).
+    turn = np.pi if np.pi - abs(turn) < 1e-6 else turn
+    angle = np.arctan2(a[1], a[0]) + shares * turn
+    radius = np.hypot(a[0], a[1]) + shares * (np.hypot(b[0], b[1]) - np.hypot(a[0], a[1]))
+    height = start_m[2] + shares * (end_m[2] - start_m[2])
+    return np.stack([centre_m[0] + radius * np.cos(angle), centre_m[1] + radius * np.sin(angle), height], axis=1)
+
+
+def clearance_share(points_m: np.ndarray, centre_m: np.ndarray) -> float:
+    """Least horizontal distance of a path (N, 3) to the centre, over the smaller of its two ends' distances."""
+    distance = np.hypot(*(points_m - centre_m)[:, :2].T)
+    ends = min(distance[0], distance[-1])
+    return float(distance.min() / ends) if ends > 0 else 1.0
+
+
+def axis_miss_rad(camera: Camera, target_m: np.ndarray) -> float:
+    """Angle between the optical axis and the direction to ``target_m``, by atan2."""
+    direction = target_m - camera.centre_m
+    return float(np.arctan2(np.linalg.norm(np.cross(camera.forward, direction)), camera.forward @ direction))
+
+
+def between(
+    start: Camera,
+    end: Camera,
+    count: int,
+    centre_m: np.ndarray,
+    *,
+    centres: Literal["linear", "arc"],
+    rotations: Literal["slerp", "look_at"],
+    clearance: float,
+) -> tuple[list[Camera], bool]:
+    """``count`` cameras from ``start`` to ``end``, both included, and whether the chord was bent to an arc.
+
+    Rotations by slerp (half turns go about the world's up), centres along the chord, as the paper writes. A chord that passes the
+    centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would fly through the people).
+    ``look_at`` keeps the centre where the two cameras have it in their pictures, which slerp does not for unlike cameras (R08).
+    """
+    shares = np.arange(count) / max(count - 1, 1)
+    points = straight(start.centre_m, end.centre_m, shares)
+    bent = centres == "arc" or clearance_share(points, centre_m) < clearance
+    if bent:
+        points = arc(start.centre_m, end.centre_m, shares, centre_m)
+    turned_a, turned_b = start.world_from_camera[:3, :3], end.world_from_camera[:3, :3]
+    if rotations == "slerp":
+        turned = [slerp(turned_a, turned_b, share) for share in shares]
+    else:
+        frames = [look_at(point, centre_m) for point in points]
+        beside_a, beside_b = frames[0].T @ turned_a, frames[-1].T @ turned_b
+        turned = [frame @ slerp(beside_a, beside_b, share) for frame, share in zip(frames, shares)]
+    lens_end = end.resized(start.wh).intrinsics
+    views = []
+    for share, rotation, point in zip(shares, turned, points):
+        lens = replace(start, intrinsics=(1 - share) * start.intrinsics + share * lens_end)
+        views.append(with_pose(lens, rotation, point))
+    return views, bent and centres == "linear"

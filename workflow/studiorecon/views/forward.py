@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A photo seen from elsewhere: its pixels carried through their depth, nearest surface first, holes left as holes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from studiorecon.geometry.surface import depth_breaks
+from studiorecon.scene.camera import Camera
+
+# Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.
+_NEAR_M = 0.1
+# Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does with itself).
+_SAME_SURFACE = 0.03
+
+
+@dataclass(frozen=True)
+class Source:
+    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may be carried."""
+
+    camera: Camera
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    usable: np.ndarray
+
+
+def source(camera: Camera, rgb: np.ndarray, measured: np.ndarray, depth_m: np.ndarray, jump: float) -> Source:
+    """A source without the pixels whose colour is not measured or whose depth is unknown or beside a jump."""
+    return Source(camera, rgb.astype(np.float32), depth_m.astype(np.float64), measured & ~depth_breaks(depth_m, jump))
+
+
+def carry(photo: Source, camera: Camera, oversampling: int, z_tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
+
+    Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that continue the
+    surface; a pixel keeps the mean of the samples within ``z_tolerance`` of its nearest.
+    """
+    target_from_source = camera.camera_from_world @ photo.camera.world_from_camera
+    pixel_map = camera.intrinsics @ target_from_source[:3, :3] @ np.linalg.inv(photo.camera.intrinsics)
+    shift = camera.intrinsics @ target_from_source[:3, 3]
+    nearest = np.full(camera.hw, np.inf)
+    total = np.zeros((*camera.hw, 3))
+    count = np.zeros(camera.hw)
+    for gather in (False, True):
+        _splat(photo.rgb, photo.depth_m, photo.usable, pixel_map, shift, oversampling, z_tolerance, gather, nearest, total, count)
+    return total / np.maximum(count, 1)[..., None], nearest, count
+
+
+@njit(cache=True)
+def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather, nearest, total, count):
+    """First call: depth of the nearest sample per target pixel. Second: sum of the colours of all samples near it."""
+    height, width = depth.shape
+    target_height, target_width = nearest.shape
+    colour = np.zeros(3)
+    for y in range(height):
+        for x in range(width):
+            if not usable[y, x]:
+                continue
+            here = 1.0 / depth[y, x]
+            for sy in range(oversampling):
+                q = (sy + 0.5) / oversampling - 0.5
+                j = min(max(y + (1 if q > 0 else -1), 0), height - 1)
+                for sx in range(oversampling):
+                    p = (sx + 0.5) / oversampling - 0.5
+                    i = min(max(x + (1 if p > 0 else -1), 0), width - 1)
+                    # Beside a dropped neighbour the surface is continued by its own pixel, never mixed with the other side.
+                    smooth = usable[y, i] and usable[j, x] and usable[j, i]
+                    a, b = (abs(p), abs(q)) if smooth else (0.0, 0.0)
+                    inverse = (
+                        (1 - b) * ((1 - a) * here + a / depth[y, i]) + b * ((1 - a) / depth[j, x] + a / depth[j, i]) if smooth else here
+                    )
+                    z_source = 1.0 / inverse
+                    u, v = x + 0.5 + p, y + 0.5 + q
+                    w = z_source * (pixel_map[2, 0] * u + pixel_map[2, 1] * v + pixel_map[2, 2]) + shift[2]
+                    if w < _NEAR_M:
+                        continue
+                    tx = (z_source * (pixel_map[0, 0] * u + pixel_map[0, 1] * v + pixel_map[0, 2]) + shift[0]) / w
+                    ty = (z_source * (pixel_map[1, 0] * u + pixel_map[1, 1] * v + pixel_map[1, 2]) + shift[1]) / w
+                    if not (tx >= 0 and ty >= 0 and tx < target_width and ty < target_height):
+                        continue
+                    column, row = int(tx), int(ty)
+                    if not gather:
+                        nearest[row, column] = min(nearest[row, column], w)
+                    elif w <= nearest[row, column] * (1 + tolerance):
+                        for c in range(3):
+                            colour[c] = (1 - b) * ((1 - a) * rgb[y, x, c] + a * rgb[y, i, c]) + b * (
+                                (1 - a) * rgb[j, x, c] + a * rgb[j, i, c]
+                            )
+                            total[row, column, c] += colour[c]
+                        count[row, column] += 1
+
+
+def ray_angles_rad(camera: Camera, depth_m: np.ndarray, other_centre_m: np.ndarray) -> np.ndarray:
+    """(H, W) angle at the seen point between the ways to this camera and to another; NaN where there is no point."""
+    points = camera.unproject(camera.pixel_centres(), np.where(np.isfinite(depth_m), depth_m, np.nan))
+    here, there = camera.centre_m - points, other_centre_m - points
+    return np.arctan2(np.linalg.norm(np.cross(here, there), axis=-1), (here * there).sum(axis=-1))
+
+
+def blend(
+    camera: Camera, sources: Sequence[Source], oversampling: int, z_tolerance: float, fade_rad: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one camera.
+
+    The nearest surface wins; photos that show it are averaged with weight exp(-angle/fade). Support is 1 where some photo shows the
+    pixel at no less than half its resolution, falls with thinner sampling, and is 0 in holes.
+    """
+    carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
+    nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)
+    total, weight, support = np.zeros((*camera.hw, 3)), np.zeros(camera.hw), np.zeros(camera.hw)
+    for photo, (rgb, depth_m, count) in zip(sources, carried):
+        shows = np.isfinite(depth_m) & (depth_m <= nearest * (1 + _SAME_SURFACE))
+        angle = ray_angles_rad(camera, depth_m, photo.camera.centre_m)
+        # A floor under the weight keeps the only witness of a surface, however oblique.
+        share = np.where(shows, np.exp(-np.nan_to_num(angle) / fade_rad) + 1e-6, 0)
+        total, weight = total + share[..., None] * rgb, weight + share
+        support = np.maximum(support, np.where(shows, np.minimum(4 * count / oversampling**2, 1), 0))
+    seen = weight > 0
+    rgb = total / np.where(seen, weight, 1)[..., None]
+    return rgb.astype(np.float32), support.astype(np.float32), np.where(seen, nearest, 0).astype(np.float32)

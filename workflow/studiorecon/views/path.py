@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the new views look from: between every two neighbouring training cameras, in segments that share their ends.
+
+Writes ``views/path.json`` (``scene.path``): segments "00", "01", … of ``views_per_segment`` + 1 views each, all at frame 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.path import axis_miss_rad, between, order_around, scene_centre
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.path import Step, write_path
+
+# A ring with a wider gap is an arc: views in the middle of the gap see what no camera sees (U18).
+_WIDEST_GAP_RAD = np.radians(150.0)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Number of views and shape of the way; see config.yaml."""
+
+    views_per_segment: int
+    closed: bool
+    centres: Literal["linear", "arc"]
+    rotations: Literal["slerp", "look_at"]
+    clearance: float
+
+
+def plan(cameras: list[Camera], settings: Settings) -> tuple[list[Step], list[str]]:
+    """All steps in flying order, and sentences on what had to be decided."""
+    centre_m = scene_centre(cameras)
+    order, gap_rad = order_around(cameras, centre_m, settings.closed)
+    ring = [cameras[i] for i in order]
+    pairs = list(zip(ring, [*ring[1:], ring[0]] if settings.closed else ring[1:]))
+    notes = [
+        f"the scene's centre is ({centre_m[0]:.2f}, {centre_m[1]:.2f}, {centre_m[2]:.2f}) m; cameras in order "
+        + ", ".join(c.name for c in ring)
+    ]
+    if settings.closed and gap_rad > _WIDEST_GAP_RAD:
+        notes.append(
+            f"the widest gap is {np.degrees(gap_rad):.0f}°: views inside it rest on what no camera sees; views.closed: false leaves it out"
+        )
+    steps = []
+    for number, (start, end) in enumerate(pairs):
+        name = f"{number:02d}"
+        views, bent = between(
+            start,
+            end,
+            settings.views_per_segment + 1,
+            centre_m,
+            centres=settings.centres,
+            rotations=settings.rotations,
+            clearance=settings.clearance,
+        )
+        if bent:
+            notes.append(f"segment {name} ({start.name} to {end.name}) flies an arc: the straight line comes too near the scene's centre")
+        steps += [Step(replace(view, name=f"{name}.{k:04d}"), 0.0, name) for k, view in enumerate(views)]
+    if steps:
+        miss = max(axis_miss_rad(step.camera, centre_m) for step in steps)
+        notes.append(f"{len(pairs)} segments; the optical axis leaves the centre by at most {np.degrees(miss):.0f}°")
+    return steps, notes
+
+
+def run(settings: Settings, model: Path, manifest: Path, path: Path) -> None:
+    """Plan the views between the training cameras."""
+    cameras = read_model(model.parent)
+    if not cameras:
+        raise Refusal(f"{model} holds no cameras; train: [...] in capture.yaml names those to reconstruct from")
+    steps, notes = plan(cameras, settings)
+    for note in notes:
+        say(note)
+    write_path(path, steps, read_manifest(manifest).fps)

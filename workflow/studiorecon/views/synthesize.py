@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The views of one segment: photos warped through their depth, holes painted over in the picture and named in the mask.
+
+Writes ``views/<segment>.mkv`` (RGB, holes inpainted) and ``views/<segment>.mask.mkv`` (255 supported by a photo … 0 hole). Colours
+are those of the rig's mean exposure (``gains`` of ``depth/shell.json``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.images.exr import read_depth
+from studiorecon.images.stills import read_plate
+from studiorecon.images.video import to_bytes, write_lossless
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.path import read_path
+from studiorecon.scene.shell import read_shell
+from studiorecon.views.forward import Source, blend, source
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How photos are warped and blended; see config.yaml."""
+
+    sources: int
+    oversampling: int
+    z_tolerance: float
+    depth_jump: float
+    fade_deg: float
+    inpaint_radius: int
+
+
+def nearest_sources(camera: Camera, photos: list[Source], count: int) -> list[Source]:
+    """The ``count`` photos whose camera centres are nearest to a view's (all when 0), in the order given."""
+    if count == 0 or count >= len(photos):
+        return photos
+    distance = [np.linalg.norm(photo.camera.centre_m - camera.centre_m) for photo in photos]
+    return [photos[i] for i in sorted(np.argsort(distance, kind="stable")[:count])]
+
+
+def paint_holes(rgb: np.ndarray, support: np.ndarray, radius: int) -> np.ndarray:
+    """(H, W, 3) uint8 picture whose pixels without support are painted from the rim of their hole (Telea)."""
+    return cv2.inpaint(to_bytes(rgb), (support <= 0).astype(np.uint8), radius, cv2.INPAINT_TELEA)
+
+
+def views_of(cameras: list[Camera], photos: list[Source], settings: Settings) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera."""
+    for camera in progress(cameras, "views"):
+        chosen = nearest_sources(camera, photos, settings.sources)
+        rgb, support, _ = blend(camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg))
+        # A supported pixel never rounds down to a hole.
+        mask = np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
+        yield paint_holes(rgb, support, settings.inpaint_radius), mask
+
+
+def run(
+    settings: Settings,
+    segment: str,
+    path: Path,
+    model: Path,
+    plates: list[Path],
+    depth: list[Path],
+    shell: Path,
+    views: Path,
+    support: Path,
+) -> None:
+    """Write the pictures and the support of one segment's views."""
+    cameras = read_model(model.parent)
+    if not len(plates) == len(depth) == len(cameras):
+        raise Refusal(f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; each camera needs both")
+    gains = read_shell(shell).gains
+    photos = []
+    for camera, plate, depth_path in zip(cameras, plates, depth):
+        rgb, measured = read_plate(plate)
+        depth_m, _ = read_depth(depth_path)
+        if rgb.shape[:2] != depth_m.shape:
+            raise Refusal(f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}")
+        even = np.clip(rgb / gains[camera.name].astype(np.float32), 0, 1)
+        photos.append(source(camera, even, measured, depth_m, settings.depth_jump))
+    steps, fps = read_path(path)
+    wanted = [step.camera for step in steps if step.segment == segment]
+    if not wanted:
+        raise Refusal(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
+    made = list(views_of(wanted, photos, settings))
+    say(
+        f"segment {segment}: {np.mean([mask == 0 for _, mask in made]):.1%} of {len(made)} views is hole, painted over and marked in the mask"
+    )
+    write_lossless(views, (picture for picture, _ in made), fps)
+    write_lossless(support, (mask for _, mask in made), fps)
