@@ -7,7 +7,7 @@ rule render_shot:
         provenance="results/{scene}/background/provenance.npz",
         gaussians=human_gaussians,
         avatars=human_avatars,
-        body="resources/body.npz",
+        body=BODY,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",

@@ -1,0 +1,29 @@
+rule deliver_export:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model="results/{scene}/cameras/images.txt",
+        background="results/{scene}/background/scene.ply",
+        gaussians=human_gaussians,
+        avatars=human_avatars,
+        fits=fits,
+        body=BODY,
+        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
+    output:
+        contents="results/{scene}/deliver/manifest.json",
+    log:
+        "logs/{scene}/deliver/export.log",
+    benchmark:
+        "benchmarks/{scene}/deliver/export.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("deliver"),
+        code=code("deliver.export"),
+    shell:
+        "python -m studiorecon deliver.export --settings {params.settings:q} --log {log}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --background {input.background}"
+        " --gaussians {input.gaussians} --avatars {input.avatars} --fits {input.fits} --body {input.body}"
+        " --films {input.films} --contents {output.contents}"

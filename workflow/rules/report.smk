@@ -1,0 +1,81 @@
+rule report_score:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model="results/{scene}/cameras/images.txt",
+        heldout_model="results/{scene}/cameras/heldout/images.txt",
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
+        render=collect("results/{scene}/render/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        render_path=collect("results/{scene}/render/{shot}.json", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
+        fits=fits,
+    output:
+        metrics="results/{scene}/report/metrics.json",
+    log:
+        "logs/{scene}/report/score.log",
+    benchmark:
+        "benchmarks/{scene}/report/score.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("report"),
+        code=code("report.score"),
+        truth=f"--truth {DATASET.truth}" if DATASET.truth else "",
+    shell:
+        "python -m studiorecon report.score --settings {params.settings:q} --log {log}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --heldout-model {input.heldout_model}"
+        " --videos {input.videos} --render {input.render} --render-path {input.render_path} --enhanced {input.enhanced}"
+        " --truth-maps {input.truth_maps} --fits {input.fits} {params.truth} --metrics {output.metrics}"
+
+
+rule report_page:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model="results/{scene}/cameras/images.txt",
+        metrics="results/{scene}/report/metrics.json",
+        decisions="results/{scene}/survey/decisions.json",
+        doctor="results/{scene}/cameras/doctor.json",
+        sheet="results/{scene}/cameras/doctor.png",
+        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+        training_videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        masks=masks,
+        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
+        renders=collect("results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True),
+        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
+        heldout_videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
+        heldout_render=collect("results/{scene}/render/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        heldout_enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        heldout_path=collect("results/{scene}/render/{shot}.json", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        # Last, so that the page counts what they cost.
+        delivered="results/{scene}/deliver/manifest.json",
+    output:
+        costs="results/{scene}/report/cost.json",
+        page=report("results/{scene}/report/index.html", caption="../report/page.rst", category="Result"),
+    log:
+        "logs/{scene}/report/page.log",
+    benchmark:
+        "benchmarks/{scene}/report/page.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("report"),
+        code=code("report.page"),
+        configuration=json.dumps(config, sort_keys=True),
+        benchmarks="benchmarks/{scene}",
+        licences=Path(workflow.basedir) / "resources/licences",
+    shell:
+        "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
+        " --decisions {input.decisions} --doctor {input.doctor} --sheet {input.sheet} --plates {input.plates}"
+        " --depths {input.depths} --training-videos {input.training_videos} --masks {input.masks} --films {input.films}"
+        " --renders {input.renders} --truth-maps {input.truth_maps} --heldout-videos {input.heldout_videos}"
+        " --heldout-render {input.heldout_render} --heldout-enhanced {input.heldout_enhanced}"
+        " --heldout-path {input.heldout_path} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
+        " --licences {params.licences:q} --costs {output.costs} --page {output.page}"

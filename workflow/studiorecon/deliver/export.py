@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``deliver.export``: the result in formats other tools read, in one folder, with a manifest that names and digests every file."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from studiorecon.body.avatar import Avatar, read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import Refusal
+from studiorecon.progress import say
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.files import complete, write_json, write_text
+from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+
+CAMERA_FILES = ("cameras.txt", "images.txt", "points3D.txt")
+README = """{scene}: a 4D scene of {people} and a static room, exported by studiorecon.
+
+background.ply    the static room: 3D Gaussians, binary PLY in the layout of the original 3DGS code
+{still}{persons}cameras/          COLMAP text model of the training cameras: undistorted pinholes, names as in the capture
+films/            H.264 films, enhanced: {films}
+manifest.json     size and SHA-256 of every file here
+
+World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward; pixel centres
+at +0.5. Time is counted from 0, {frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities and spherical
+harmonics; quaternions are (w, x, y, z).
+
+What is not here: the Gaussians are what the cameras' pictures support. Surfaces that no camera saw were inferred or invented
+(the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is in bodies/.
+"""
+_STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
+_PERSONS = (
+    "people/           each person at frame {frame}, in the world, same layout\n"
+    "bodies/           each person's motion: AMASS-style npz (poses, trans, betas, joints; SMPL's 24-joint order; trans = pelvis)\n"
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    still_frame: int
+
+
+def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) -> dict[str, Gaussians]:
+    """File name → Gaussians: the room, and with people also each of them and all together at one frame."""
+    posed = {f"people/{person.person}.ply": person.posed(frame) for person in people}
+    still = {"still.ply": concatenate([background, *posed.values()])} if posed else {}
+    return {"background.ply": background, **still, **posed}
+
+
+def readme(scene: str, people: Sequence[str], films: Sequence[str], frame: int, frames: int, fps: float) -> str:
+    """The text that says what is what; it mentions only what is there."""
+    return README.format(
+        scene=scene,
+        people=f"{len(people)} people" if len(people) != 1 else "one person",
+        still=_STILL.format(frame=frame) if people else "",
+        persons=_PERSONS.format(frame=frame) if people else "",
+        films=", ".join(films) if films else "none",
+        frames=frames,
+        fps=fps,
+    )
+
+
+def digest(path: Path) -> dict[str, int | str]:
+    """Size and SHA-256 of a file."""
+    with open(path, "rb") as file:
+        return {"bytes": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+
+
+def copy_files(copies: Mapping[Path, Path]) -> None:
+    """Copy source → target, each completely or not at all."""
+    for source, target in copies.items():
+        if not source.is_file():
+            raise Refusal(f"{source} is missing, so it cannot be delivered; run the workflow again")
+        with complete(target) as partial:
+            shutil.copyfile(source, partial)
+
+
+def run(
+    settings: Settings,
+    scene: str,
+    manifest: Path,
+    model: Path,
+    background: Path,
+    gaussians: list[Path],
+    avatars: list[Path],
+    fits: list[Path],
+    body: Path | None,
+    films: list[Path],
+    contents: Path,
+) -> None:
+    """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one does not have."""
+    capture, folder = read_manifest(manifest), contents.parent
+    body_model = BodyModel.load(body) if avatars else None
+    people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
+    frame = min(settings.still_frame, capture.frames - 1)
+    if frame != settings.still_frame:
+        say(f"the capture has {capture.frames} frames, so the still shows frame {frame} instead of {settings.still_frame}")
+    written = gaussian_files(read_ply(background), people, frame)
+    for name, one in written.items():
+        write_ply(folder / name, one)
+    copies = {model.parent / name: folder / "cameras" / name for name in CAMERA_FILES}
+    copies |= {film: folder / "films" / film.name for film in films}
+    copies |= {fit: folder / "bodies" / fit.name for fit in fits}
+    copy_files(copies)
+    text = readme(scene, [p.person for p in people], [f.stem for f in films], frame, capture.frames, capture.fps)
+    write_text(folder / "README.txt", text)
+    delivered = sorted(["README.txt", *written, *(str(target.relative_to(folder)) for target in copies.values())])
+    for stale in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in delivered]:
+        stale.unlink()
+    write_json(contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}})
+    say(f"{len(delivered)} files are in {folder}, {sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB")

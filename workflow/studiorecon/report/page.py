@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``report.page``: everything worth seeing on one page that needs no network, and what the run cost: ``index.html``, ``cost.json``."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.images.exr import read_depth
+from studiorecon.images.video import read_frame
+from studiorecon.progress import say
+from studiorecon.report import html, sections
+from studiorecon.report.cost import cost
+from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
+from studiorecon.scene.capture import Manifest, read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.files import read_json, write_json, write_text
+from studiorecon.scene.path import read_path
+
+
+@dataclass(frozen=True)
+class Settings:
+    strip_frames: int
+    picture_width: int
+
+
+def strips(capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Path, path: Path, settings: Settings) -> list[str]:
+    """Photo, raw render, enhanced picture and difference of a few frames of every held-out camera."""
+    steps, _ = read_path(path)
+    rows = []
+    for video in videos:
+        camera = video.stem
+        first = next(i for i, step in enumerate(steps) if step.segment == camera)
+        for frame in spread(capture.frames, settings.strip_frames):
+            photo, raw = read_frame(video, frame), read_frame(render, first + frame)
+            final = read_frame(enhanced, first + frame)
+            pictures = (
+                (photo, f"{camera}, frame {frame}: photo"),
+                (raw, "render"),
+                (final, "enhanced"),
+                (difference(final, photo), "difference × 3"),
+            )
+            rows.append(html.row([html.figure(html.jpeg(p, settings.picture_width), c) for p, c in pictures]))
+    return rows
+
+
+def spread(frames: int, wanted: int) -> list[int]:
+    """``wanted`` frames spread over a clip, its ends left out; fewer when the clip is shorter."""
+    return [int(frame) for frame in np.unique(np.linspace(0, frames - 1, wanted + 2).round().astype(int)[1:-1])] if wanted else []
+
+
+def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) -> list[str]:
+    """Clean plate and depth of each training camera."""
+    figures = []
+    for plate, depth in zip(plates, depths, strict=True):
+        camera = depth.stem
+        picture, (near, far) = depth_picture(*read_depth(depth))
+        image = cv2.imread(str(plate), cv2.IMREAD_UNCHANGED)
+        figures.append(
+            "<div>"
+            + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate")
+            + html.figure(html.jpeg(picture, width), f"depth {near:.1f} m (bright) … {far:.1f} m (dark)")
+            + "</div>"
+        )
+    return figures
+
+
+def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, width: int) -> list[str]:
+    """A photo of each training camera with its people tinted."""
+    return [
+        html.figure(html.jpeg(mask_picture(read_frame(video, frame), read_frame(mask, frame)), width), f"{mask.stem}, frame {frame}")
+        for video, mask in zip(videos, masks, strict=True)
+    ]
+
+
+def truth_pictures(renders: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int) -> list[str]:
+    """Three pictures of every film, tinted by what they are based on."""
+    rows = []
+    for render, truth in zip(renders, maps, strict=True):
+        shares = metrics["coverage"].get(render.stem, {})
+        caption = ", ".join(f"{100 * share:.0f} % {name}" for name, share in shares.items())
+        steps = len(read_path(render.with_suffix(".json"))[0])
+        figures = [
+            html.figure(html.jpeg(truth_picture(read_frame(truth, i), read_frame(render, i)), width), f"picture {i}")
+            for i in spread(steps, 3)
+        ]
+        rows.append(f"<p>Shot <b>{html.text(render.stem)}</b>: {html.text(caption)}</p>" + html.row(figures))
+    return rows
+
+
+def run(
+    settings: Settings,
+    scene: str,
+    manifest: Path,
+    model: Path,
+    metrics: Path,
+    decisions: Path,
+    doctor: Path,
+    sheet: Path,
+    plates: list[Path],
+    depths: list[Path],
+    training_videos: list[Path],
+    masks: list[Path],
+    films: list[Path],
+    renders: list[Path],
+    truth_maps: list[Path],
+    heldout_videos: list[Path],
+    heldout_render: list[Path],
+    heldout_enhanced: list[Path],
+    heldout_path: list[Path],
+    benchmarks: Path,
+    configuration: str,
+    licences: Path,
+    costs: Path,
+    page: Path,
+) -> None:
+    """Write the page; lists of optional files may be empty, and the page then says what is missing."""
+    capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
+    spent["machine"] = {"system": platform.system(), "processor": platform.machine(), "python": platform.python_version()}
+    write_json(costs, spent)
+    width = settings.picture_width
+    body = [sections.head(scene, capture, len(read_model(model.parent)), measured, spent)]
+    body += [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
+    body.append(
+        html.heading("Against the held-out cameras", "Cameras that no stage but this report has looked at. Differences are amplified.")
+    )
+    if heldout_render and heldout_enhanced:
+        body += strips(capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings)
+    body.append(sections.measures(measured))
+    body.append(sections.people(measured))
+    if masks:
+        body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))
+    body.append(
+        html.heading("What is measured", "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it.")
+    )
+    body += truth_pictures(renders, truth_maps, measured, width)
+    body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
+    body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
+    body.append(sections.cameras(read_json(doctor), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
+    body.append(sections.decisions(read_json(decisions)))
+    body.append(sections.costs(spent))
+    body.append(sections.settings(configuration))
+    body.append(sections.licences(licences))
+    write_text(page, html.page(f"{scene}: 4D scene", body))
+    say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")

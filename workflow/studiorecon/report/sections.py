@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's sections made of numbers: head, measures, people, cameras, decisions, cost, settings, licences."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from studiorecon.report import html
+from studiorecon.scene.capture import Manifest
+
+MISSING = "not measured"
+# name, unit, digits, which way is better, what it means.
+_MEASURES = (
+    ("psnr", "dB", 2, "↑", "whole picture"),
+    ("ssim", "", 4, "↑", "whole picture, windows inside it"),
+    ("ssim_3dgs", "", 4, "↑", "whole picture, zero padding: comparable with papers on Gaussian splatting"),
+    ("psnr_people", "dB", 2, "↑", "pixels of people"),
+    ("ssim_people", "", 4, "↑", "windows inside people"),
+    ("psnr_background", "dB", 2, "↑", "everything else"),
+    ("ssim_background", "", 4, "↑", "everything else"),
+    ("psnr_seen", "dB", 2, "↑", "surfaces that some training camera sees at that time"),
+    ("psnr_unseen", "dB", 2, "↑", "surfaces that none sees"),
+    ("temporal_l1", "", 5, "↓", "mean change against the previous picture, moved along with the photos' flow"),
+    ("warp_square", "", 6, "↓", "the same, squared"),
+)
+
+
+def shown(value: float | None, digits: int, unit: str = "") -> str:
+    """A number for readers; what was not measured is never a zero."""
+    return MISSING if value is None else f"{value:.{digits}f} {unit}".strip()
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as minutes and seconds."""
+    if seconds is None:
+        return MISSING
+    return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {round(seconds % 60):02d} s"
+
+
+def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    """Title, one sentence on the capture, and the numbers a reader asks for first."""
+    people = metrics["bodies"].get("people") or {}
+    held_out = len(capture.held_out)
+    lead = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
+    raw, final = (metrics["pictures"].get(name, {}).get("psnr", {}) for name in ("raw", "enhanced"))
+    entries = [
+        (shown(final.get("value"), 2, "dB"), "PSNR at held-out cameras, enhanced"),
+        (shown(raw.get("value"), 2, "dB"), "PSNR at held-out cameras, raw render"),
+        (
+            shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"),
+            f"mean joint error in the world, {len(people)} people" if people else "mean joint error",
+        ),
+        (duration(spent["total"]["seconds"]), "all jobs together, one after the other"),
+    ]
+    return f"<h1>{html.text(scene)}</h1><p class=soft>{html.text(lead)}</p>" + html.tiles(entries)
+
+
+def measures(metrics: Mapping[str, Any]) -> str:
+    """The table of picture measures, raw beside enhanced, and the values per camera on demand."""
+    rows, reasons = [], {}
+    pictures = metrics["pictures"]
+    for name, unit, digits, better, meaning in _MEASURES:
+        raw, final = (pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in ("raw", "enhanced"))
+        photo = pictures.get("photo", {}).get(name, {}).get("value")
+        change = "" if raw["value"] is None or final["value"] is None else f"{final['value'] - raw['value']:+.{digits}f}"
+        rows.append([f"{name} {better}", shown(raw["value"], digits, unit), shown(final["value"], digits, unit), change, meaning])
+        if photo is not None:
+            rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
+        if final["value"] is None and final["reason"]:
+            reasons.setdefault(final["reason"], []).append(name)
+    notes = "".join(f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items())
+    notes += f"<p class=soft>Not measured: LPIPS: {html.text(metrics['lpips']['reason'])}.</p>"
+    each = [
+        [
+            camera,
+            *(
+                shown(_camera(pictures, version, measure, camera), d)
+                for version in ("raw", "enhanced")
+                for measure, d in (("psnr", 2), ("ssim", 4))
+            ),
+        ]
+        for camera in pictures.get("raw", {}).get("psnr", {}).get("cameras", {})
+    ]
+    per_camera = html.table(["camera", "raw PSNR", "raw SSIM", "enhanced PSNR", "enhanced SSIM"], each, numeric=range(1, 5)) if each else ""
+    return html.table(["measure", "raw", "enhanced", "change", "of what"], rows, numeric=(1, 2, 3)) + per_camera + notes
+
+
+def people(metrics: Mapping[str, Any]) -> str:
+    """Joint errors per person."""
+    bodies = metrics["bodies"]
+    parts = [html.heading("People", "Joint errors against the true bodies: in the world, pelvis on pelvis, and after the best similarity.")]
+    names = ("mpjpe_world_mm", "mpjpe_pelvis_mm", "mpjpe_similarity_mm")
+    rows = [
+        [name, entry["true_person"], str(entry["frames"]), *(shown(entry[n], 1, "mm") for n in names)]
+        for name, entry in bodies["people"].items()
+    ]
+    if rows:
+        parts.append(html.table(["person", "is", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5)))
+    else:
+        parts.append(f"<p>Joint errors are {MISSING}: {html.text(bodies['reason'])}.</p>")
+    for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are nobody")):
+        if bodies[key]:
+            parts.append(f"<p>{sentence}: {html.text(', '.join(bodies[key]))}.</p>")
+    return "".join(parts)
+
+
+def cameras(doctor: Any, sheet: str) -> str:
+    """The camera doctor's sheet and what it found."""
+    found = json.dumps(doctor, indent=1, sort_keys=True)
+    lead = "How well the calibration explains what the cameras saw."
+    return (
+        html.heading("Cameras", lead)
+        + html.figure(sheet, "contact sheet of all cameras")
+        + html.folded("Everything the doctor found", found)
+    )
+
+
+def decisions(survey: Any) -> str:
+    """Which effects this scene calls for, the statistic against its threshold, and why."""
+    entries = survey.get("decisions", survey) if isinstance(survey, Mapping) else survey
+    listed = [{"effect": k, **v} for k, v in entries.items() if isinstance(v, Mapping)] if isinstance(entries, Mapping) else list(entries)
+    rows = []
+    for entry in listed:
+        verdict = str(entry.get("verdict", ""))
+        value, threshold = entry.get("value"), entry.get("threshold")
+        cell = f'<span class="{html.text(verdict)}">{html.text(verdict)}</span>'
+        rows.append([str(entry["effect"]), cell, _brief(value), _brief(threshold), str(entry.get("reason", ""))])
+    lead = "Only effects that this scene calls for are simulated. Any decision can be forced in the configuration."
+    return html.heading("Decisions", lead) + html.table(["effect", "verdict", "value", "threshold", "why"], rows, numeric=(2, 3), raw=(1,))
+
+
+def costs(spent: Mapping[str, Any]) -> str:
+    """Seconds per stage as bars, with memory and the rules on demand."""
+    lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."
+    if spent["reason"]:
+        return html.heading("Where the time went") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+    longest = max((stage["seconds"] or 0 for stage in spent["stages"].values()), default=0) or 1
+    rows = [
+        [
+            name,
+            f"{stage['count']:.0f}",
+            duration(stage["seconds"]),
+            html.bar((stage["seconds"] or 0) / longest),
+            shown(stage["peak_memory_mb"], 0, "MB"),
+        ]
+        for name, stage in spent["stages"].items()
+    ]
+    total = spent["total"]
+    rows.append(["all", f"{total['count']:.0f}", duration(total["seconds"]), "", shown(total["peak_memory_mb"], 0, "MB")])
+    by_rule = [
+        [f"{stage}.{rule}", f"{entry['count']:.0f}", duration(entry["seconds"]), shown(entry["peak_memory_mb"], 0, "MB")]
+        for stage, parts in spent["stages"].items()
+        for rule, entry in parts["rules"].items()
+    ]
+    table = html.table(["stage", "jobs", "time", "", "largest job"], rows, numeric=(1, 2, 4), raw=(3,))
+    return (
+        html.heading("Where the time went", lead)
+        + table
+        + "<details><summary>Per step</summary>"
+        + (html.table(["step", "jobs", "time", "largest job"], by_rule, numeric=(1, 2, 3)) + "</details>")
+    )
+
+
+def settings(configuration: str) -> str:
+    """Every setting of the run."""
+    return html.heading("Settings") + html.folded(
+        "All settings of this run", json.dumps(json.loads(configuration), indent=1, sort_keys=True)
+    )
+
+
+def licences(folder: Path) -> str:
+    """The texts of the licences of what is inside the results."""
+    parts = [html.heading("Licences", "The code is under Apache-2.0. What it brings along:")]
+    parts += [html.folded(p.name, p.read_text(encoding="utf-8", errors="replace")) for p in sorted(folder.iterdir()) if p.is_file()]
+    return "".join(parts)
+
+
+def _camera(pictures: Mapping[str, Any], version: str, measure: str, camera: str) -> float | None:
+    return pictures.get(version, {}).get(measure, {}).get("cameras", {}).get(camera, {}).get("value")
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return "" if value is None else str(value)
+    return f"{value:.3g}"
