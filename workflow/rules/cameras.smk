@@ -1,0 +1,57 @@
+# Cameras: the user's calibration in our convention, checked and refined on the people, as COLMAP models.
+
+
+rule cameras_calibration:
+    input:
+        files=[str(f) for f in DATASET.calibration],
+    output:
+        calibration="results/{scene}/cameras/calibration.json",
+    log:
+        "logs/{scene}/cameras/calibration.log",
+    benchmark:
+        "benchmarks/{scene}/cameras/calibration.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=500,
+    params:
+        settings=settings("cameras"),
+        code=code("cameras.calibration"),
+        cameras=CAMERAS,
+        pixel_maps=json.dumps(dict(DATASET.pixel_maps)),
+    shell:
+        "python -m studiorecon cameras.calibration --settings {params.settings:q} --log {log}"
+        " --files {input.files:q} --cameras {params.cameras:q} --pixel-maps {params.pixel_maps:q} --calibration {output.calibration:q}"
+
+
+rule cameras_refine:
+    input:
+        calibration="results/{scene}/cameras/calibration.json",
+        manifest="results/{scene}/capture/manifest.json",
+        detections=detections,
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+    output:
+        model="results/{scene}/cameras/images.txt",
+        intrinsics="results/{scene}/cameras/cameras.txt",
+        points="results/{scene}/cameras/points3D.txt",
+        heldout_model="results/{scene}/cameras/heldout/images.txt",
+        heldout_intrinsics="results/{scene}/cameras/heldout/cameras.txt",
+        doctor="results/{scene}/cameras/doctor.json",
+        sheet="results/{scene}/cameras/doctor.png",
+    log:
+        "logs/{scene}/cameras/refine.log",
+    benchmark:
+        "benchmarks/{scene}/cameras/refine.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("cameras"),
+        code=code("cameras.refine"),
+    shell:
+        "python -m studiorecon cameras.refine --settings {params.settings:q} --log {log}"
+        " --calibration {input.calibration:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
+        " --model {output.model:q} --heldout-model {output.heldout_model:q} --doctor {output.doctor:q} --sheet {output.sheet:q}"

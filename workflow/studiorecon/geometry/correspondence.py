@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tracks of different cameras show the same person, from how close their rays pass: no identity, no picture needed.
+
+A node is one track of one camera. Two tracks of different cameras are as far apart as the median, over frames and shared
+keypoints, of the closest distance between their rays. A single pair proves little (two people of the same height may fit by
+chance, and one keypoint may lie anywhere along an epipolar line), so groups are chosen whole, by the sum of their affinities
+over all views: four agreeing views count six pairs, a chance pair one (numerics A10, A15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+_NEAR_M = 0.1
+_BEAM = 200
+
+
+@dataclass(frozen=True)
+class TrackGraph:
+    """M tracks and what is known about every two of them.
+
+    Attributes:
+        view: (M,) index of the camera.
+        track: (M,) track id in that camera.
+        detections: (M,) number of detections.
+        distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
+        together: (M, M) bool: both are seen in some common frame.
+    """
+
+    view: np.ndarray
+    track: np.ndarray
+    detections: np.ndarray
+    distance_m: np.ndarray
+    together: np.ndarray
+
+
+def ray_distances(
+    first_origin: np.ndarray, first: np.ndarray, second_origin: np.ndarray, second: np.ndarray, near_m: float = _NEAR_M
+) -> np.ndarray:
+    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they pass behind an origin (T06)."""
+    baseline = second_origin - first_origin
+    cosine = (first * second).sum(-1)
+    sine_squared = np.maximum(1 - cosine**2, 1e-12)
+    along_first, along_second = first @ baseline, second @ baseline
+    range_first = (along_first - cosine * along_second) / sine_squared
+    range_second = (cosine * along_first - along_second) / sine_squared
+    gap = first_origin + range_first[..., None] * first - second_origin - range_second[..., None] * second
+    return np.where((range_first > near_m) & (range_second > near_m), np.linalg.norm(gap, axis=-1), np.inf)
+
+
+def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera], min_keypoints: int, keypoints: Sequence[int]) -> TrackGraph:
+    """The graph of all tracks; ``keypoints`` are the indices that are compared, ``min_keypoints`` how many a pair must share."""
+    nodes = [(v, int(t)) for v, d in enumerate(detections) for t in np.unique(d.track)]
+    node_of = {node: i for i, node in enumerate(nodes)}
+    count = len(nodes)
+    distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
+    rays = [_directions(d.keypoints[:, keypoints], c) for d, c in zip(detections, cameras)]
+    for a in range(len(cameras)):
+        for b in range(a, len(cameras)):
+            first, second = _same_frame(detections[a].frame, detections[b].frame)
+            rows = np.array([node_of[a, int(t)] for t in detections[a].track[first]], dtype=int)
+            columns = np.array([node_of[b, int(t)] for t in detections[b].track[second]], dtype=int)
+            together[rows, columns] = together[columns, rows] = True
+            if a == b or not len(rows):
+                continue
+            apart = ray_distances(cameras[a].centre_m, rays[a][0][first], cameras[b].centre_m, rays[b][0][second])
+            shared = rays[a][1][first] & rays[b][1][second]
+            per_pair = _median_over(apart, shared, min_keypoints)
+            for row, column in sorted(set(zip(rows.tolist(), columns.tolist()))):
+                seen = per_pair[(rows == row) & (columns == column)]
+                seen = seen[~np.isnan(seen)]
+                if len(seen):
+                    distance[row, column] = distance[column, row] = np.median(seen)
+    np.fill_diagonal(together, True)
+    sizes = np.array([int((detections[v].track == t).sum()) for v, t in nodes], dtype=int)
+    return TrackGraph(np.array([v for v, _ in nodes], dtype=int), np.array([t for _, t in nodes], dtype=int), sizes, distance, together)
+
+
+def groups_of(distance_m: np.ndarray, view: np.ndarray, together: np.ndarray, gate_m: float) -> list[list[int]]:
+    """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate.
+
+    The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that are
+    seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes permutes
+    the answer up to ties, which go to the lower node.
+    """
+    finite = np.isfinite(distance_m)
+    affinity = np.where(finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m), 1 - np.nan_to_num(distance_m, posinf=0.0) / gate_m, 0.0)
+    forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
+    forbidden |= (view[:, None] == view[None]) & together
+    np.fill_diagonal(forbidden, True)
+    left, found = set(range(len(view))), []
+    while True:
+        best = _best_group(sorted(left), affinity, forbidden)
+        if len(best) < 2:
+            return found
+        found.append(best)
+        left -= set(best)
+
+
+def group_affinity(group: Sequence[int], distance_m: np.ndarray, gate_m: float) -> float:
+    """Mean of 1 - d / gate over the measured pairs of a group, 0 when there is none."""
+    block = distance_m[np.ix_(group, group)][np.triu_indices(len(group), 1)]
+    block = block[np.isfinite(block)]
+    return float(np.clip(1 - block / gate_m, 0, 1).mean()) if len(block) else 0.0
+
+
+def _best_group(nodes: list[int], affinity: np.ndarray, forbidden: np.ndarray) -> list[int]:
+    """Beam search over groups, grown one node at a time in node order from every linked pair."""
+    beam: dict[tuple[int, ...], float] = {}
+    for i, a in enumerate(nodes):
+        for b in nodes[i + 1 :]:
+            if affinity[a, b] > 0 and not forbidden[a, b]:
+                beam[a, b] = float(affinity[a, b])
+    best: tuple[tuple[int, ...], float] = ((), 0.0)
+    while beam:
+        top = min(beam.items(), key=lambda item: (-item[1], item[0]))
+        if top[1] > best[1]:
+            best = top
+        grown: dict[tuple[int, ...], float] = {}
+        for group, score in sorted(beam.items(), key=lambda item: (-item[1], item[0]))[:_BEAM]:
+            members = list(group)
+            for node in nodes:
+                gain = float(affinity[node, members].sum())
+                if gain > 0 and node not in group and not forbidden[node, members].any():
+                    grown[tuple(sorted((*group, node)))] = score + gain
+        beam = grown
+    return list(best[0])
+
+
+def _directions(keypoints: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present."""
+    present = (keypoints[..., 2] > 0) & np.isfinite(keypoints[..., :2]).all(-1)
+    pixels = np.where(present[..., None], keypoints[..., :2], 0.0)
+    directions = camera.unproject(pixels, np.ones(pixels.shape[:-1])) - camera.centre_m
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True), present
+
+
+def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index pairs (i, j) with first[i] == second[j]."""
+    return np.nonzero(first[:, None] == second[None])
+
+
+def _median_over(values: np.ndarray, present: np.ndarray, least: int) -> np.ndarray:
+    """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large."""
+    count = present.sum(-1)
+    ordered = np.sort(np.where(present, values, np.inf), axis=-1)
+    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[:, None], axis=-1)[:, 0]
+    return np.where(count >= max(least, 1), middle, np.nan)

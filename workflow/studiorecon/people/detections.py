@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.detections``: recorded 2D keypoints of one camera → undistorted working pixels, followed through time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.lens import working_from_calibration, working_from_video
+from studiorecon.people.layout_choice import choose_layout
+from studiorecon.people.readers import Entry, read_keypoints
+from studiorecon.people.tracking import TrackingLimits, tracks, without_duplicates
+from studiorecon.progress import say
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.capture import Footage, read_footage
+from studiorecon.scene.files import read_json
+from studiorecon.scene.people import Detections, write_detections
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How recorded keypoints are read.
+
+    Attributes:
+        keypoint_pixels: the picture that keypoint coordinates refer to: that of the video file or that of the calibration;
+            "auto" = calibration where the footage has a pixel map, else video.
+        keypoint_centres: coordinate of the first pixel's centre in the keypoint files; detectors count from 0.
+        first_keypoint_frame: the number in the keypoint files that belongs to the first frame of the video.
+        detection_confidence: keypoints below it are dropped.
+        detection_keypoints: detections with fewer keypoints left are dropped.
+        tracking: when two detections are the same person.
+    """
+
+    keypoint_pixels: Literal["auto", "video", "calibration"]
+    keypoint_centres: float
+    first_keypoint_frame: int
+    detection_confidence: float
+    detection_keypoints: int
+    tracking: TrackingLimits
+
+
+def to_arrays(entries: list[Entry], footage: Footage, first_keypoint_frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """(D,) working frames and (D, K, 3) recorded keypoints of the detections that fall into the working frames."""
+    offset = first_keypoint_frame + footage.first_source_frame
+    inside = [e for e in entries if 0 <= e.frame - offset < footage.frames]
+    inside.sort(key=lambda e: e.frame)
+    count = len(entries[0].keypoints) if entries else 0
+    frames = np.array([e.frame - offset for e in inside], dtype=np.int64)
+    return frames, np.array([e.keypoints for e in inside], dtype=np.float64).reshape(len(inside), count, 3)
+
+
+def to_working_pixels(keypoints: np.ndarray, lens: Lens, footage: Footage, settings: Settings) -> np.ndarray:
+    """(D, K, 3) undistorted working pixels of recorded keypoints; NaN with confidence 0 where missing.
+
+    Missing are keypoints at exactly (0, 0), of low or no confidence, and those beyond the lens's fold. Scores above 1 (some
+    detectors give up to 6) are clipped.
+    """
+    recorded = keypoints[..., :2]
+    confidence = np.clip(np.nan_to_num(keypoints[..., 2]), 0.0, 1.0)
+    present = (confidence >= settings.detection_confidence) & (confidence > 0) & np.isfinite(recorded).all(-1) & (recorded != 0).any(-1)
+    pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
+    mapped = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
+    if settings.keypoint_pixels == "calibration" or (settings.keypoint_pixels == "auto" and mapped):
+        working, valid = working_from_calibration(pixels, lens, np.array(footage.intrinsics))
+    else:
+        working, valid = working_from_video(pixels, lens, footage.source_wh, np.array(footage.intrinsics))
+    present &= valid
+    return np.concatenate([np.where(present[..., None], working, np.nan), np.where(present, confidence, 0.0)[..., None]], axis=-1)
+
+
+def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+    """Detections of one camera with track ids."""
+    frame, recorded = to_arrays(entries, footage, settings.first_keypoint_frame)
+    keypoints = to_working_pixels(recorded, lens, footage, settings)
+    keep = (keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints
+    frame, keypoints = frame[keep], keypoints[keep]
+    keep = without_duplicates(frame, keypoints, settings.tracking)
+    frame, keypoints = frame[keep], keypoints[keep]
+    return Detections(footage.camera, layout, frame, tracks(frame, keypoints, settings.tracking), keypoints)
+
+
+def run(settings: Settings, camera: str, keypoints: Path, layout: str, footage: Path, calibration: Path, detections: Path) -> None:
+    """Read the recorded ``keypoints`` of ``camera``; write ``detections`` (npz)."""
+    found = read_footage(footage)
+    lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
+    if lens is None:
+        raise Refusal(f"camera {camera} is not in {calibration}")
+    entries, kind = read_keypoints(keypoints)
+    if not entries:
+        say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
+        chosen = "body_25" if layout == "auto" else layout
+    else:
+        chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
+        if note:
+            say(note)
+    result = detections_of(entries, chosen, lens, found, settings)
+    if entries and not len(result.frame):
+        numbers = sorted({e.frame for e in entries})
+        raise Refusal(
+            f"{keypoints}: no detection falls into the {found.frames} working frames of camera {camera} (files are numbered "
+            f"{numbers[0]} to {numbers[-1]}); set people.first_keypoint_frame to the number of the video's first frame"
+        )
+    seen = len(np.unique(result.frame))
+    say(
+        f"camera {camera}: {len(result.frame)} detections ({kind}, {chosen}) in {seen} of {found.frames} frames, "
+        f"{len(np.unique(result.track))} tracks"
+    )
+    write_detections(detections, result)
