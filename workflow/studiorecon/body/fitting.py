@@ -13,13 +13,13 @@ G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). All produc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from studiorecon.body import prior
+from studiorecon.body.basis import Basis, Linear, State
 from studiorecon.body.model import BodyModel
-from studiorecon.body.skinning import forward_kinematics
 from studiorecon.body.start import start
 from studiorecon.geometry import rotations
 
@@ -71,24 +71,6 @@ class Fit:
     converged: bool
 
 
-@dataclass(frozen=True)
-class _State:
-    local: np.ndarray  # (F, 24, 3, 3)
-    trans: np.ndarray  # (F, 3)
-    betas: np.ndarray  # (B,)
-    log_scale: float
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """Posed keypoints and what their derivatives are made of."""
-
-    points: np.ndarray  # (F, K, 3)
-    turned: np.ndarray  # (F, K, 24, 3): D
-    shaped: np.ndarray  # (F, K, 3, S): by betas, then log scale
-    world: np.ndarray  # (F, 24, 3, 3)
-
-
 def fit(body: BodyModel, names: list[str], points_m: np.ndarray, sigma_m: np.ndarray, settings: FitSettings) -> Fit:
     """The body that explains ``points_m`` (T, K, 3) named ``names``, with deviations ``sigma_m`` (T, K); NaN or inf = not seen.
 
@@ -98,25 +80,31 @@ def fit(body: BodyModel, names: list[str], points_m: np.ndarray, sigma_m: np.nda
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
     problem_start = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)
     valid = problem_start.determined
-    empty = np.full((frames, 24, 3, 3), np.nan)
+    out = Fit(
+        rotations=np.full((frames, 24, 3, 3), np.nan),
+        trans_m=np.full((frames, 3), np.nan),
+        betas=np.zeros(body.shapes),
+        scale=1.0,
+        valid=valid,
+        joints_m=np.full((frames, 24, 3), np.nan),
+        joint_sigma_m=np.full((frames, 24), np.inf),
+        residual_m=np.full((frames, count), np.nan),
+        iterations=0,
+        converged=False,
+    )
     if not valid.any():
-        nothing = np.full((frames, 24), np.nan)
-        return Fit(empty, np.full((frames, 3), np.nan), np.zeros(body.shapes), 1.0, valid, np.full((frames, 24, 3), np.nan), nothing + np.inf,
-                   np.full((frames, count), np.nan), 0, False)  # fmt: skip
+        return out
     problem = _Problem(body, names, points_m[valid], sigma_m[valid], seen[valid], settings)
-    state = _State(problem_start.local[valid], problem_start.trans_m[valid], np.zeros(body.shapes), 0.0)
+    state = State(problem_start.local[valid], problem_start.trans_m[valid], np.zeros(body.shapes), 0.0)
     state, steps, converged = _descend(problem, state, settings)
     residual = np.linalg.norm(problem.linear(state).points - problem.targets, axis=-1)
-    joints, sigma = problem.joints(state)
-    out = Fit(empty, np.full((frames, 3), np.nan), state.betas, float(np.exp(state.log_scale)), valid, np.full((frames, 24, 3), np.nan),
-              np.full((frames, 24), np.inf), np.full((frames, count), np.nan), steps, converged)  # fmt: skip
     out.rotations[valid], out.trans_m[valid] = state.local, state.trans
-    out.joints_m[valid], out.joint_sigma_m[valid] = joints, sigma
+    out.joints_m[valid], out.joint_sigma_m[valid] = problem.joints(state)
     out.residual_m[valid] = np.where(problem.seen, residual, np.nan)
-    return out
+    return replace(out, betas=state.betas, scale=float(np.exp(state.log_scale)), iterations=steps, converged=converged)
 
 
-def _descend(problem: _Problem, state: _State, settings: FitSettings) -> tuple[_State, int, bool]:
+def _descend(problem: _Problem, state: State, settings: FitSettings) -> tuple[State, int, bool]:
     """Levenberg-Marquardt with one damping for all frames; a step that raises the cost is not taken."""
     damping, cost = 1e-3, problem.cost(state)
     for step in range(1, settings.iterations + 1):
@@ -148,21 +136,21 @@ class _Problem:
         for j, parent in enumerate(body.parents):
             if parent >= 0:
                 self.ancestors[:, j] += self.ancestors[:, parent]
-        self.basis = _Basis(body, *body.keypoint_basis(names), self.ancestors)
-        self.skeleton = _Basis(body, *body.keypoint_basis([f"{n}_joint" for n in body.names]), self.ancestors)
+        self.basis = Basis(body, *body.keypoint_basis(names), self.ancestors)
+        self.skeleton = Basis(body, *body.keypoint_basis([f"{n}_joint" for n in body.names]), self.ancestors)
         self.precision = prior.precision() * settings.pose_weight  # (24, 3); 0 for the root
         shape_precision = np.full(body.shapes, settings.beta_weight)
         # A fixed scale is a scale with an enormous prior: one code path, and it costs one column.
         self.shared_precision = np.append(shape_precision, 1.0 if settings.free_scale else 1e12)
 
-    def linear(self, state: _State) -> _Linear:
+    def linear(self, state: State) -> Linear:
         return self.basis.linear(state)
 
     def _whitened(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         residual = points - self.targets
         return residual, np.sqrt(self.weights * np.einsum("fkx,fkx->fk", residual, residual))
 
-    def cost(self, state: _State) -> float:
+    def cost(self, state: State) -> float:
         _, units = self._whitened(self.basis.points(state)[0])
         bound = self.settings.huber_units
         data = np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound)).sum()
@@ -170,7 +158,7 @@ class _Problem:
         shared = np.append(state.betas, state.log_scale)
         return float(data + 0.5 * (self.precision * bend**2).sum() + 0.5 * (self.shared_precision * shared**2).sum())
 
-    def normal(self, state: _State) -> tuple[np.ndarray, ...]:
+    def normal(self, state: State) -> tuple[np.ndarray, ...]:
         """Normal matrices of the frames (F, 75, 75), coupling (F, 75, S), shared (S, S), and both right sides; and G."""
         linear = self.linear(state)
         residual, units = self._whitened(linear.points)
@@ -207,7 +195,7 @@ class _Problem:
         self._add_prior(state, linear.world, matrix, side)
         return matrix, coupling, shared_matrix, side, shared_side, linear.world
 
-    def _add_prior(self, state: _State, world: np.ndarray, matrix: np.ndarray, side: np.ndarray) -> None:
+    def _add_prior(self, state: State, world: np.ndarray, matrix: np.ndarray, side: np.ndarray) -> None:
         bend = prior.bend(state.local)
         rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
         weighted = np.swapaxes(rows, -1, -2) * self.precision[:, None, :]
@@ -216,7 +204,7 @@ class _Problem:
             matrix[:, 3 * j : 3 * j + 3, 3 * j : 3 * j + 3] += block[:, j]
         side[:, :72] += (weighted @ bend[..., None]).reshape(len(side), 72)
 
-    def step(self, state: _State, normal: tuple[np.ndarray, ...], damping: float) -> _State:
+    def step(self, state: State, normal: tuple[np.ndarray, ...], damping: float) -> State:
         matrix, coupling, shared_matrix, side, shared_side, world = normal
         damped = matrix.copy()
         diagonal = np.einsum("fii->fi", damped)
@@ -228,11 +216,11 @@ class _Problem:
         change = -own - by_shared @ shared
         # World-axis turn ω of joint i is the turn Gᵀω about its own axes.
         turn = np.einsum("fjyx,fjy->fjx", world, change[:, :72].reshape(-1, 24, 3))
-        return _State(
+        return State(
             state.local @ rotations.exp(turn), state.trans + change[:, 72:], state.betas + shared[:-1], state.log_scale + shared[-1]
         )
 
-    def joints(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+    def joints(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """(F, 24, 3) joints and (F, 24) posterior deviations, Laplace's approximation at the minimum."""
         matrix, coupling, shared_matrix, _, _, _ = self.normal(state)
         linear = self.skeleton.linear(state)
@@ -247,44 +235,6 @@ class _Problem:
         through = linear.shaped - rows @ by_shared[:, None]
         shape = np.einsum("fkxs,fkxs->fk", through @ np.linalg.inv(reduced), through)
         return linear.points, np.sqrt((own + shape) / 3)
-
-
-class _Basis:
-    """Keypoints (or joints) as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``."""
-
-    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray) -> None:
-        self.body, self.share, self.ancestors = body, share, ancestors
-        skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
-        # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
-        self.offsets = np.moveaxis(anchors - share[:, :, None, None] * skeleton, 0, 1)
-        self.subtree_share = ancestors @ share.T  # (24, K)
-        bones = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
-        self.bone_directions = bones
-
-    def points(self, state: _State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Points (F, K, 3), their parts per joint (F, 24, K, 3), G, and posed joints about the pelvis, unscaled."""
-        world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
-        offsets = self.offsets @ np.append(1.0, state.betas)  # (24, K, 3)
-        parts = offsets @ np.swapaxes(world, -1, -2) + self.share.T[..., None] * joints[:, :, None]
-        points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
-        return points, parts, world, joints
-
-    def linear(self, state: _State) -> _Linear:
-        points, parts, world, joints = self.points(state)
-        frames, _, count, _ = parts.shape
-        scale = np.exp(state.log_scale)
-        below = (self.ancestors @ parts.reshape(frames, 24, -1)).reshape(parts.shape)
-        turned = scale * np.swapaxes(below - self.subtree_share[..., None] * joints[:, :, None], 1, 2)
-        shapes = self.body.shapes
-        moved = np.zeros((frames, 24, 3, shapes))
-        for j, parent in enumerate(self.body.parents):
-            if parent >= 0:
-                moved[:, j] = moved[:, parent] + world[:, parent] @ self.bone_directions[j]
-        by_turn = np.swapaxes(world, 1, 2).reshape(frames, 3, 72) @ np.swapaxes(self.offsets[..., 1:], 1, 2).reshape(72, count * shapes)
-        by_shape = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
-        by_shape = by_shape + (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
-        by_scale = (points - state.trans[:, None])[..., None]
-        return _Linear(points, turned, np.concatenate([scale * by_shape, by_scale], axis=-1), world)
 
 
 def _antisymmetric(products: np.ndarray) -> np.ndarray:

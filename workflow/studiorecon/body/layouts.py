@@ -38,16 +38,7 @@ _HALPE26 = (
 )  # fmt: skip
 _NAMES = {
     "coco17": _COCO17,
-    "openpose_coco18": (
-        *_RIGHT_ARM_LEFT_ARM,
-        "right_hip",
-        "right_knee",
-        "right_ankle",
-        "left_hip",
-        "left_knee",
-        "left_ankle",
-        *_EYES_EARS,
-    ),  # fmt: skip
+    "openpose_coco18": _COCO18,
     "body_25": _BODY_25,
     "body_25b": _BODY_25B,
     "halpe26": _HALPE26,

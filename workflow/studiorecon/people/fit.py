@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One person's body over time: triangulate the keypoints of all cameras, fit the body model, fill gaps, smooth.
+
+Paper §triangulation, §fitting and appendix (smoothing). Shape is shared over the sequence (numerics U39); the world is in
+metres, so there is no scale to estimate: the ratio of measured to fitted limbs is reported as a check (U36).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.body import fitting
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import Refusal
+from studiorecon.geometry import rotations, smoothing
+from studiorecon.geometry.smoothing import Smoothing
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities, write_person
+
+_LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow")))
+
+
+@dataclass(frozen=True)
+class BodyFit:
+    """How the body is fitted; see ``body/fitting.FitSettings`` for the first six.
+
+    Attributes:
+        unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (numerics T13).
+        worst_frame_m: frames whose median point lies further from the body count as not measured.
+        worst_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
+    """
+
+    iterations: int
+    tolerance: float
+    point_sigma_m: float
+    huber_units: float
+    pose_weight: float
+    beta_weight: float
+    unverified_sigma_m: float
+    worst_frame_m: float
+    worst_beta: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Keys of the section ``people`` that this step uses."""
+
+    triangulation: Limits
+    fit: BodyFit
+    smooth: Smoothing
+
+
+@dataclass(frozen=True)
+class Points:
+    """Triangulated keypoints of one person.
+
+    Attributes:
+        names: K keypoints the body knows.
+        points_m: (T, K, 3), NaN where undetermined; ``sigma_m``: (T, K) deviation per coordinate, inf there.
+        cameras: (T,) cameras that saw the person.
+    """
+
+    names: list[str]
+    points_m: np.ndarray
+    sigma_m: np.ndarray
+    cameras: np.ndarray
+
+
+def observations(person: str, detections: list[Detections], identities: dict[tuple[str, int], str], body: BodyModel, frames: int):
+    """Names (K) and keypoints (V, T, K, 3) of one person in every camera: x, y, confidence; NaN and 0 where there is none."""
+    known = {d.camera: [LAYOUTS[d.layout].keypoints[k] for k in LAYOUTS[d.layout].known_to(body)] for d in detections}
+    names = sorted({n for camera_names in known.values() for n in camera_names})
+    out = np.full((len(detections), frames, len(names), 3), np.nan)
+    out[..., 2] = 0.0
+    for view, seen in enumerate(detections):
+        layout = LAYOUTS[seen.layout]
+        source, target = layout.known_to(body), [names.index(n) for n in known[seen.camera]]
+        for d in range(len(seen.frame)):
+            frame = int(seen.frame[d])
+            if identities.get((seen.camera, int(seen.track[d])), "") != person or not 0 <= frame < frames:
+                continue
+            # Two tracks of one person may overlap for a frame where one takes over: the more confident one counts.
+            if np.nansum(seen.keypoints[d, source, 2]) > out[view, frame, :, 2].sum():
+                out[view, frame] = [np.nan, np.nan, 0.0]
+                out[view, frame, target] = seen.keypoints[d, source]
+    return names, out
+
+
+def lift(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: Settings) -> Points:
+    """World points of all frames at once from keypoints (V, T, K, 3)."""
+    views, frames, count = keypoints.shape[:3]
+    flat = keypoints.reshape(views, frames * count, 3)
+    result = triangulate(flat[..., :2], flat[..., 2], cameras, settings.triangulation)
+    with np.errstate(invalid="ignore"):
+        sigma = result.sigma_m / np.sqrt(3)
+    sigma = np.where(result.verified, sigma, np.hypot(sigma, settings.fit.unverified_sigma_m))
+    sigma = np.where(result.valid, sigma, np.inf).reshape(frames, count)
+    seen = (np.isfinite(keypoints[..., 0]) & (keypoints[..., 2] > 0)).any(-1).sum(0)
+    return Points(names, result.points_m.reshape(frames, count, 3), sigma, seen)
+
+
+def fit_person(person: str, points: Points, body: BodyModel, fps: float, settings: Settings) -> tuple[Person, fitting.Fit]:
+    """The person in all frames, and the fit before gaps were filled; raises Refusal when no frame could be measured."""
+    frames = len(points.points_m)
+    keys = settings.fit
+    if not (points.cameras >= 2).any():
+        raise Refusal(
+            f"person {person} is never seen by two cameras in the same frame (frames 0–{frames - 1}); correct {person} in "
+            "people/identities.tsv, or leave the person out there"
+        )
+    options = fitting.FitSettings(
+        keys.iterations, keys.tolerance, keys.point_sigma_m, keys.huber_units, keys.pose_weight, keys.beta_weight, free_scale=False
+    )
+    result = fitting.fit(body, points.names, points.points_m, points.sigma_m, options)
+    if not result.valid.any():
+        raise Refusal(
+            f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which two cameras agree; check the calibration "
+            "(cameras/doctor.png) and the identities (people/identities.tsv)"
+        )
+    median = _row_median(result.residual_m)
+    valid = result.valid & (median <= keys.worst_frame_m)
+    if not valid.any():
+        raise Refusal(
+            f"person {person}: the body is {np.nanmedian(median):.2f} m off the keypoints in every frame, more than "
+            f"people.fit.worst_frame_m = {keys.worst_frame_m:g}; check the keypoint layout and the identities"
+        )
+    worst = int(np.argmax(np.abs(result.betas)))
+    if abs(result.betas[worst]) > keys.worst_beta:
+        raise Refusal(
+            f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations from the mean (beta {worst}, frames "
+            f"{frame_ranges(valid)}), which no person is; check that the calibration is in metres, the keypoint layout and the identities"
+        )
+    alpha, sigma_frames = smoothing.at_frame_rate(settings.smooth, fps)
+    local = smoothing.fill_rotations(np.where(valid[:, None, None, None], result.rotations, np.eye(3)), valid)
+    trans = smoothing.fill_vectors(np.where(valid[:, None], result.trans_m, 0.0), valid)
+    local = smoothing.smooth_rotations(local, alpha, sigma_frames)
+    trans = smoothing.smooth_vectors(trans, alpha, sigma_frames)
+    poses = rotations.log(local).reshape(frames, 72)
+    fitted = Person(
+        name=person,
+        body=body.identity,
+        fps=fps,
+        poses=poses,
+        trans=trans,
+        betas=result.betas,
+        joints=body.joints(poses, result.betas, trans),
+        valid=valid,
+        sigma=np.where(valid[:, None], result.joint_sigma_m, np.inf),
+        metric=True,
+    )
+    return fitted, result
+
+
+def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
+    """Median of measured over fitted limb lengths, long bones only (numerics S04, S05); NaN when none was measured."""
+    at = {n: k for k, n in enumerate(points.names)}
+    model = body.keypoints(points.names, fitted.poses, fitted.betas, fitted.trans)
+    ratios = []
+    for a, b in _LIMBS:
+        if a in at and b in at:
+            measured = np.linalg.norm(points.points_m[:, at[a]] - points.points_m[:, at[b]], axis=-1)
+            ratios.append(measured / np.linalg.norm(model[:, at[a]] - model[:, at[b]], axis=-1))
+    found = np.concatenate(ratios)[np.isfinite(np.concatenate(ratios))] if ratios else np.zeros(0)
+    return float(np.median(found)) if len(found) else float("nan")
+
+
+def frame_ranges(chosen: np.ndarray) -> str:
+    """``"3–5, 9"``: the frames where ``chosen`` (T,) is true."""
+    at = np.flatnonzero(chosen)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
+    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
+
+
+def _row_median(values: np.ndarray) -> np.ndarray:
+    """(T,) median of each row's finite entries, inf for a row without any."""
+    return np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.inf for row in values])
+
+
+def run(
+    settings: Settings,
+    person: str,
+    model: Path,
+    manifest: Path,
+    detections: list[Path],
+    identities: Path,
+    body: Path,
+    fit: Path,
+) -> None:
+    """Fit one person's body to the keypoints of all training cameras."""
+    cameras = {c.name: c for c in read_model(model.parent)}
+    footage = read_manifest(manifest)
+    seen = [read_detections(path) for path in detections]
+    missing = [d.camera for d in seen if d.camera not in cameras]
+    if missing:
+        raise Refusal(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
+    body_model = BodyModel.load(body)
+    names, keypoints = observations(person, seen, read_identities(identities), body_model, footage.frames)
+    points = lift(names, keypoints, [cameras[d.camera] for d in seen], settings)
+    fitted, result = fit_person(person, points, body_model, footage.fps, settings)
+    residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
+    say(
+        f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen by up to {points.cameras.max()} cameras; "
+        f"keypoints lie {residual_mm:.0f} mm from it (median), joints are known to {sigma_mm:.0f} mm, after "
+        f"{result.iterations} steps"
+    )
+    if not result.converged:
+        say(f"{person}: the fit was still improving after people.fit.iterations = {settings.fit.iterations} steps")
+    if not fitted.valid.all():
+        say(f"{person}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid")
+    ratio = limb_ratio(points, fitted, body_model)
+    if abs(ratio - 1) > 0.05:
+        say(f"{person}: measured limbs are {ratio:.2f} times the fitted ones; the world may not be metric, or the shape is unusual")
+    write_person(fit, fitted)
