@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that moves: dressed people, the bouncing ball and the held stick, as painted meshes at any moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.scene.people import Person
+from studiorecon.studio.description import Description
+from studiorecon.studio.motion import PARTS, perform, shape
+from studiorecon.studio.solids import Solid, Texture, lathe, sphere
+from studiorecon.studio.wardrobe import OUTFITS, dressed
+
+UNOWNED = 255  # mask value of what moves and is nobody: ball and stick
+_BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82
+_STICK_RADIUS_M, _STICK_LENGTH_M = 0.016, 0.9
+_LEFT_HAND = 22
+_FEET = (7, 8, 10, 11)
+
+
+@dataclass(frozen=True)
+class Actor:
+    """One person at all moments of one clock.
+
+    Attributes:
+        number: 0-based; masks carry number + 1.
+        betas: (10,); poses: (T, 72); trans_m: (T, 3).
+        texture: their clothes.
+    """
+
+    number: int
+    betas: np.ndarray
+    poses: np.ndarray
+    trans_m: np.ndarray
+    texture: Texture
+
+
+class Troupe:
+    """The people and props of a description, posed at the moments (T,) of one clock in seconds."""
+
+    def __init__(self, description: Description, body: BodyModel, times_s: np.ndarray) -> None:
+        self.body = body
+        self.times_s = times_s
+        self.effects = description.effects
+        self.fps = description.fps
+        self.actors = []
+        for number in range(description.people):
+            betas = shape(description.seed, number)
+            poses, trans_m = perform(PARTS[number], body, betas, times_s)
+            self.actors.append(Actor(number, betas, poses, trans_m, dressed(OUTFITS[number], body)))
+        # Faces around every vertex, to average their normals: (V, F) sparse.
+        self._faces_of_vertices = _incidence(body) if self.actors else None
+
+    def at(self, frame: int) -> tuple[list[Solid], list[int]]:
+        """All moving solids in one frame and the mask value of each."""
+        solids = [self._person(actor, frame) for actor in self.actors]
+        values = [actor.number + 1 for actor in self.actors]
+        if self.effects.ball:
+            solids.append(_ball(float(self.times_s[frame])))
+            values.append(UNOWNED)
+        if self.effects.stick and self.actors:
+            solids.append(self._stick(frame))
+            values.append(UNOWNED)
+        return solids, values
+
+    def soles_m(self, frame: int) -> np.ndarray:
+        """(P, 4, 3) ankles and balls of everybody's feet, lowered to the sole: what darkens the floor beneath."""
+        found = []
+        for actor in self.actors:
+            joints = self.body.joints(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0, list(_FEET)]
+            rest = self.body.rest_joints(actor.betas)[list(_FEET), 1] - self.body.rest_vertices(actor.betas)[:, 1].min()
+            found.append(joints - [0, 0, 1] * rest[:, None])
+        return np.array(found).reshape(-1, len(_FEET), 3)
+
+    def keypoints_m(self, actor: Actor, names: tuple[str, ...], frame: int) -> np.ndarray:
+        """(K, 3) world keypoints of one person in one frame."""
+        return self.body.keypoints(names, actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0]
+
+    def person(self, actor: Actor) -> Person:
+        """The exact body of one person, as the pipeline's own files store it."""
+        frames = len(self.times_s)
+        return Person(
+            name=f"p{actor.number}",
+            body=self.body.identity,
+            fps=self.fps,
+            poses=actor.poses,
+            trans=actor.trans_m,
+            betas=actor.betas,
+            joints=self.body.joints(actor.poses, actor.betas, actor.trans_m),
+            valid=np.ones(frames, dtype=bool),
+            sigma=np.zeros((frames, 24)),
+            metric=True,
+        )
+
+    def _person(self, actor: Actor, frame: int) -> Solid:
+        vertices = self.body.vertices(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0].astype(np.float64)
+        a, b, c = (vertices[self.body.faces[:, k]] for k in range(3))
+        normals = self._faces_of_vertices @ np.cross(b - a, c - a)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return Solid(
+            f"person {actor.number}", vertices, self.body.faces, actor.texture, np.eye(4),
+            texture_vertices=self.body.template_m, vertex_normals=normals,
+        )  # fmt: skip
+
+    def _stick(self, frame: int) -> Solid:
+        holder = self.actors[0]
+        hand = self.body.joint_transforms(holder.poses[frame : frame + 1], holder.betas, holder.trans_m[frame : frame + 1])[0, _LEFT_HAND]
+        grip = np.eye(4)
+        grip[:3, 3] = self.body.rest_joints(holder.betas)[_LEFT_HAND] + [0, -0.02, -0.5 * _STICK_LENGTH_M]
+        profile = [(0.0, 0.0), (_STICK_RADIUS_M, 0.0), (_STICK_RADIUS_M, _STICK_LENGTH_M), (0.0, _STICK_LENGTH_M)]
+        return lathe("stick", profile, hand @ grip, _banded, segments=16)
+
+
+def _ball(time_s: float) -> Solid:
+    """A ball that bounces on the spot's way between the people: free fall between exact bounces."""
+    phase = (time_s / _BALL_PERIOD_S + 0.3) % 1
+    height = _BALL_RADIUS_M + _BALL_PEAK_M * 4 * phase * (1 - phase)
+    across = abs((time_s / 3.0 + 0.2) % 2 - 1) * 1.6 - 0.4
+    return sphere("ball", _BALL_RADIUS_M, np.array([across, -1.45, height]), _beach_ball)
+
+
+def _beach_ball(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    sector = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) + 0.5) * 6) % 3
+    colours = np.array([(0.62, 0.05, 0.04), (0.72, 0.70, 0.62), (0.04, 0.16, 0.46)])
+    return colours[sector.astype(int)]
+
+
+def _banded(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    return np.where(((points[:, 2] / 0.15) % 1 < 0.3)[:, None], np.array((0.66, 0.10, 0.04)), np.array((0.60, 0.47, 0.25)))
+
+
+def _incidence(body: BodyModel):
+    from scipy.sparse import csr_matrix
+
+    count = len(body.faces)
+    rows = body.faces.T.ravel()
+    return csr_matrix((np.ones(3 * count), (rows, np.tile(np.arange(count), 3))), shape=(body.vertex_count, count))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``studio.capture``: a description → a dataset like a user's, and beside it the exact truth that only ``report`` may read.
+
+The cameras are filmed side by side in separate processes; each traces the empty room once and then what moves.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import BodyModel
+from studiorecon.images.exr import write_depth
+from studiorecon.images.video import write_lossless, write_watchable
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.files import write_json, write_text
+from studiorecon.scene.people import write_person
+from studiorecon.studio import rig
+from studiorecon.studio.actors import Troupe
+from studiorecon.studio.calibration import calibration_texts
+from studiorecon.studio.description import RESOURCES, Description, planned_dataset, read_description
+from studiorecon.studio.detections import detect, openpose_json
+from studiorecon.studio.film import Backdrop, backdrop, exposed
+from studiorecon.studio.room import room
+from studiorecon.studio.sensor import Sensor, developed, sensor_of
+from studiorecon.studio.tracing import Tracer
+from studiorecon.studio.truth import TruthFrames, write_picture
+
+_LAYOUT = "body_25"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one process needs to film one camera."""
+
+    description: Description
+    lens: Lens
+    body: Path
+    dataset: Path
+    truth: Path
+
+
+def run(description: Path, dataset: Path, truth: Path, body: Path | None = None, processes: int = 2) -> None:
+    """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, exact truth into ``truth``."""
+    described = read_description(description)
+    body = body or RESOURCES / "body.npz"
+    for folder in (dataset, truth):
+        # A capture of an older description may hold cameras that are gone.
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+    ideal = rig.cameras(described)
+    lenses = rig.true_lenses(described, ideal)
+    say(
+        f"{described.people} people, {len(described.training)} training and {len(described.held_out)} held-out cameras, "
+        f"{described.frames} frames of {described.size[0]}×{described.size[1]} at {described.fps:g} fps"
+    )
+    jobs = [Job(described, lens, body, dataset, truth) for lens in lenses]
+    workers = min(processes, len(jobs))
+    if workers > 1:
+        # Spawned, not forked: the ray caster's and the decoder's threads do not survive a fork.
+        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for _ in progress(pool.map(film_camera, jobs), "cameras", total=len(jobs)):
+                pass
+    else:
+        for job in progress(jobs, "cameras"):
+            film_camera(job)
+    _write_calibration(described, lenses, dataset)
+    _write_truth(described, ideal, BodyModel.load(body), truth)
+
+
+def film_camera(job: Job) -> None:
+    """Write everything that belongs to one camera."""
+    described, name = job.description, job.lens.name
+    sensor = sensor_of(described, name)
+    offset = rig.sync_offsets_frames(described)[name]
+    times_s = (np.arange(described.frames) + offset) / described.fps
+    troupe = Troupe(described, BodyModel.load(job.body), times_s)
+    solids = room(described.seed, described.effects.glossy_floor)
+    scene = backdrop(job.lens, solids, described.supersampling)
+    training = name in described.training
+    truth = TruthFrames(job.lens, solids, described.truth)
+    detector = np.random.default_rng([described.seed, 31, described.names.index(name)])
+
+    def frames():
+        for frame in range(described.frames):
+            moving, values = troupe.at(frame)
+            tracer = Tracer(solids + moving)
+            truth.add(tracer, moving, values, _next(troupe, frame) if described.truth.flow else None)
+            if training and described.people:
+                _write_keypoints(job, troupe, tracer, len(solids), frame, detector)
+            light = lamp_swing(described, float(times_s[frame]))
+            yield developed(light * exposed(scene, tracer, moving, troupe.soles_m(frame), described.effects), sensor, frame)
+
+    video = job.dataset / "videos" / f"{name}.mp4"
+    if training:
+        write_watchable(video, frames(), described.fps, described.crf)
+    else:
+        # Held-out pictures are compared with: the truth keeps them without the video's losses.
+        clean = list(frames())
+        write_watchable(video, clean, described.fps, described.crf)
+        write_lossless(job.truth / "frames" / f"{name}.mkv", clean, described.fps)
+    _write_static(job, scene, truth, sensor)
+    truth.write(job.truth, described.fps)
+
+
+def lamp_swing(described: Description, time_s: float) -> float:
+    """Brightness of the lamps at a moment: one slow swing over the clip around 1."""
+    length_s = described.frames / described.fps
+    return 1 + described.effects.changing_light * float(np.sin(2 * np.pi * time_s / length_s))
+
+
+def _next(troupe: Troupe, frame: int):
+    return troupe.at(frame + 1)[0] if frame + 1 < len(troupe.times_s) else None
+
+
+def _write_keypoints(job: Job, troupe: Troupe, tracer: Tracer, first_actor: int, frame: int, rng: np.random.Generator) -> None:
+    names = LAYOUTS[_LAYOUT].keypoints
+    points = np.concatenate([troupe.keypoints_m(actor, names, frame)[None] for actor in troupe.actors])
+    people = detect(points, job.lens, tracer, first_actor, job.description.detections, rng)
+    path = job.dataset / "keypoints" / job.lens.name / f"{job.lens.name}_{frame:012d}_keypoints.json"
+    write_json(path, openpose_json(people))
+
+
+def _write_static(job: Job, scene: Backdrop, truth: TruthFrames, sensor: Sensor) -> None:
+    name = job.lens.name
+    write_picture(job.truth / "plates" / f"{name}.png", developed(scene.picture(), Sensor.perfect(), 0))
+    write_depth(job.truth / "depth" / f"{name}.exr", truth.room_depth_m, np.ones_like(truth.room_depth_m))
+    if job.description.plates and name in job.description.training:
+        write_picture(job.dataset / "plates" / f"{name}.png", developed(scene.picture(), sensor, job.description.frames))
+
+
+def _write_calibration(described: Description, lenses: list[Lens], dataset: Path) -> None:
+    for name, text in calibration_texts(described.calibration.format, rig.told_lenses(described, lenses)).items():
+        write_text(dataset / name, text)
+    plan = planned_dataset(described, dataset, dataset)
+    capture = {"held_out": list(described.held_out), "calibration": [str(p.relative_to(dataset)) for p in plan.calibration]}
+    capture |= {"keypoint_layout": _LAYOUT} if described.people else {"people": 0}
+    write_text(dataset / "capture.yaml", yaml.safe_dump(capture, sort_keys=True))
+
+
+def _write_truth(described: Description, ideal: list, body: BodyModel, truth: Path) -> None:
+    troupe = Troupe(described, body, np.arange(described.frames) / described.fps)
+    for actor in troupe.actors:
+        person = troupe.person(actor)
+        write_person(truth / "bodies" / f"{person.name}.npz", person)
+    people = [f"p{actor.number}" for actor in troupe.actors]
+    write_json(truth / "cameras.json", [camera.as_json() for camera in ideal])
+    write_json(
+        truth / "truth.json",
+        {
+            "training": list(described.training),
+            "held_out": list(described.held_out),
+            "people": people,
+            "frames": described.frames,
+            "fps": described.fps,
+            "sync_offsets_frames": rig.sync_offsets_frames(described),
+            "gains": {name: sensor_of(described, name).gains for name in described.names},
+            "radial_distortion": described.faults.radial_distortion,
+        },
+    )
+    say(f"truth: {', '.join(people) or 'nobody'}; cameras stand {np.linalg.norm(ideal[0].centre_m[:2]):.2f} m from the middle")

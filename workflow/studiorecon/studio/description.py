@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The description of a made studio: a YAML file over ``resources/studio/defaults.yaml`` → a frozen dataclass.
+
+Importable without numpy: the workflow reads it while it makes its plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from studiorecon import settings
+from studiorecon.errors import Refusal
+from studiorecon.scene.dataset import Dataset
+
+RESOURCES = Path(__file__).resolve().parents[3] / "resources"
+DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
+
+Format = Literal["easymocap", "colmap", "pose2sim", "caliscope", "nerfstudio"]
+CALIBRATION_FILES: Mapping[str, tuple[str, ...]] = {
+    "easymocap": ("intri.yml", "extri.yml"),
+    "colmap": ("sparse/0/cameras.txt", "sparse/0/images.txt"),
+    "pose2sim": ("calibration/Calib.toml",),
+    "caliscope": ("camera_array_aniposelib.toml",),
+    "nerfstudio": ("transforms.json",),
+}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Where the cameras stand; see ``resources/studio/defaults.yaml`` for every key."""
+
+    training: int
+    held_out: int
+    layout: Literal["ring", "arc"]
+    arc_deg: float
+    radius_m: float
+    height_m: tuple[float, float]
+    look_at_m: tuple[float, float, float]
+    hfov_deg: float
+    jitter_deg: float
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What is wrong with the training footage."""
+
+    exposure: float
+    white_balance: float
+    radial_distortion: float
+    sync_offset_frames: float
+    noise_levels: float
+
+
+@dataclass(frozen=True)
+class Effects:
+    """What happens in the room beside people moving."""
+
+    moving_shadows: bool
+    contact_shading: float
+    ball: bool
+    stick: bool
+    glossy_floor: float
+    changing_light: float
+
+
+@dataclass(frozen=True)
+class DetectionOptions:
+    """How good the 2D keypoints are."""
+
+    noise_px: float
+    drop_outs: float
+    false_positives: float
+    shuffled: bool
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """In which format the calibration comes, and how wrong it is."""
+
+    format: Format
+    rotation_error_deg: float
+    position_error_m: float
+
+
+@dataclass(frozen=True)
+class TruthOptions:
+    """Truth that is big and rarely needed."""
+
+    depth_frames: bool
+    flow: bool
+
+
+@dataclass(frozen=True)
+class Description:
+    """Everything that defines one made capture; the same description gives the same bytes."""
+
+    seed: int
+    frames: int
+    fps: float
+    size: tuple[int, int]
+    supersampling: int
+    crf: int
+    people: int
+    cameras: Rig
+    faults: Faults
+    effects: Effects
+    detections: DetectionOptions
+    calibration: CalibrationOptions
+    plates: bool
+    truth: TruthOptions
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """Names of the training cameras."""
+        return tuple(f"cam{k}" for k in range(1, self.cameras.training + 1))
+
+    @property
+    def held_out(self) -> tuple[str, ...]:
+        """Names of the held-out cameras."""
+        return tuple(f"view{k}" for k in range(1, self.cameras.held_out + 1))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all cameras, training first: also their alphabetical order."""
+        return self.training + self.held_out
+
+
+def read_description(path: Path) -> Description:
+    """The description in ``path`` over the defaults; raises Refusal naming the file, the key and what is allowed there."""
+    defaults = _mapping(DEFAULTS)
+    merged = _merge(defaults, _mapping(path), path, "")
+    try:
+        description = settings.load(Description, merged, path.name)
+    except Refusal as refusal:
+        raise Refusal(f"{path}: {refusal}") from None
+    _check_ranges(description, path)
+    return description
+
+
+def planned_dataset(description: Description, folder: Path, truth: Path) -> Dataset:
+    """The dataset that ``studio.capture`` will write into ``folder``, without making it."""
+    training, names = description.training, description.names
+    return Dataset(
+        folder=folder,
+        footage={name: folder / "videos" / f"{name}.mp4" for name in names},
+        held_out=description.held_out,
+        calibration=tuple(folder / name for name in CALIBRATION_FILES[description.calibration.format]),
+        keypoints={name: folder / "keypoints" / name for name in training} if description.people else {},
+        keypoint_layout="body_25",
+        plates={name: folder / "plates" / f"{name}.png" for name in training} if description.plates else {},
+        masks={},
+        depth={},
+        pixel_maps={},
+        first_frame=0,
+        frame_count=0,
+        people=description.people > 0,
+        truth=truth,
+    )
+
+
+def _mapping(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise Refusal(f"studio description {path} does not exist; resources/studio/demo.yaml is one to start from")
+    try:
+        value = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except yaml.YAMLError as error:
+        raise Refusal(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
+    if not isinstance(value, dict):
+        raise Refusal(f"{path} must be a mapping of options; resources/studio/defaults.yaml lists them all")
+    return value
+
+
+def _merge(defaults: Mapping[str, Any], given: Mapping[str, Any], path: Path, section: str) -> dict[str, Any]:
+    merged = dict(defaults)
+    for key, value in given.items():
+        if key not in defaults:
+            known = ", ".join(sorted(defaults))
+            raise Refusal(f"{path} has the unknown option {section}{key}; known options there are {known}")
+        if isinstance(defaults[key], dict):
+            if not isinstance(value, dict):
+                raise Refusal(f"{path}: {section}{key} must be a section with keys, not {value!r}")
+            merged[key] = _merge(defaults[key], value, path, f"{section}{key}.")
+        else:
+            merged[key] = value
+    return merged
+
+
+def _check_ranges(d: Description, path: Path) -> None:
+    share = [("effects.contact_shading", d.effects.contact_shading), ("effects.glossy_floor", d.effects.glossy_floor),
+             ("effects.changing_light", d.effects.changing_light), ("detections.drop_outs", d.detections.drop_outs),
+             ("detections.false_positives", d.detections.false_positives)]  # fmt: skip
+    between = [("frames", d.frames, 1, 100_000), ("fps", d.fps, 1, 1000), ("supersampling", d.supersampling, 1, 8),
+               ("crf", d.crf, 0, 51), ("people", d.people, 0, 4), ("cameras.training", d.cameras.training, 3, 8),
+               ("cameras.held_out", d.cameras.held_out, 0, 8), ("cameras.arc_deg", d.cameras.arc_deg, 20, 330),
+               ("cameras.radius_m", d.cameras.radius_m, 1.5, 3.4), ("cameras.hfov_deg", d.cameras.hfov_deg, 20, 120),
+               ("faults.exposure", d.faults.exposure, 0, 0.9), ("faults.white_balance", d.faults.white_balance, 0, 0.9),
+               ("faults.radial_distortion", d.faults.radial_distortion, -0.3, 0.3),
+               ("faults.sync_offset_frames", d.faults.sync_offset_frames, 0, 100), ("faults.noise_levels", d.faults.noise_levels, 0, 64),
+               ("detections.noise_px", d.detections.noise_px, 0, 100), *((name, value, 0, 1) for name, value in share)]  # fmt: skip
+    for name, value, low, high in between:
+        if not low <= value <= high:
+            raise Refusal(f"{path}: {name} is {value}; it must lie between {low} and {high}")
+    if d.size[0] % 2 or d.size[1] % 2 or min(d.size) < 32:
+        raise Refusal(f"{path}: size is {list(d.size)}; width and height must be even and at least 32, as H.264 needs")
+    if d.cameras.layout == "arc" and d.cameras.held_out > d.cameras.training - 1:
+        raise Refusal(f"{path}: an arc of {d.cameras.training} cameras has {d.cameras.training - 1} gaps for cameras.held_out")
+    if d.cameras.layout == "ring" and d.cameras.held_out > d.cameras.training:
+        raise Refusal(f"{path}: a ring of {d.cameras.training} cameras has {d.cameras.training} gaps for cameras.held_out")

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""2D keypoints as a detector would report them: projected body points with occlusion, noise, drop-outs, phantoms and shuffled order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.scene.camera import Lens
+from studiorecon.studio.description import DetectionOptions
+from studiorecon.studio.film import centre_m, projected
+from studiorecon.studio.tracing import Tracer
+
+_OWN_BODY_M = 0.22  # a keypoint lies inside its body: the body's own surface may be this far in front of it
+_MIN_SEEN = 5
+_HIDDEN_NOISE = 3.0  # a detector guesses hidden points this much worse
+
+
+def detect(
+    points_m: np.ndarray, lens: Lens, tracer: Tracer, first_actor: int, options: DetectionOptions, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """People as one camera's detector sees them in one frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 = missing.
+
+    ``points_m`` (P, K, 3) are everybody's keypoints, ``tracer`` holds the room and then, from index ``first_actor``, the people.
+    Visible points get a confidence near 0.9, points behind the own body near 0.55, points behind somebody or something else
+    near 0.2 or are missing; points outside the picture are missing. Somebody with fewer than five good points is not reported.
+    """
+    people = []
+    width, height = lens.wh
+    for number, points in enumerate(points_m):
+        pixels, depth = projected(lens, points)
+        inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
+        behind_own, behind_other = _hidden(points, lens, tracer, first_actor + number)
+        # Random numbers are drawn for every point, so that planting one fault does not change the dice of another.
+        jitter, dice = rng.standard_normal((len(points), 2)), rng.uniform(size=(len(points), 3))
+        confidence = np.where(behind_other, 0.2, np.where(behind_own, 0.55, 0.9)) + 0.08 * (dice[:, 0] - 0.5)
+        lost = (behind_other & (dice[:, 1] < 0.5)) | (dice[:, 2] < options.drop_outs) | ~inside
+        spread = options.noise_px * np.where(behind_other, _HIDDEN_NOISE, 1.0)
+        found = np.column_stack([pixels + spread[:, None] * jitter, confidence])
+        found[lost] = 0.0
+        overlooked = rng.uniform() < 0.1 * options.drop_outs
+        if not overlooked and (found[:, 2] > 0.4).sum() >= _MIN_SEEN:
+            people.append(found)
+    phantom_wanted = rng.uniform() < options.false_positives
+    phantom = _phantom(points_m.shape[1], lens, rng)
+    if phantom_wanted:
+        people.append(phantom)
+    order = rng.permutation(len(people))
+    return [people[i] for i in order] if options.shuffled else people
+
+
+def openpose_json(people: list[np.ndarray]) -> dict:
+    """One frame in OpenPose's form, whose pixels count from 0 at the first pixel's centre."""
+    entries = []
+    for keypoints in people:
+        shifted = keypoints - [0.5, 0.5, 0.0]
+        flat = np.where(keypoints[:, 2:] > 0, shifted, 0.0).ravel()
+        rest = {f"{part}_keypoints_{d}d": [] for part in ("face", "hand_left", "hand_right") for d in (2, 3)}
+        entries.append({"person_id": [-1], "pose_keypoints_2d": [round(float(v), 4) for v in flat], "pose_keypoints_3d": [], **rest})
+    return {"version": 1.3, "people": entries}
+
+
+def _hidden(points_m: np.ndarray, lens: Lens, tracer: Tracer, own: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which points (K,) lie behind their own body, and which behind anything else."""
+    towards = points_m - centre_m(lens)
+    hits = tracer.cast(centre_m(lens), towards)
+    gap_m = (1 - hits.distance) * np.linalg.norm(towards, axis=1)
+    other = hits.met & (hits.solid != own) & (gap_m > 0.01)
+    return hits.met & (hits.solid == own) & (gap_m > _OWN_BODY_M), other
+
+
+def _phantom(count: int, lens: Lens, rng: np.random.Generator) -> np.ndarray:
+    """A person that is not there: points scattered upright around a random place, half of them missing."""
+    width, height = lens.wh
+    middle = rng.uniform([0.15 * width, 0.3 * height], [0.85 * width, 0.7 * height])
+    pixels = middle + rng.standard_normal((count, 2)) * [0.04 * width, 0.15 * height]
+    found = np.column_stack([pixels, rng.uniform(0.3, 0.6, count)])
+    inside = (pixels >= 0).all(axis=1) & (pixels < [width, height]).all(axis=1)
+    found[(rng.uniform(size=count) < 0.5) | ~inside] = 0.0
+    return found

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One camera's pictures: the static room once, then per frame only the pixels that something moving touches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.geometry.distortion import distort
+from studiorecon.scene.camera import Lens
+from studiorecon.studio.description import Effects
+from studiorecon.studio.rig import directions
+from studiorecon.studio.room import HEIGHT_M, LAMPS_M
+from studiorecon.studio.solids import Solid
+from studiorecon.studio.tracing import Tracer, lamp_points, radiance
+
+_NEAR_M = 0.05
+_CONTACT_REACH_M, _CONTACT_HEIGHT_M, _CONTACT_DEPTH = 0.10, 0.07, 0.75
+
+
+@dataclass
+class Backdrop:
+    """The empty room through one lens, ray by ray: S rays per pixel, N = H·W pixels.
+
+    Attributes:
+        lens: the lens; ``solids``: the room.
+        rays: (S, N, 3) float32 world directions, one metre of z-depth long.
+        depth_m: (S, N) z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
+        solid: (S, N) index of the solid that is seen; ``mean`` (N, 3): radiance of the pixels.
+        lamps_m: one set of lamp points per ray of a pixel.
+    """
+
+    lens: Lens
+    solids: list[Solid]
+    rays: np.ndarray
+    depth_m: np.ndarray
+    colour: np.ndarray
+    solid: np.ndarray
+    mean: np.ndarray
+    lamps_m: list[np.ndarray]
+
+    @property
+    def centre_m(self) -> np.ndarray:
+        return centre_m(self.lens)
+
+    def picture(self) -> np.ndarray:
+        """(H, W, 3) radiance of the empty room."""
+        return self.mean.reshape(self.lens.wh[1], self.lens.wh[0], 3)
+
+
+def backdrop(lens: Lens, solids: list[Solid], supersampling: int) -> Backdrop:
+    """Trace the empty room through a lens."""
+    rays = directions(lens, supersampling).astype(np.float32)
+    tracer = Tracer(solids)
+    lamps = [lamp_points(s, len(rays)) for s in range(len(rays))]
+    depth, colour, seen = np.zeros(rays.shape[:2]), np.zeros(rays.shape, dtype=np.float32), np.zeros(rays.shape[:2], dtype=np.int16)
+    for s, subset in enumerate(rays):
+        hits = tracer.cast(centre_m(lens), subset)
+        if not hits.met.all():
+            raise ValueError(f"camera {lens.name} looks out of the room")
+        depth[s], seen[s] = hits.distance, hits.solid
+        colour[s] = radiance(solids, tracer, hits, np.broadcast_to(centre_m(lens), subset.shape), subset.astype(np.float64), lamps[s])
+    return Backdrop(lens, solids, rays, depth, colour, seen, colour.mean(axis=0, dtype=np.float64), lamps)
+
+
+def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], soles_m: np.ndarray, effects: Effects) -> np.ndarray:
+    """(H, W, 3) radiance of one frame with the ``moving`` solids in the room; ``tracer`` holds both, the room first."""
+    height, width = scene.lens.wh[1], scene.lens.wh[0]
+    picture = scene.mean.copy()
+    touched = touched_pixels(scene.lens, moving)
+    shaded = _shadowed_pixels(scene, moving) if effects.moving_shadows else np.zeros(height * width, dtype=bool)
+    if effects.glossy_floor and moving:
+        reflected = [_mirrored(solid) for solid in moving]
+        shaded |= touched_pixels(scene.lens, reflected) & (scene.solid == 0).any(axis=0)
+    darkened = _contact_pixels(scene, soles_m) if effects.contact_shading else np.zeros(height * width, dtype=bool)
+    changed = np.flatnonzero(touched | shaded | darkened)
+    if len(changed) == 0:
+        return picture.reshape(height, width, 3)
+    solids = scene.solids + moving
+    direct, again = touched[changed], shaded[changed]
+    total = np.zeros((len(changed), 3))
+    for s, rays in enumerate(scene.rays):
+        colour = scene.colour[s, changed].astype(np.float64)
+        solid_seen, depth = scene.solid[s, changed].astype(np.int64), scene.depth_m[s, changed]
+        retrace = np.flatnonzero(direct | again)
+        rays_here = rays[changed[retrace]].astype(np.float64)
+        hits = tracer.cast(scene.centre_m, rays_here)
+        # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame to frame.
+        anew = hits.met & ((hits.solid >= len(scene.solids)) | again[retrace])
+        solid_seen[retrace[anew]], depth[retrace[anew]] = hits.solid[anew], hits.distance[anew]
+        origins = np.broadcast_to(scene.centre_m, (int(anew.sum()), 3))
+        colour[retrace[anew]] = radiance(solids, tracer, hits.take(anew), origins, rays_here[anew], scene.lamps_m[s])
+        if effects.contact_shading:
+            floor = np.flatnonzero(solid_seen == 0)
+            points = scene.centre_m + rays[changed[floor]] * depth[floor, None]
+            colour[floor] *= contact_shade(points, soles_m, effects.contact_shading)[:, None]
+        total += colour
+    picture[changed] = total / len(scene.rays)
+    return picture.reshape(height, width, 3)
+
+
+def touched_pixels(lens: Lens, moving: Sequence[Solid]) -> np.ndarray:
+    """(N,) bool: all pixels that the solids can cover, and a few around them.
+
+    Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than that.
+    """
+    import cv2
+
+    width, height = lens.wh
+    touched = np.zeros((height, width), dtype=np.uint8)
+    for solid in moving:
+        pixels, depth = projected(lens, solid.vertices_m)
+        front = depth > _NEAR_M
+        if not front.any():
+            continue
+        a, b, c = (pixels[solid.faces[:, k]] for k in range(3))
+        squared = np.maximum.reduce([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))])
+        squared = squared[front[solid.faces].all(axis=1)]
+        reach = int(np.ceil(min(np.sqrt(squared.max(initial=1.0)), 64.0))) + 1
+        marked = np.zeros((height + 2 * reach, width + 2 * reach), dtype=np.uint8)
+        columns, rows = (np.floor(pixels[front]).astype(np.int64) + reach).T
+        inside = (columns >= 0) & (columns < marked.shape[1]) & (rows >= 0) & (rows < marked.shape[0])
+        marked[rows[inside], columns[inside]] = 1
+        grown = cv2.dilate(marked, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+        touched |= grown[reach : reach + height, reach : reach + width]
+    return touched.ravel() > 0
+
+
+def projected(lens: Lens, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the camera."""
+    in_camera = points_m @ lens.camera_from_world[:3, :3].T + lens.camera_from_world[:3, 3]
+    depth = in_camera[..., 2]
+    normalised = in_camera[..., :2] / np.where(depth > _NEAR_M, depth, 1.0)[..., None]
+    if lens.distortion.any():
+        normalised = distort(normalised, lens.model, lens.distortion)
+    pixels = normalised * np.diag(lens.intrinsics)[:2] + lens.intrinsics[:2, 2]
+    return np.where((depth > _NEAR_M)[..., None], np.clip(pixels, -1e6, 1e6), -1e6), depth
+
+
+def centre_m(lens: Lens) -> np.ndarray:
+    """(3,) where the lens is."""
+    return -lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3]
+
+
+def contact_shade(points_m: np.ndarray, soles_m: np.ndarray, strength: float) -> np.ndarray:
+    """(N,) factor by which the floor darkens near soles (P, 4, 3): soft within a hand's width, gone when the foot is lifted."""
+    shade = np.ones(len(points_m))
+    for sole in soles_m.reshape(-1, 3):
+        away = np.sum((points_m[:, :2] - sole[:2]) ** 2, axis=1) / _CONTACT_REACH_M**2
+        shade *= 1 - _CONTACT_DEPTH * strength * np.exp(-away - max(float(sole[2]), 0.0) / _CONTACT_HEIGHT_M)
+    return shade
+
+
+def _contact_pixels(scene: Backdrop, soles_m: np.ndarray) -> np.ndarray:
+    """(N,) bool: pixels of the floor within three contact reaches of a sole, by the box around that disc's picture."""
+    width, height = scene.lens.wh
+    angle = np.arange(24) * (2 * np.pi / 24)
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (3.0 * _CONTACT_REACH_M / np.cos(np.pi / 24))
+    near = np.zeros((height, width), dtype=bool)
+    for sole in soles_m.reshape(-1, 3):
+        pixels, depth = projected(scene.lens, rim + [sole[0], sole[1], 0.0])
+        if (depth > _NEAR_M).all():
+            (left, top), (right, bottom) = np.floor(pixels.min(axis=0)).astype(int), np.ceil(pixels.max(axis=0)).astype(int)
+            near[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True
+    return near.ravel() & (scene.solid == 0).any(axis=0)
+
+
+def _shadowed_pixels(scene: Backdrop, moving: list[Solid]) -> np.ndarray:
+    """(N,) bool: pixels whose way to a lamp may pass a moving solid, by upright bounding cylinders."""
+    points = scene.centre_m + scene.rays[0].astype(np.float64) * scene.depth_m[0][:, None]
+    found = np.zeros(len(points), dtype=bool)
+    for solid in moving:
+        low, high = solid.vertices_m.min(axis=0), solid.vertices_m.max(axis=0)
+        axis, radius = (low[:2] + high[:2]) / 2, np.linalg.norm(high[:2] - low[:2]) / 2
+        for cx, cy, hx, hy in LAMPS_M:
+            climb = np.clip((high[2] - points[:, 2]) / np.maximum(HEIGHT_M - points[:, 2], 0.05), 0, 1)
+            along = np.array([cx, cy]) - points[:, :2]
+            nearest = np.einsum("ij,ij->i", axis - points[:, :2], along) / np.maximum(np.einsum("ij,ij->i", along, along), 1e-9)
+            nearest = np.clip(nearest, 0, climb)
+            gap = np.linalg.norm(points[:, :2] + nearest[:, None] * along - axis, axis=1)
+            # One pixel's rays see different points: a margin of a hand's width covers their spread.
+            found |= (climb > 0) & (gap < radius + climb * np.hypot(hx, hy) + 0.08)
+    return found
+
+
+def _mirrored(solid: Solid) -> Solid:
+    return Solid(solid.name, solid.vertices_m * [1, 1, -1], solid.faces, solid.texture, solid.world_from_solid)

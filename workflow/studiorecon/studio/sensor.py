@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From light to 8-bit pictures: tone curve, planted exposure and white balance, planted noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.images.video import to_bytes
+from studiorecon.studio.description import Description
+
+_GAMMA = 2.2
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One camera's electronics.
+
+    Attributes:
+        gains: factor on the picture's red, green and blue.
+        noise_levels: standard deviation in grey levels.
+        seed: of the noise.
+    """
+
+    gains: tuple[float, float, float]
+    noise_levels: float
+    seed: tuple[int, ...]
+
+    @staticmethod
+    def perfect() -> Sensor:
+        """No fault at all."""
+        return Sensor((1.0, 1.0, 1.0), 0.0, (0,))
+
+
+def sensor_of(description: Description, name: str) -> Sensor:
+    """The sensor of one camera; held-out cameras have no faults."""
+    if name not in description.training:
+        return Sensor.perfect()
+    index = description.names.index(name)
+    rng = np.random.default_rng([description.seed, 41])
+    exposure, red, blue = rng.uniform(-1, 1, (len(description.training), 3))[index] * (
+        description.faults.exposure, description.faults.white_balance, description.faults.white_balance,
+    )  # fmt: skip
+    gains = (float((1 + exposure) * (1 + red)), float(1 + exposure), float((1 + exposure) * (1 + blue)))
+    return Sensor(gains, description.faults.noise_levels, (description.seed, 42, index))
+
+
+def developed(radiance: np.ndarray, sensor: Sensor, frame: int) -> np.ndarray:
+    """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame number."""
+    picture = np.clip(radiance, 0, None) ** (1 / _GAMMA)
+    picture = np.minimum(picture, 1.0) * np.asarray(sensor.gains)
+    if sensor.noise_levels > 0:
+        rng = np.random.default_rng([*sensor.seed, frame])
+        picture = picture + rng.normal(0, sensor.noise_levels / 255, picture.shape)
+    return to_bytes(picture)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against painted meshes (Open3D's RaycastingScene), and the light that falls on what they hit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMPS_M
+from studiorecon.studio.solids import Solid
+
+POINTS_PER_LAMP = 16
+_LAMP_WEIGHT = 7.6
+_AMBIENT = 0.30
+_SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What (N,) rays met.
+
+    Attributes:
+        distance: (N,) in lengths of the ray's direction; inf where nothing was met.
+        solid: (N,) index into the traced solids; -1 where nothing was met.
+        face: (N,) triangle within the solid.
+        barycentric: (N, 2) weights of the triangle's second and third vertex.
+        normal: (N, 3) unit geometric normal, as the mesh has it.
+    """
+
+    distance: np.ndarray
+    solid: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    normal: np.ndarray
+
+    @property
+    def met(self) -> np.ndarray:
+        """(N,) bool."""
+        return self.solid >= 0
+
+    def take(self, rays: np.ndarray) -> Hits:
+        """The hits of some rays, by index or mask."""
+        return Hits(self.distance[rays], self.solid[rays], self.face[rays], self.barycentric[rays], self.normal[rays])
+
+
+class Tracer:
+    """Solids in a ray-casting structure that is built once (single-threaded: cameras run side by side instead)."""
+
+    def __init__(self, solids: Sequence[Solid]) -> None:
+        import open3d as o3d
+
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        for solid in solids:
+            vertices = np.ascontiguousarray(solid.vertices_m, dtype=np.float32)
+            self._scene.add_triangles(self._tensor(vertices), self._tensor(np.ascontiguousarray(solid.faces, dtype=np.uint32)))
+
+    def cast(self, origins_m: np.ndarray, directions: np.ndarray) -> Hits:
+        """First hits of rays from (N, 3) or (3,) origins along (N, 3) directions of any length."""
+        answer = self._scene.cast_rays(self._tensor(_rays(origins_m, directions)), nthreads=1)
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        solid = answer["geometry_ids"].numpy().astype(np.int64)
+        return Hits(
+            distance=distance,
+            solid=np.where(np.isfinite(distance), solid, -1),
+            face=np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), 0),
+            barycentric=answer["primitive_uvs"].numpy().astype(np.float64),
+            normal=answer["primitive_normals"].numpy().astype(np.float64),
+        )
+
+    def blocked(self, origins_m: np.ndarray, targets_m: np.ndarray) -> np.ndarray:
+        """(N,) bool: something stands between the points and their targets."""
+        directions = targets_m - origins_m
+        rays = self._tensor(_rays(origins_m, directions))
+        return self._scene.test_occlusions(rays, tnear=0.0, tfar=0.999, nthreads=1).numpy()
+
+
+def lamp_points(subset: int, subsets: int) -> np.ndarray:
+    """(M, 3) points on the lamps for one of ``subsets`` rays of a pixel: together they cover both lamps evenly.
+
+    A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is smooth.
+    """
+    per_lamp = max(2, POINTS_PER_LAMP // subsets)
+    k = np.arange(subset * per_lamp, (subset + 1) * per_lamp)
+    u, v = (0.5 + k * 0.7548776662466927) % 1 * 2 - 1, (0.5 + k * 0.5698402909980532) % 1 * 2 - 1
+    # Just below the luminous face, so that the lamp does not block its own light.
+    height = HEIGHT_M - LAMP_BELOW_CEILING_M - 0.004
+    return np.concatenate([np.stack([cx + hx * u, cy + hy * v, np.full(per_lamp, height)], axis=1) for cx, cy, hx, hy in LAMPS_M])
+
+
+def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps_m: np.ndarray, tracer: Tracer) -> np.ndarray:
+    """(N,) irradiance from the lamps, shadows included: the mean over lamp points of both cosines over distance squared."""
+    total = np.zeros(len(points_m))
+    starts = points_m + normals * _SKIN_M
+    for lamp in lamps_m:
+        gain, lit = lamp_gain(points_m, normals, lamp)
+        lit[lit] = ~tracer.blocked(starts[lit], np.broadcast_to(lamp, (int(lit.sum()), 3)))
+        total[lit] += gain[lit]
+    return total / len(lamps_m)
+
+
+def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Irradiance (N,) that one lamp point would give without obstacles, and where it is on the lit side (N,)."""
+    towards = lamp_m - points_m
+    squared = np.einsum("ij,ij->i", towards, towards)
+    cosines = np.einsum("ij,ij->i", towards, normals) * towards[:, 2]
+    return 2 * _LAMP_WEIGHT * np.maximum(cosines, 0) / (squared * (squared + 0.3)), cosines > 0
+
+
+def ambient_light(points_m: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(N,) light bounced by the room: brighter on what faces up, darker in its edges and corners (closed form, no rays)."""
+    light = _AMBIENT * (1 + 0.22 * normals[:, 2])
+    for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
+        gap = np.minimum(half - points_m[:, axis], half + points_m[:, axis])
+        light = light * (1 - 0.32 * np.exp(-np.maximum(gap, 0) / 0.28) * (1 - np.abs(normals[:, axis])))
+    for gap in (points_m[:, 2], HEIGHT_M - points_m[:, 2]):
+        light = light * (1 - 0.32 * np.exp(-np.maximum(gap, 0) / 0.28) * (1 - np.abs(normals[:, 2])))
+    return light
+
+
+def _rays(origins_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    rays = np.empty((len(directions), 6), dtype=np.float32)
+    rays[:, :3], rays[:, 3:] = origins_m, directions
+    return rays
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The surfaces that rays met: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3), emission and mirror (N,)."""
+
+    points_m: np.ndarray
+    normals: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+    mirror: np.ndarray
+
+
+def surfaces(solids: Sequence[Solid], hits: Hits, origins_m: np.ndarray, directions: np.ndarray) -> Surface:
+    """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at once."""
+    points = origins_m + directions * hits.distance[:, None]
+    normals = hits.normal.copy()
+    albedo = np.zeros_like(points)
+    emission, mirror = np.zeros(len(points)), np.zeros(len(points))
+    for index in np.unique(hits.solid):
+        here = np.flatnonzero(hits.solid == index)
+        solid = solids[index]
+        corners = solid.faces[hits.face[here]]
+        weights = np.column_stack([1 - hits.barycentric[here].sum(axis=1), hits.barycentric[here]])
+        if solid.vertex_normals is not None:
+            normals[here] = np.einsum("nk,nkx->nx", weights, solid.vertex_normals[corners])
+        rotation = solid.world_from_solid[:3, :3]
+        if solid.texture_vertices is not None:
+            local = np.einsum("nk,nkx->nx", weights, solid.texture_vertices[corners])
+        else:
+            local = (points[here] - solid.world_from_solid[:3, 3]) @ rotation
+        albedo[here] = solid.texture(local, normals[here] @ rotation)
+        emission[here], mirror[here] = solid.emission, solid.mirror
+    # Thin walls are seen from one side only, but a mesh's winding need not know which.
+    normals = np.where((np.einsum("ij,ij->i", hits.normal, directions) > 0)[:, None], -normals, normals)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Surface(points, normals, albedo, emission, mirror)
+
+
+def radiance(
+    solids: Sequence[Solid],
+    tracer: Tracer,
+    hits: Hits,
+    origins_m: np.ndarray,
+    directions: np.ndarray,
+    lamps_m: np.ndarray,
+    bounces: int = 1,
+) -> np.ndarray:
+    """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one mirror bounce."""
+    surface = surfaces(solids, hits, origins_m, directions)
+    light = lamp_light(surface.points_m, surface.normals, lamps_m, tracer) + ambient_light(surface.points_m, surface.normals)
+    colour = surface.albedo * (light + surface.emission)[:, None]
+    glossy = np.flatnonzero(surface.mirror > 0)
+    if bounces and len(glossy):
+        normals, incoming = surface.normals[glossy], directions[glossy]
+        across = np.einsum("ij,ij->i", incoming, normals)
+        outgoing = incoming - 2 * across[:, None] * normals
+        starts = surface.points_m[glossy] + normals * _SKIN_M
+        mirrored = tracer.cast(starts, outgoing)
+        seen = np.flatnonzero(mirrored.met)
+        reflection = np.zeros((len(glossy), 3))
+        reflection[seen] = radiance(solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps_m, bounces - 1)
+        # Schlick's approximation: a varnish reflects little straight down and much at a grazing angle.
+        cosine = np.abs(across) / np.linalg.norm(incoming, axis=1)
+        share = (surface.mirror[glossy] * (0.25 + 0.75 * (1 - cosine) ** 5))[:, None]
+        colour[glossy] = colour[glossy] * (1 - share) + reflection * share
+    return colour
