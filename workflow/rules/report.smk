@@ -3,11 +3,27 @@ rule report_score:
         manifest="results/{scene}/capture/manifest.json",
         model="results/{scene}/cameras/images.txt",
         heldout_model="results/{scene}/cameras/heldout/images.txt",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
-        render=collect("results/{scene}/render/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
-        render_path=collect("results/{scene}/render/{shot}.json", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
-        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
-        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True
+        ),
+        render=collect(
+            "results/{scene}/render/{shot}.mkv",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
+        render_path=collect(
+            "results/{scene}/render/{shot}.json",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
+        enhanced=collect(
+            "results/{scene}/enhance/{shot}.mkv",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
+        truth_maps=collect(
+            "results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True
+        ),
         fits=fits,
     output:
         metrics="results/{scene}/report/metrics.json",
@@ -39,22 +55,54 @@ rule report_page:
         decisions="results/{scene}/survey/decisions.json",
         doctor="results/{scene}/cameras/doctor.json",
         sheet="results/{scene}/cameras/doctor.png",
-        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-        depths=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-        training_videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        plates=collect(
+            "results/{scene}/capture/{camera}.plate.png",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        depths=collect(
+            "results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True
+        ),
+        training_videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
+        ),
         masks=masks,
-        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
-        renders=collect("results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True),
-        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
-        heldout_videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
-        heldout_render=collect("results/{scene}/render/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
-        heldout_enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
-        heldout_path=collect("results/{scene}/render/{shot}.json", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
+        films=collect(
+            "results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True
+        ),
+        renders=collect(
+            "results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True
+        ),
+        truth_maps=collect(
+            "results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True
+        ),
+        heldout_videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True
+        ),
+        heldout_render=collect(
+            "results/{scene}/render/{shot}.mkv",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
+        heldout_enhanced=collect(
+            "results/{scene}/enhance/{shot}.mkv",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
+        heldout_path=collect(
+            "results/{scene}/render/{shot}.json",
+            shot=[s for s in FILMS if s == "heldout"],
+            allow_missing=True,
+        ),
         # Last, so that the page counts what they cost.
         delivered="results/{scene}/deliver/manifest.json",
     output:
         costs="results/{scene}/report/cost.json",
-        page=report("results/{scene}/report/index.html", caption="../report/page.rst", category="Result"),
+        page=report(
+            "results/{scene}/report/index.html",
+            caption="../report/page.rst",
+            category="Result",
+        ),
     log:
         "logs/{scene}/report/page.log",
     benchmark:

@@ -65,7 +65,7 @@ def consistent(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
     |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It is what
     finds uncovered background, where colours may agree by chance (numerics E10). Non-finite flow is inconsistent (E13).
     """
-    back, inside = warp(np.nan_to_num(reverse_flow, nan=_NOWHERE_PX), flow)
+    back, inside = warp(np.nan_to_num(reverse_flow, nan=_NOWHERE_PX, posinf=_NOWHERE_PX, neginf=_NOWHERE_PX), flow)
     safe = np.where(inside[..., None], flow, 0)
     gap = ((safe + back) ** 2).sum(axis=-1)
     motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)

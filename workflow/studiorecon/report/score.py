@@ -8,9 +8,9 @@ values per frame; what could not be measured is null with the reason.
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from studiorecon.progress import progress, say
 from studiorecon.report.bodies import compare_bodies
 from studiorecon.report.measures import NAMES, REGIONS, TEMPORAL, Flicker, measure_picture, summary, unmeasured
 from studiorecon.report.pictures import truth_shares
-from studiorecon.report.truth import Regions, true_joints
+from studiorecon.report.truth import read_views, regions, true_joints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
@@ -35,7 +35,7 @@ from studiorecon.scene.people import read_person
 _FLOW = "medium"
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a made studio has it)"
-_TEMPORAL_OF_PHOTOS = "photo"
+_PHOTO = "photo"
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,18 @@ class Settings:
     seen_tolerance: float
 
 
-def measure_camera(photos: Path, versions: Mapping[str, tuple[Path, int]], frames: int, regions: Regions | None) -> dict[str, list[dict]]:
+def measure_camera(
+    photos: Path, versions: Mapping[str, tuple[Path, int]], frames: int, regions_of_frames: Iterable[Mapping[str, np.ndarray]]
+) -> dict[str, list[dict]]:
     """Measures per frame of each version (video, first frame) of one held-out camera, and the flicker of the photos themselves."""
     streams = {name: read_frames(path, first, first + frames) for name, (path, first) in versions.items()}
-    flicker, found = Flicker(_FLOW), {name: [] for name in (*versions, _TEMPORAL_OF_PHOTOS)}
-    for index, photo in enumerate(read_frames(photos, 0, frames)):
+    flicker, found = Flicker(_FLOW), {name: [] for name in (*versions, _PHOTO)}
+    for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
         pictures = {name: next(stream) for name, stream in streams.items()}
-        masks = regions.at(index) if regions is not None else {}
-        moving = flicker.measure(photo, {**pictures, _TEMPORAL_OF_PHOTOS: photo})
+        moving = flicker.measure(photo, {**pictures, _PHOTO: photo})
         for name, picture in pictures.items():
             found[name].append({**measure_picture(picture, photo, masks), **moving[name]})
-        found[_TEMPORAL_OF_PHOTOS].append(moving[_TEMPORAL_OF_PHOTOS])
+        found[_PHOTO].append(moving[_PHOTO])
     return found
 
 
@@ -81,22 +82,22 @@ def missing_reasons(have_truth: bool) -> dict[str, str]:
 def score_pictures(
     frames: int,
     cameras: Sequence[Camera],
-    videos: Sequence[Path],
+    videos: Mapping[str, Path],
     versions: Mapping[str, tuple[Path, dict[str, int]]],
-    regions_of: Callable[[Camera], Regions] | None,
+    regions_of: Callable[[Camera], Iterable[Mapping[str, np.ndarray]]] | None,
 ) -> dict[str, Any]:
     """Measures of every version against the held-out photos; a version is a video and the first frame of each camera in it."""
     if not cameras or not versions:
         return {name: {measure: unmeasured(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     measured: dict[str, dict[str, list]] = {}
-    for camera, video in progress(list(zip(cameras, videos, strict=True)), "held-out cameras"):
+    for camera in progress(cameras, "held-out cameras"):
         of_camera = {name: (path, starts[camera.name]) for name, (path, starts) in versions.items()}
-        regions = regions_of(camera) if regions_of is not None else None
-        for name, values in measure_camera(video, of_camera, frames, regions).items():
+        masks = regions_of(camera) if regions_of is not None else repeat({})
+        for name, values in measure_camera(videos[camera.name], of_camera, frames, masks).items():
             measured.setdefault(name, {})[camera.name] = values
     reasons = missing_reasons(regions_of is not None)
     result = {name: collect_measures(measured[name], NAMES, reasons) for name in versions}
-    result[_TEMPORAL_OF_PHOTOS] = collect_measures(measured[_TEMPORAL_OF_PHOTOS], TEMPORAL, reasons)
+    result[_PHOTO] = collect_measures(measured[_PHOTO], TEMPORAL, reasons)
     return result
 
 
@@ -136,7 +137,7 @@ def run(
     metrics: Path,
     truth: Path | None = None,
 ) -> None:
-    """Measure; ``videos`` is the held-out footage in the order of ``heldout_model``, ``render``, ``enhanced`` the shot heldout, if any."""
+    """Measure; ``videos`` is the held-out cameras' footage, ``render`` and ``enhanced`` are the shot heldout, if there is one."""
     capture = read_manifest(manifest)
     held_out = read_model(heldout_model.parent)
     if truth is not None and not truth.is_dir():
@@ -145,13 +146,17 @@ def run(
     for name, files in (("raw", render), ("enhanced", enhanced)):
         if files and render_path:
             versions[name] = (files[0], _first_frames(render_path[0]))
+    first_frame = capture.footage[0].first_source_frame
     regions_of = None
     if truth is not None:
-        training = read_model(model.parent)
-        regions_of = partial(Regions.read, truth, training=training, capture=capture, tolerance=settings.seen_tolerance)
+        views, training = read_views(truth), [camera.name for camera in read_model(model.parent)]
+
+        def regions_of(camera: Camera) -> Iterator[dict[str, np.ndarray]]:
+            return regions(views, camera, training, first_frame, capture.frames, settings.seen_tolerance)
+
     with one_thread():
-        pictures = score_pictures(capture.frames, held_out, videos, versions, regions_of)
-    bodies = score_bodies(fits, truth, capture.footage[0].first_source_frame)
+        pictures = score_pictures(capture.frames, held_out, {v.stem: v for v in videos}, versions, regions_of)
+    bodies = score_bodies(fits, truth, first_frame)
     write_json(
         metrics,
         {
