@@ -33,7 +33,13 @@ class Gaussians:
     def __post_init__(self) -> None:
         count = len(self.means_m)
         bands = self.sh.shape[1] if self.sh.ndim == 3 else 0
-        expected = {"means_m": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3), "logit_opacities": (count,), "sh": (count, bands, 3)}
+        expected = {
+            "means_m": (count, 3),
+            "quaternions": (count, 4),
+            "log_scales": (count, 3),
+            "logit_opacities": (count,),
+            "sh": (count, bands, 3),
+        }
         for name, shape in expected.items():
             value = getattr(self, name)
             if value.shape != shape:

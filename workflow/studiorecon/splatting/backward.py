@@ -2,8 +2,9 @@
 """Gradients of the blended image by every splat, front to back again, as ten moments per splat.
 
 Carried along per pixel are the transmittance T and R = (rendered · g) minus the prefix; with w·g the splat's colour and depth times
-the incoming gradient, dL/dalpha = T·(colour·g) − R/(1 − alpha). Colours, depth, alpha and background collapse into that one scalar, and T is
-never recovered by a division. The evaluation repeats the forward pass operation by operation, so pixels finish at the same splat.
+the incoming gradient, dL/dalpha = T·(colour·g) − R/(1 − alpha). Colours, depth, alpha and background collapse into that one scalar,
+and T is never recovered by a division. The evaluation repeats the forward pass operation by operation, so pixels finish at the
+same splat.
 
 Moments (q = alpha·dL/dalpha, u = dx − k·dy): Σq, Σq·u, Σq·dy, Σq·u², Σq·u·dy, Σq·dy², and Σw·g for red, green, blue, depth.
 """
@@ -14,12 +15,44 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import (
-    ALPHA_LOG2_MIN, ALPHA_MAX, BLOCK_PX, BLOCKS, BLOCKS_PER_SIDE, BLUE, DEPTH, ELLIPSE_A, ELLIPSE_C, ELLIPSE_K, GREEN, KERNEL, LANES,
-    OPACITY_LOG2, RECORD, RED, TILE_PX, TRANSMITTANCE_MIN, X, Y,
-)  # fmt: skip
+    ALPHA_LOG2_MIN,
+    ALPHA_MAX,
+    BLOCK_PX,
+    BLOCKS,
+    BLOCKS_PER_SIDE,
+    BLUE,
+    DEPTH,
+    ELLIPSE_A,
+    ELLIPSE_C,
+    ELLIPSE_K,
+    GREEN,
+    KERNEL,
+    LANES,
+    OPACITY_LOG2,
+    RECORD,
+    RED,
+    TILE_PX,
+    TRANSMITTANCE_MIN,
+    X,
+    Y,
+)
 from studiorecon.splatting.simd import (
-    above, at_least, below, bits_from_mask, both, broadcast, exp2, least, madd, mask_from_bits, msub, nmadd, select, where, zeros,
-)  # fmt: skip
+    above,
+    at_least,
+    below,
+    bits_from_mask,
+    both,
+    broadcast,
+    exp2,
+    least,
+    madd,
+    mask_from_bits,
+    msub,
+    nmadd,
+    select,
+    where,
+    zeros,
+)
 from studiorecon.splatting.simd_rows import add_sums, item, load, lowest_bit, prefetch, store
 
 STATE = 6 * LANES

@@ -9,12 +9,46 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import (
-    ALL_LANES, ALPHA_LOG2_MIN, ALPHA_MAX, BLOCK_PX, BLOCKS, BLOCKS_PER_SIDE, BLUE, DEPTH, ELLIPSE_A, ELLIPSE_C, ELLIPSE_K, GREEN,
-    HALF_HEIGHT, HALF_WIDTH, INLINE, KERNEL, LANES, OPACITY_LOG2, RECORD, RED, TILE_PX, TRANSMITTANCE_MIN, X, Y,
-)  # fmt: skip
+    ALL_LANES,
+    ALPHA_LOG2_MIN,
+    ALPHA_MAX,
+    BLOCK_PX,
+    BLOCKS,
+    BLOCKS_PER_SIDE,
+    BLUE,
+    DEPTH,
+    ELLIPSE_A,
+    ELLIPSE_C,
+    ELLIPSE_K,
+    GREEN,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    INLINE,
+    KERNEL,
+    LANES,
+    OPACITY_LOG2,
+    RECORD,
+    RED,
+    TILE_PX,
+    TRANSMITTANCE_MIN,
+    X,
+    Y,
+)
 from studiorecon.splatting.simd import (
-    above, at_least, bits_from_mask, both, broadcast, exp2, least, madd, mask_from_bits, nmadd, select, where, zeros,
-)  # fmt: skip
+    above,
+    at_least,
+    bits_from_mask,
+    both,
+    broadcast,
+    exp2,
+    least,
+    madd,
+    mask_from_bits,
+    nmadd,
+    select,
+    where,
+    zeros,
+)
 from studiorecon.splatting.simd_rows import item, load, prefetch, store, take_ticket
 
 STATE = 5 * LANES

@@ -12,13 +12,43 @@ import numpy as np
 from numba import njit, prange
 
 from studiorecon.splatting.conventions import (
-    ALPHA_LOG2_MIN, BLOCK_FLOATS, CENTRE, DILATION_PX2, FOCAL, FRAME_MARGIN, INLINE, KERNEL, LANES, LOG2_E, NEAR, OPACITY, PRINCIPAL,
-    QUATERNION, RECORD, SANE, SCALE, SIZE,
-)  # fmt: skip
+    ALPHA_LOG2_MIN,
+    BLOCK_FLOATS,
+    CENTRE,
+    DILATION_PX2,
+    FOCAL,
+    FRAME_MARGIN,
+    INLINE,
+    KERNEL,
+    LANES,
+    LOG2_E,
+    NEAR,
+    OPACITY,
+    PRINCIPAL,
+    QUATERNION,
+    RECORD,
+    SANE,
+    SCALE,
+    SIZE,
+)
 from studiorecon.splatting.harmonics import colour
 from studiorecon.splatting.simd import (
-    above, at_least, below, bits_from_mask, both, broadcast, least, log2, magnitude, mask_from_bits, most, root, select, where, zeros,
-)  # fmt: skip
+    above,
+    at_least,
+    below,
+    bits_from_mask,
+    both,
+    broadcast,
+    least,
+    log2,
+    magnitude,
+    mask_from_bits,
+    most,
+    root,
+    select,
+    where,
+    zeros,
+)
 from studiorecon.splatting.simd_rows import load, store, store_records
 
 HALF_LOG2_E = np.float32(0.5) * LOG2_E

@@ -7,12 +7,33 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import (
-    BLOCK_FLOATS, BLUE, DILATION_PX2, FOCAL, GREEN, INLINE, KERNEL, LANES, NEAR, OPACITY, QUATERNION, RECORD, RED, SCALE,
-)  # fmt: skip
+    BLOCK_FLOATS,
+    BLUE,
+    DILATION_PX2,
+    FOCAL,
+    GREEN,
+    INLINE,
+    KERNEL,
+    LANES,
+    NEAR,
+    OPACITY,
+    QUATERNION,
+    RECORD,
+    RED,
+    SCALE,
+)
 from studiorecon.splatting.harmonics import colour_gradient
 from studiorecon.splatting.projection import (
-    OPACITY_MIN, axes_in_image, covariance, direction, frame_limits, image_from_world, in_camera, rotation, unit_quaternion,
-)  # fmt: skip
+    OPACITY_MIN,
+    axes_in_image,
+    covariance,
+    direction,
+    frame_limits,
+    image_from_world,
+    in_camera,
+    rotation,
+    unit_quaternion,
+)
 from studiorecon.splatting.simd import above, at_least, both, broadcast, least, mask_from_bits, most, select, where
 from studiorecon.splatting.simd_rows import item, load, store, take_moments
 

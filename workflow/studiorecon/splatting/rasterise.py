@@ -8,7 +8,7 @@ transmittance would fall to 1e-4, colour max(0, 0.5 + harmonics).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import numba
@@ -115,11 +115,15 @@ class Rasteriser:
         self._pairs, self._touched = np.zeros(0, np.uint32), np.zeros(0, np.uint16)
         self._ticket = np.zeros(1, np.int64)
 
+    def own_threads(self) -> AbstractContextManager[None]:
+        """numba restricted to this rasteriser's threads, for the calls of a ``with`` block."""
+        return _threads(self.threads)
+
     def forward(
         self, gaussians: Gaussians | BlockedGaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> Rendering:
         """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first."""
-        with _threads(self.threads):
+        with self.own_threads():
             blocked = gaussians if isinstance(gaussians, BlockedGaussians) else blocks.block(gaussians)
             self.draw(blocked, camera, background_rgb)
             height, width = self.planes.shape[1:]
@@ -144,7 +148,7 @@ class Rasteriser:
         n, bands = self._blocked.count, (self._blocked.degree + 1) ** 2
         shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3), (n,))
         gradients = GaussianGradients(*(np.empty(shape, np.float32) for shape in shapes))
-        with _threads(self.threads):
+        with self.own_threads():
             plane_gradients = np.empty_like(self.planes)
             gradients_into_planes(self.planes, *(g.reshape(-1) for g in given), plane_gradients)
             self.gather(plane_gradients)
@@ -155,7 +159,10 @@ class Rasteriser:
         return gradients
 
     def draw(self, blocked: BlockedGaussians, camera: Camera, background_rgb: Sequence[float]) -> np.ndarray:
-        """Inner loop of training: fills and returns ``planes`` (5, H, W) — red, green, blue, depth sum, transmittance — until the next call."""
+        """Inner loop of training: fills and returns ``planes`` (5, H, W): red, green, blue, depth sum, transmittance.
+
+        The next call overwrites them.
+        """
         self._resize(blocked.padded, camera.hw)
         columns, rows = self._grid
         self._blocked, self._camera = blocked, camera_vector(camera, self.near_m)

@@ -71,7 +71,7 @@ def target_statistics(target, height, wide, taps, mean, square):
 
 @njit(parallel=True, **KERNEL)
 def pad_rendering(planes, target, weight, wide, padded):
-    """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target stands in, so masked pixels disturb no window."""
+    """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target stands in and disturbs no window."""
     height, width = planes.shape[1], planes.shape[2]
     rows, inner = height + 2 * RADIUS, wide - 2 * PAD
     for j in prange(3 * height):
@@ -83,7 +83,7 @@ def pad_rendering(planes, target, weight, wide, padded):
 
 @njit(parallel=True, **KERNEL)
 def similarity_maps(image, target, mean, square, weight, height, wide, taps, slopes, sums):
-    """Fills ``slopes`` (three padded images: weighted dSSIM by windowed mean, square and product) and sums[:, 0] = Σ w·(1 − SSIM) per row."""
+    """Fills ``slopes`` (three padded images: w·dSSIM by windowed mean, square and product) and sums[:, 0] = Σ w·(1 − SSIM)."""
     rows, inner, size = height + 2 * RADIUS, wide - 2 * PAD, len(image)
     one, two, c1, c2 = broadcast(float32(1)), broadcast(float32(2)), broadcast(C1), broadcast(C2)
     for j in prange(3 * height):
@@ -120,7 +120,10 @@ def similarity_maps(image, target, mean, square, weight, height, wide, taps, slo
 
 @njit(parallel=True, **KERNEL)
 def photometric_gradient(image, target, weight, height, wide, taps, slopes, l1, ssim, gradient, sums):
-    """Fills gradient (3, H, W) by the image for l1·Σ w|x−y| + ssim·Σ w(1−SSIM); sums[:, 1:] = Σ w|x−y| and Σ w(x−y)² per row."""
+    """Fills gradient (3, H, W) by the image for l1·Σ w|x−y| + ssim·Σ w(1−SSIM).
+
+    sums[:, 1:] = Σ w|x−y| and Σ over w > 0 of (x−y)², per row.
+    """
     rows, inner, size, width = height + 2 * RADIUS, wide - 2 * PAD, len(image), gradient.shape[2]
     two, one, by_ssim = broadcast(float32(2)), broadcast(float32(1)), broadcast(-ssim)
     flat = gradient.reshape(-1)
@@ -143,7 +146,7 @@ def photometric_gradient(image, target, weight, height, wide, taps, slopes, l1, 
             value, wanted, w = load(image, out + x), load(target, out + x), load(weight, y * inner + x - PAD)
             error = value - wanted
             sign = select(above(error, zeros()), one, select(below(error, zeros()), -one, zeros()))
-            absolute, squared = madd(w, magnitude(error), absolute), madd(w * error, error, squared)
+            absolute, squared = madd(w, magnitude(error), absolute), squared + where(above(w, zeros()), error * error)
             similar = _across(line, 0, x, taps) + two * value * _across(line, wide, x, taps) + wanted * _across(line, 2 * wide, x, taps)
             slope = where(above(w, zeros()), madd(by_ssim, similar, broadcast(l1) * w * sign))
             column = x - PAD

@@ -12,8 +12,20 @@ import numpy as np
 from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import (
-    ALPHA_LOG2_MIN, ELLIPSE_A, ELLIPSE_C, ELLIPSE_K, HALF_HEIGHT, HALF_WIDTH, INLINE, KERNEL, OPACITY_LOG2, RECORD, TILE_PX, X, Y,
-)  # fmt: skip
+    ALPHA_LOG2_MIN,
+    ELLIPSE_A,
+    ELLIPSE_C,
+    ELLIPSE_K,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    INLINE,
+    KERNEL,
+    OPACITY_LOG2,
+    RECORD,
+    TILE_PX,
+    X,
+    Y,
+)
 from studiorecon.splatting.simd_rows import prefetch
 
 DIGIT_BITS = 11

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training loop carries from step to step: blocked parameters, Adam's moments, and where every Gaussian came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import float32, njit, prange
+
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.adam import RAW_ROWS
+from studiorecon.splatting.blocks import BlockedGaussians, aligned, block, morton_order
+from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, MEAN, OPACITY, QUATERNION, ROWS, SH
+
+
+@dataclass
+class TrainingState:
+    """Everything per Gaussian, in Morton order.
+
+    Attributes:
+        blocked: parameters with activated scales and opacities.
+        raw: (blocks · 4 · 16,) log scales and logits.
+        first, second: Adam's moments, layout of the parameters.
+        source: (N,) index of the initial Gaussian each one descends from.
+        gradient_sum, gradient_count: (padded,) float32 screen gradient summed over the views that saw it, since the last growth.
+    """
+
+    blocked: BlockedGaussians
+    raw: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    source: np.ndarray
+    gradient_sum: np.ndarray
+    gradient_count: np.ndarray
+
+
+def start(gaussians: Gaussians) -> TrainingState:
+    """The state before the first step."""
+    n = gaussians.count
+    moments = np.zeros(0, np.float32)
+    return _laid_out(gaussians, np.arange(n), moments, moments, np.full(n, -1))
+
+
+def regrown(state: TrainingState, gaussians: Gaussians, parent: np.ndarray, fresh: np.ndarray) -> TrainingState:
+    """The state with other Gaussians: ``parent`` (M,) says which old one each descends from; ``fresh`` ones start without moments."""
+    return _laid_out(gaussians, state.source[parent], state.first, state.second, np.where(fresh, -1, parent))
+
+
+def _laid_out(gaussians: Gaussians, source: np.ndarray, first: np.ndarray, second: np.ndarray, moments_of: np.ndarray) -> TrainingState:
+    order = morton_order(gaussians.means_m)
+    blocked = block(gaussians, order)
+    size = len(blocked.parameters)
+    raw = aligned(blocked.padded * RAW_ROWS)
+    fill_raw(gaussians.log_scales, gaussians.logit_opacities, order, raw)
+    lanes = np.full(blocked.padded, -1)
+    lanes[: len(order)] = moments_of[order]
+    moments = (aligned(size), aligned(size))
+    move_lanes(first, lanes, moments[0])
+    move_lanes(second, lanes, moments[1])
+    sums = (np.zeros(blocked.padded, np.float32), np.zeros(blocked.padded, np.float32))
+    return TrainingState(blocked, raw, *moments, source[order], *sums)
+
+
+def gaussians_of(state: TrainingState) -> Gaussians:
+    """The Gaussians in the state's order, their log scales and logits exactly as Adam left them."""
+    n, bands = state.blocked.count, (state.blocked.degree + 1) ** 2
+    arrays = tuple(np.empty(shape, np.float32) for shape in ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3)))
+    take_parameters(state.blocked.parameters, state.raw, *arrays)
+    return Gaussians(*arrays)
+
+
+@njit(parallel=True, **KERNEL)
+def fill_raw(log_scales, logit_opacities, order, raw):
+    """Log scales and logits → their blocks; padding stays 0."""
+    for i in prange(len(order)):
+        at, j = (i // LANES) * RAW_ROWS * LANES + i % LANES, order[i]
+        for axis in range(3):
+            raw[at + axis * LANES] = log_scales[j, axis]
+        raw[at + 3 * LANES] = logit_opacities[j]
+
+
+@njit(parallel=True, **KERNEL)
+def take_parameters(parameters, raw, means_m, quaternions, log_scales, logit_opacities, sh):
+    """Blocks → arrays of the Gaussians in block order."""
+    for i in prange(len(means_m)):
+        at, raw_at = (i // LANES) * BLOCK_FLOATS + i % LANES, (i // LANES) * RAW_ROWS * LANES + i % LANES
+        for axis in range(3):
+            means_m[i, axis] = parameters[at + (MEAN + axis) * LANES]
+            log_scales[i, axis] = raw[raw_at + axis * LANES]
+        for axis in range(4):
+            quaternions[i, axis] = parameters[at + (QUATERNION + axis) * LANES]
+        logit_opacities[i] = raw[raw_at + 3 * LANES]
+        for band in range(sh.shape[1]):
+            for channel in range(3):
+                sh[i, band, channel] = parameters[at + (SH + 3 * band + channel) * LANES]
+
+
+@njit(parallel=True, **KERNEL)
+def move_lanes(given, lanes, taken):
+    """taken's lane i = given's lane lanes[i], all rows; 0 where that is −1."""
+    for i in prange(len(lanes)):
+        at = (i // LANES) * BLOCK_FLOATS + i % LANES
+        j = lanes[i]
+        for row in range(ROWS):
+            if j < 0:
+                taken[at + row * LANES] = float32(0)
+            else:
+                taken[at + row * LANES] = given[(j // LANES) * BLOCK_FLOATS + j % LANES + row * LANES]
+
+
+@njit(parallel=True, **KERNEL)
+def add_screen_gradient(visible, screen, scale, gradient_sum, gradient_count):
+    """Adds the length of dL/d(centre), times ``scale``, of every visible Gaussian."""
+    size = len(visible)
+    for i in prange(size):
+        if visible[i]:
+            gradient_sum[i] += scale * np.sqrt(screen[i] * screen[i] + screen[size + i] * screen[size + i])
+            gradient_count[i] += float32(1)
+
+
+def lower_opacities(state: TrainingState, highest: float) -> None:
+    """No opacity above ``highest`` any more, and Adam starts anew for opacities (3DGS' opacity reset)."""
+    blocks = len(state.raw) // (RAW_ROWS * LANES)
+    logits = state.raw.reshape(blocks, RAW_ROWS, LANES)[:, 3]
+    np.minimum(logits, np.float32(np.log(highest / (1 - highest))), out=logits)
+    opacities = state.blocked.parameters.reshape(blocks, ROWS, LANES)[:, OPACITY]
+    np.minimum(opacities, np.float32(highest), out=opacities)
+    for moments in (state.first, state.second):
+        moments.reshape(blocks, ROWS, LANES)[:, OPACITY] = 0
