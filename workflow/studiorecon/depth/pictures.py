@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from studiorecon.depth.matching import UNKNOWN, correlation, plane_depth
@@ -21,6 +22,7 @@ _SAME_SURFACE = 0.6
 _FLOOR_SEARCH_M = 0.12
 _FLOOR_STEP_M = 0.03
 _LEAST_PIXELS = 60
+_SAME_DEPTH = 0.02
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,30 @@ def floor_and_gains(pictures: Sequence[Picture], window: int, near_m: float, far
         if overlap is not None:
             overlaps.append(overlap)
     return floor_m, solve_gains(len(pictures), overlaps), len(overlaps)
+
+
+def surface_gains(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray], window: int) -> tuple[np.ndarray, int]:
+    """Gains (V, 3) that the pictures still differ by on every surface two of them see, and how many pairs saw one.
+
+    The floor may be hidden or featureless; once depth is agreed, walls and furniture compare as well. A pixel counts when both depth maps
+    put it at the same place within 2 %.
+    """
+    overlaps = []
+    for i, (picture, depth_m) in enumerate(zip(pictures, depths_m)):
+        known = picture.known & (depth_m > 0)
+        points = picture.camera.unproject(picture.camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64))[known]
+        for j, (other, other_depth_m) in enumerate(zip(pictures, depths_m)):
+            if i == j:
+                continue
+            pixels, z = other.camera.project(points)
+            seen, inside = sample(other_depth_m, pixels[None], "nearest")
+            same = inside[0] & (np.abs(seen[0] - z) < _SAME_DEPTH * np.where(z > 0, z, np.nan))
+            colours = sample(cv2.blur(other.rgb, (window, window)), pixels[None])[0][0]
+            mine = cv2.blur(picture.rgb, (window, window))[known]
+            overlap = compare(i, j, mine[same], colours[same], _LEAST_PIXELS)
+            if overlap is not None:
+                overlaps.append(overlap)
+    return solve_gains(len(pictures), overlaps), len(overlaps)
 
 
 def equalised(pictures: Sequence[Picture], gains: np.ndarray) -> list[Picture]:

@@ -15,6 +15,9 @@ _UP = np.array([0.0, 0.0, 1.0])
 # Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
 _SAME_SURFACE = 0.2
 _LEAST_VOTERS = 30
+# Walls with this share of the best one's votes are its rivals; the window that decides spans a tenth of the picture's width.
+_RIVAL_SHARE, _MOST_RIVALS = 0.2, 6
+_WIDE_SHARE = 20
 
 
 @dataclass(frozen=True)
@@ -93,22 +96,49 @@ def turned_offset(pictures: Sequence[Picture], voters: Sequence[np.ndarray], pla
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
 
 
-def find_face(planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float) -> float | None:
-    """Offset of the most voted plane with this normal on the outer side of ``beyond``; None when too few pixels voted for any.
+def strong_offsets(planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float) -> list[float]:
+    """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first; none below ``least_votes``.
 
-    The most voted, not the outermost: a periodic wallpaper also votes for planes behind the wall.
+    Local maxima of the votes of three neighbouring planes, down to a share of the best one's.
     """
     parallel = np.flatnonzero((planes[:, :3] @ normal > 0.999) & (side * (planes[:, 3] - beyond) > 0))
     if not len(parallel):
-        return None
+        return []
     parallel = parallel[np.argsort(planes[parallel, 3], kind="stable")]
     count = votes[parallel].astype(np.float64)
     around = np.convolve(count, np.ones(3), mode="same")
-    best = int(around.argmax())
-    if around[best] < least_votes:
-        return None
-    span = slice(max(best - 1, 0), best + 2)
-    return float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum())
+    padded = np.pad(around, 1, constant_values=-1)
+    peaks = np.flatnonzero((around > padded[:-2]) & (around >= padded[2:]) & (around >= max(least_votes, _RIVAL_SHARE * around.max())))
+    offsets = []
+    for peak in peaks[np.argsort(-around[peaks], kind="stable")][:_MOST_RIVALS]:
+        span = slice(max(peak - 1, 0), peak + 2)
+        offsets.append(float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum()))
+    return offsets
+
+
+def decide_face(
+    pictures: Sequence[Picture], votes: Votes, normal: np.ndarray, offsets: Sequence[float], beyond: float, side: int, how: Matching
+) -> float:
+    """Which of several strong walls on one side explains the pixels of all of them best, seen through a wide window.
+
+    A striped wallpaper correlates with itself a period further, and gathers votes there; in a window wide enough to hold a
+    picture or a door frame it no longer does. Neither the most voted nor the outermost plane is safe.
+    """
+    if len(offsets) == 1:
+        return offsets[0]
+    rivals = (votes.planes[:, :3] @ normal > 0.999) & (side * (votes.planes[:, 3] - beyond) > 0)
+    pixels = [m & rivals[c] for c, m in zip(votes.chosen, votes.confident)]
+    wide = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
+    explained = []
+    for k, offset in enumerate(offsets):
+        voters = votes.voters(normal, offset, 0.1)
+        offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
+        plane, total = np.array([*normal, offsets[k]]), 0.0
+        for i, picture in enumerate(pictures):
+            others = [picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m) for j, o in enumerate(pictures) if j != i]
+            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
+        explained.append(total)
+    return offsets[int(np.argmax(explained))]
 
 
 def refine_yaw(

@@ -13,7 +13,7 @@ import numpy as np
 
 from studiorecon.depth import room
 from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.pictures import Picture, equalised, read_pictures, surface_gains
 from studiorecon.depth.sweep import CONFIDENT
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
@@ -56,7 +56,9 @@ def fit_shell(pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_
     def found(face: int, clearance_m: float) -> float | None:
         axis, side = start.axes[face // 2], 2 * (face % 2) - 1
         edge = side * (side * centres @ axis).max()
-        return room.find_face(votes.planes, count, axis, edge + side * clearance_m, side, least)
+        beyond = edge + side * clearance_m
+        offsets = room.strong_offsets(votes.planes, count, axis, beyond, side, least)
+        return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
 
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
     turn = room.refine_yaw(pictures, votes, [(start.axes[f // 2], o) for f, o in walls.items()], _YAW_SPAN_RAD, _YAW_STEP_RAD, how)
@@ -136,14 +138,17 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     votes = inside_votes(pictures, votes, fitted, settings)
     planes = room.candidates(votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures))
     planes = refine_candidates(pictures, votes, planes, settings)
-    fitted = replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, gains)})
+    fitted = replace(fitted, planes=planes)
     say(f"{len(planes) - 6} planes inside the room are worth trying")
     starts = []
     for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
         wall_m = fitted.intersect(*picture.camera.rays())[0]
         starts.append(np.where(confident, picture.depth_of(votes.planes[chosen]), wall_m).astype(np.float32))
     depths = agreeing_depths(pictures, fitted, starts, settings)
-    write_shell(shell, fitted)
+    rest, pairs = surface_gains(pictures, depths, settings.window)
+    gains = gains * rest
+    say(f"exposure on {pairs} views of common surfaces: " + ", ".join(f"{c.name} {g.mean():.3f}" for c, g in zip(cameras, gains)))
+    write_shell(shell, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
 
 

@@ -90,8 +90,7 @@ def run(
     if not wanted:
         raise Refusal(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
     made = list(views_of(wanted, photos, settings))
-    say(
-        f"segment {segment}: {np.mean([mask == 0 for _, mask in made]):.1%} of {len(made)} views is hole, painted over and marked in the mask"
-    )
+    holes = np.mean([mask == 0 for _, mask in made])
+    say(f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)
