@@ -1,0 +1,77 @@
+rule capture_frames:
+    input:
+        source=footage_source,
+        calibration="results/{scene}/cameras/calibration.json",
+    output:
+        video="results/{scene}/capture/{camera}.mkv",
+        footage="results/{scene}/capture/{camera}.json",
+    log:
+        "logs/{scene}/capture/frames/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/capture/frames/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("capture"),
+        code=code("capture.frames"),
+        held_out=lookup("{camera}", within={c: int(c in HELDOUT) for c in CAMERAS}),
+        first=DATASET.first_frame,
+        count=DATASET.frame_count,
+    shell:
+        "python -m studiorecon capture.frames --settings {params.settings:q} --log {log:q}"
+        " --camera {wildcards.camera:q} --held-out {params.held_out} --first {params.first} --count {params.count}"
+        " --source {input.source:q} --calibration {input.calibration:q}"
+        " --video {output.video:q} --footage {output.footage:q}"
+
+
+rule capture_manifest:
+    input:
+        footage=collect("results/{scene}/capture/{camera}.json", camera=CAMERAS, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=CAMERAS, allow_missing=True),
+    output:
+        manifest="results/{scene}/capture/manifest.json",
+    log:
+        "logs/{scene}/capture/manifest.log",
+    benchmark:
+        "benchmarks/{scene}/capture/manifest.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("capture"),
+        code=code("capture.manifest"),
+    shell:
+        "python -m studiorecon capture.manifest --settings {params.settings:q} --log {log:q}"
+        " --scene {wildcards.scene:q} --footage {input.footage:q} --videos {input.videos:q} --manifest {output.manifest:q}"
+
+
+rule capture_plate:
+    input:
+        video="results/{scene}/capture/{camera}.mkv",
+        footage="results/{scene}/capture/{camera}.json",
+        calibration="results/{scene}/cameras/calibration.json",
+        detections=branch(DATASET.people, then="results/{scene}/people/detections/{camera}.npz"),
+        given=given_plate,
+    output:
+        plate="results/{scene}/capture/{camera}.plate.png",
+    log:
+        "logs/{scene}/capture/plate/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/capture/plate/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("capture"),
+        code=code("capture.plate"),
+    shell:
+        "python -m studiorecon capture.plate --settings {params.settings:q} --log {log:q}"
+        " --video {input.video:q} --footage {input.footage:q} --calibration {input.calibration:q}"
+        " --detections {input.detections:q} --given {input.given:q} --plate {output.plate:q}"

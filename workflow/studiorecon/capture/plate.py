@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One camera's clean plate: the room without people, with an alpha that says where it was measured.
+
+Every pixel keeps the colour that most pictures agree on, counting only those in which no detected person stands there. A pixel
+that people cover all the time stays unknown: a guess would be a ghost. A plate that the user brings fills those pixels; it is
+matched to the footage first, and where the footage itself shows the room the footage wins, because a user's plate may have been
+taken earlier, with somebody in it.
+
+Reads the section ``plate``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.capture.lenses import lens_of
+from studiorecon.capture.presence import people_regions
+from studiorecon.errors import Refusal
+from studiorecon.geometry.lens import WorkingView, video_from_working
+from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
+from studiorecon.images.stills import read_plate
+from studiorecon.images.video import read_frames
+from studiorecon.progress import say
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.capture import Footage, read_footage
+from studiorecon.scene.people import read_detections
+
+# Grey levels by which a given plate must differ from the footage to show something else there, and how far (share of the longer
+# side) such a thing is taken to reach into pixels that the footage cannot confirm.
+_OTHER_LEVELS = 30.0
+_DOUBT_SHARE = 0.025
+
+
+@dataclass(frozen=True)
+class PlateSettings:
+    """When a pixel counts as measured.
+
+    Attributes:
+        frames: pictures that are looked at, evenly over the clip.
+        agree_levels: colours that differ by at most this in every channel, grey levels of 255, are the same surface; never less
+            than four times the noise.
+        min_share: the surface must show in at least this share of the pictures.
+        min_agreement: at least this share of the pictures in which nobody stands there must agree.
+        margin: detected people are drawn wider by this share of their height.
+        hold_s: a detection counts this long before and after, seconds.
+        max_difference: a given plate must agree with the footage to this median difference, grey levels.
+    """
+
+    frames: int
+    agree_levels: float
+    min_share: float
+    min_agreement: float
+    margin: float
+    hold_s: float
+    max_difference: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """See ``PlateSettings``."""
+
+    plate: PlateSettings
+
+
+def temporal_plate(frames: np.ndarray, occupied: np.ndarray, settings: PlateSettings) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, of frames (T, H, W, 3) with people at ``occupied`` (T, H, W)."""
+    free = ~occupied
+    tolerance = max(settings.agree_levels, 4 * noise_levels(frames))
+    colour, votes, rival = temporal_modes(frames, free, tolerance)
+    available = free.sum(axis=0)
+    # A rival nearly as frequent means that two surfaces take turns, and nothing here says which of them is the room.
+    clear = (votes >= settings.min_agreement * available) & (votes >= 2 * rival)
+    return colour, clear & (votes >= max(2, settings.min_share * len(frames)))
+
+
+def place_given(
+    given_rgb: np.ndarray, given_measured: np.ndarray, lens: Lens, footage: Footage, colour: np.ndarray, measured: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """A given plate (h, w, 3) in [0, 1] in working pixels: colours 0..255, where it is known, and its median difference.
+
+    A plate may have the video's pixels, or the calibration's when the video was resized or padded afterwards: whichever agrees
+    better with what the footage shows (``colour`` where ``measured``) is taken. The difference is NaN when nothing overlaps.
+    """
+    given_wh = (given_rgb.shape[1], given_rgb.shape[0])
+    maps = [np.eye(2, 3)] if given_wh == tuple(lens.wh) else []
+    to_video = np.diag([footage.source_wh[0] / given_wh[0], footage.source_wh[1] / given_wh[1]])
+    own = np.asarray(lens.calibration_from_video, np.float64)
+    maps.append(np.concatenate([own[:, :2] @ to_video, own[:, 2:]], axis=1))
+    best = None
+    for calibration_from_given in maps:
+        rgb, known = _working_picture(given_rgb, given_measured, replace(lens, calibration_from_video=calibration_from_given), footage)
+        common = known & measured
+        difference = float(np.median(np.abs(rgb[common] - colour[common]))) if common.any() else np.nan
+        if best is None or difference < best[2]:
+            best = rgb, known, difference
+    return best
+
+
+def _working_picture(rgb: np.ndarray, measured: np.ndarray, lens: Lens, footage: Footage) -> tuple[np.ndarray, np.ndarray]:
+    """A picture of any size, seen through ``lens``, in the footage's working pixels: (H, W, 3) 0..255 and (H, W) known."""
+    wh, intrinsics = footage.wh, np.array(footage.intrinsics)
+    picture_wh = (rgb.shape[1], rgb.shape[0])
+    n = max(1, round(picture_wh[0] / wh[0]))
+    columns, rows = np.meshgrid((np.arange(n * wh[0]) + 0.5) / n, (np.arange(n * wh[1]) + 0.5) / n)
+    source = video_from_working(np.stack([columns, rows], axis=-1), lens, picture_wh, intrinsics)
+    view = WorkingView(wh, intrinsics, n, (source[..., 0] - 0.5).astype(np.float32), (source[..., 1] - 0.5).astype(np.float32))
+    inside = ((source >= 0) & (source <= picture_wh)).all(axis=-1).astype(np.float32)
+    inside *= cv2.remap(measured.astype(np.float32), view.map_x, view.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    share = cv2.resize(inside, wh, interpolation=cv2.INTER_AREA) if n > 1 else inside
+    return view.picture(rgb.astype(np.float32)) * 255, share > 0.99
+
+
+def merge(colour: np.ndarray, measured: np.ndarray, given: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The footage's plate where measured, elsewhere the given one with the footage's exposure: colours and where either knows.
+
+    Exposure is a smooth ratio, carried over from the measured surroundings, so that no seam shows. Where the two clearly differ
+    somebody or something stood in the given plate; what of it reaches into unmeasured pixels cannot be told from the room, so a
+    border around such places stays unknown.
+    """
+    common = measured & known & (given > 8).all(axis=-1) & (given < 247).all(axis=-1) & (colour > 8).all(axis=-1)
+    ratio = np.where(common[..., None], np.log(np.maximum(colour, 1) / np.maximum(given, 1)), 0).astype(np.float32)
+    typical = np.median(ratio[common], axis=0) if common.any() else np.zeros(3, np.float32)
+    # Things that differ between plate and footage (people, moved props) are not exposure.
+    alike = common & (np.abs(ratio - typical).max(axis=-1) < 0.2)
+    sigma = max(colour.shape[:2]) / 16
+    weight = cv2.GaussianBlur(alike.astype(np.float32), (0, 0), sigma)
+    local = cv2.GaussianBlur(np.where(alike[..., None], ratio - typical, 0).astype(np.float32), (0, 0), sigma)
+    gain = np.exp(typical + local / (weight + 0.05)[..., None])
+    matched = given * gain
+    differs = (measured & known & (np.abs(matched - colour).max(axis=-1) > _OTHER_LEVELS)).astype(np.uint8)
+    differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    reach = 2 * max(1, round(max(colour.shape[:2]) * _DOUBT_SHARE)) + 1
+    doubtful = cv2.dilate(differs, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
+    return np.where(measured[..., None], colour, matched), measured | (known & ~doubtful)
+
+
+def run(
+    settings: Settings,
+    video: Path,
+    footage: Path,
+    calibration: Path,
+    detections: list[Path],
+    given: list[Path],
+    plate: Path,
+) -> None:
+    """The clean plate of ``video`` as an RGBA PNG; ``detections`` say where people stand, ``given`` is the user's plate; each is none or one file."""
+    options = settings.plate
+    about = read_footage(footage)
+    chosen = np.unique(np.linspace(0, about.frames - 1, min(about.frames, options.frames)).round().astype(int))
+    wanted = set(chosen.tolist())
+    frames = np.stack([frame for number, frame in enumerate(read_frames(video)) if number in wanted])
+    occupied = np.zeros(frames.shape[:3], bool)
+    for path in detections:
+        hold = round(options.hold_s * about.fps)
+        occupied |= people_regions(read_detections(path), chosen, frames.shape[1:3], options.margin, hold)
+    colour, measured = temporal_plate(frames, occupied, options)
+    say(f"{about.camera}: {measured.mean():.1%} of the plate shows in the footage ({len(frames)} pictures looked at)")
+    for picture in given:
+        colour, measured = _add_given(picture, calibration, about, colour, measured, options)
+    if measured.mean() < 0.8:
+        say(
+            f"{about.camera}: {1 - measured.mean():.1%} is always covered and stays unknown; a picture of the empty room in plates/ would fill it"
+        )
+    write_plate(plate, np.clip(np.rint(colour), 0, 255).astype(np.uint8), measured)
+
+
+def _add_given(
+    given: Path, calibration: Path, about: Footage, colour: np.ndarray, measured: np.ndarray, options: PlateSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    lens = lens_of(calibration, about.camera)
+    given_rgb, given_measured = read_plate(given)
+    rgb, known, difference = place_given(given_rgb, given_measured, lens, about, colour, measured)
+    if difference > options.max_difference:
+        raise Refusal(
+            f"plate {given} differs from the footage of camera {about.camera} by {difference:.0f} grey levels in the median; "
+            "it must show the same room from the same camera position and exposure: replace it, or take it away"
+        )
+    filled = float((known & ~measured).mean())
+    agrees = (
+        f"agrees with the footage to {difference:.1f} grey levels" if np.isfinite(difference) else "cannot be compared with the footage"
+    )
+    say(f"{about.camera}: {given.name} {agrees} and fills {filled:.1%} of the picture")
+    return merge(colour, measured, rgb, known)

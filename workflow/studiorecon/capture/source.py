@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera's footage as the user has it: a video file, or a folder of pictures, read frame by frame the right way up."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.scene.dataset import PICTURE_SUFFIXES
+
+_READ_BYTES = 1 << 20
+# A container may announce one frame more than it holds (an edit list, a rounded duration) without having lost any.
+_MISCOUNT_FRAMES = 1
+# A gap of this many frame times between two pictures means that the recorder skipped some.
+_GAP_FRAMES = 1.5
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a video's header, or a folder's listing, says.
+
+    Attributes:
+        path: the video file or folder.
+        wh: size after the rotation tag.
+        fps: average frames per second.
+        declared_frames: number of frames the header announces; None when it does not say.
+        rotation_deg: counter-clockwise turn the rotation tag asks for: 0, 90, 180 or 270.
+        pictures: the files of a folder in order; empty for a video.
+        notes: sentences about what is unusual.
+    """
+
+    path: Path
+    wh: tuple[int, int]
+    fps: float
+    declared_frames: int | None
+    rotation_deg: int
+    pictures: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def open_source(path: Path, picture_fps: float) -> Source:
+    """The footage at ``path``; ``picture_fps`` is the rate of a folder of pictures, which cannot say so itself.
+
+    Raises Refusal naming the file or folder and the remedy when it is missing, unreadable, empty or without a frame rate.
+    """
+    if path.is_dir():
+        return _open_folder(path, picture_fps)
+    if not path.is_file():
+        raise Refusal(f"footage {path} is missing; put the video back, or leave its camera out with train: [...] in capture.yaml")
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise Refusal(f"{path} holds no video; put the camera's video there")
+            stream = container.streams.video[0]
+            rate = stream.average_rate or stream.guessed_rate
+            first = next(container.decode(stream), None)
+            if first is None:
+                raise Refusal(f"{path} holds no frames; copy the recording again")
+            if not rate:
+                raise Refusal(f"{path} does not say its frame rate; rewrite it with a constant one")
+            rotation_deg = int(round(first.rotation / 90) * 90) % 360
+            declared = stream.frames or _frames_by_duration(container, stream, float(rate))
+            wh = (first.width, first.height) if rotation_deg % 180 == 0 else (first.height, first.width)
+            notes = ("the footage is interlaced: moving edges are combed; a progressive recording is better",) * first.interlaced_frame
+    except (av.FFmpegError, IndexError) as error:
+        raise Refusal(
+            f"{path} cannot be read as a video ({getattr(error, 'strerror', None) or error}); it may be truncated: copy it again"
+        ) from None
+    return Source(path, wh, float(rate), declared, rotation_deg, (), notes)
+
+
+def decode(source: Source, first: int, count: int) -> Iterator[np.ndarray]:
+    """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, rotation tag applied.
+
+    Raises Refusal naming file and frame when a frame is damaged, when the footage ends early, or when nothing is left of it.
+    A damaged end does not matter when the chosen frames lie before it.
+    """
+    stop = first + count if count else None
+    frames = _decode_folder(source) if source.pictures else _decode_video(source)
+    number = 0
+    for frame in frames:
+        if stop is not None and number >= stop:
+            return
+        if number >= first:
+            yield frame
+        number += 1
+    if number <= first or (stop is not None and number < stop):
+        wanted = f"{first} to {stop - 1}" if stop is not None else f"{first} and after"
+        raise Refusal(f"{source.path} has {number} frames, but frames {wanted} were asked for; change frames: in capture.yaml")
+    if stop is None and source.declared_frames is not None and number < source.declared_frames - _MISCOUNT_FRAMES:
+        raise Refusal(
+            f"{source.path} is truncated: its header announces {source.declared_frames} frames and {number} are there; copy it again, "
+            f"or use what is there with frames: {{first: {first}, count: {number - first}}} in capture.yaml"
+        )
+
+
+def digest(source: Source) -> str:
+    """SHA-256 of the video file, or of the digests of a folder's pictures in order."""
+    if not source.pictures:
+        return _file_digest(source.path)
+    whole = hashlib.sha256()
+    for picture in source.pictures:
+        whole.update(_file_digest(picture).encode())
+    return whole.hexdigest()
+
+
+def _decode_video(source: Source) -> Iterator[np.ndarray]:
+    number = -1
+    try:
+        with av.open(str(source.path)) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            for number, frame in enumerate(container.decode(stream)):
+                if frame.is_corrupt:
+                    raise Refusal(f"{source.path}: frame {number} is damaged; copy it again, or choose others with frames: in capture.yaml")
+                picture = frame.to_ndarray(format="rgb24")
+                yield np.ascontiguousarray(np.rot90(picture, source.rotation_deg // 90)) if source.rotation_deg else picture
+    except av.FFmpegError as error:
+        raise Refusal(
+            f"{source.path} cannot be read after frame {number} ({error.strerror or error}); copy it again, or use what is there with "
+            f"frames: {{count: {number + 1}}} in capture.yaml"
+        ) from None
+
+
+def _decode_folder(source: Source) -> Iterator[np.ndarray]:
+    for path in source.pictures:
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR) if path.stat().st_size else None
+        if picture is None:
+            raise Refusal(f"{path} is not a readable picture; replace it, or leave its frame out with frames: in capture.yaml")
+        if (picture.shape[1], picture.shape[0]) != source.wh:
+            size = f"{picture.shape[1]}×{picture.shape[0]}"
+            raise Refusal(f"{path} is {size}, but the first picture of its folder is {source.wh[0]}×{source.wh[1]}; use one size")
+        yield np.ascontiguousarray(picture[..., ::-1])
+
+
+def _open_folder(path: Path, picture_fps: float) -> Source:
+    pictures = sorted((p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")), key=_by_number)
+    if not pictures:
+        raise Refusal(f"{path} holds no pictures; put the camera's frames there ({', '.join(PICTURE_SUFFIXES)})")
+    first = cv2.imdecode(np.fromfile(pictures[0], np.uint8), cv2.IMREAD_COLOR) if pictures[0].stat().st_size else None
+    if first is None:
+        raise Refusal(f"{pictures[0]} is not a readable picture; replace it")
+    note = f"a folder of pictures has no frame rate: {picture_fps:g} per second, as capture.picture_fps says"
+    return Source(path, (first.shape[1], first.shape[0]), picture_fps, len(pictures), 0, tuple(pictures), (note,))
+
+
+def _by_number(path: Path) -> tuple[list[tuple[int, str]], str]:
+    # frame_2 before frame_10: runs of digits compare as numbers.
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.stem)], path.name
+
+
+def _frames_by_duration(container: av.container.InputContainer, stream: av.VideoStream, fps: float) -> int | None:
+    if stream.duration is not None:
+        return int(stream.duration * stream.time_base * fps)
+    # A container lasts as long as its longest stream, which may be the sound.
+    alone = len(container.streams) == 1 and container.duration is not None
+    return int(container.duration / av.time_base * fps) if alone else None
+
+
+def _file_digest(path: Path) -> str:
+    whole = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(_READ_BYTES):
+            whole.update(block)
+    return whole.hexdigest()

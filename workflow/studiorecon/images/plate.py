@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stays put in a static camera's pictures: the colour that each pixel keeps returning to, and how often it does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numba
+import numpy as np
+
+from studiorecon.scene.files import complete
+
+# Rows that are turned to time-last order at once: bounds the copy of the clip.
+_BAND = 64
+# A candidate colour shared by this share of the pictures needs no rival search: nothing can beat it.
+_CLEAR_SHARE = 0.9
+
+
+def noise_levels(frames: np.ndarray) -> float:
+    """Standard deviation of the noise in grey levels of frames (T, H, W, 3) uint8, from successive differences.
+
+    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes.
+    """
+    if len(frames) < 2:
+        return 1.0
+    pairs = np.linspace(0, len(frames) - 2, min(len(frames) - 1, 8)).astype(int)
+    change = np.stack([np.abs(frames[i + 1, ::2, ::2].astype(np.int16) - frames[i, ::2, ::2]) for i in pairs])
+    # The median of rounded values is a staircase; the mean of the lower half follows the noise smoothly. It is 0.325 of the
+    # standard deviation of a difference (half-normal below its median), which is sqrt(2) of the noise.
+    flat = np.partition(change.ravel(), change.size // 2)[: change.size // 2]
+    return max(float(flat.mean()) / 0.325 / np.sqrt(2), 0.3)
+
+
+def temporal_modes(frames: np.ndarray, free: np.ndarray, agree_levels: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The colour most pictures agree on at every pixel, among those in which the pixel is ``free``.
+
+    Args:
+        frames: (T, H, W, 3) uint8; all of one static camera.
+        free: (T, H, W) bool: False where something is known to stand in front.
+        agree_levels: colours whose every channel differs by at most this are the same surface.
+
+    Returns:
+        (H, W, 3) float32 mean of the agreeing colours, 0..255 (0 where never free); (H, W) int how many agree; (H, W) int how
+        many agree on the best colour that is clearly another one. Costs at most T² comparisons per pixel.
+    """
+    height, width = frames.shape[1:3]
+    colour = np.zeros((height, width, 3), np.float32)
+    votes, rival = np.zeros((height, width), np.int32), np.zeros((height, width), np.int32)
+    for top in range(0, height, _BAND):
+        rows = slice(top, top + _BAND)
+        band = np.ascontiguousarray(frames[:, rows].transpose(1, 2, 0, 3))
+        unoccupied = np.ascontiguousarray(free[:, rows].transpose(1, 2, 0))
+        _modes(band, unoccupied, np.int16(round(agree_levels)), colour[rows], votes[rows], rival[rows])
+    return colour, votes, rival
+
+
+@numba.njit(cache=True, nogil=True)
+def _modes(values, free, tolerance, colour, votes, rival):
+    height, width, count, _ = values.shape
+    for y in range(height):
+        for x in range(width):
+            available = 0
+            for t in range(count):
+                available += free[y, x, t]
+            if available == 0:
+                continue
+            best, best_votes = -1, 0
+            for step in range(count):
+                t = (step + count // 2) % count
+                if not free[y, x, t]:
+                    continue
+                agreeing = 0
+                for s in range(count):
+                    if free[y, x, s] and _same(values[y, x, s], values[y, x, t], tolerance):
+                        agreeing += 1
+                if agreeing > best_votes:
+                    best, best_votes = t, agreeing
+                if best_votes >= _CLEAR_SHARE * available:
+                    break
+            total = np.zeros(3, np.float64)
+            for s in range(count):
+                if free[y, x, s] and _same(values[y, x, s], values[y, x, best], tolerance):
+                    for c in range(3):
+                        total[c] += values[y, x, s, c]
+            for c in range(3):
+                colour[y, x, c] = total[c] / best_votes
+            votes[y, x] = best_votes
+            if best_votes < _CLEAR_SHARE * available:
+                rival[y, x] = _rival(values[y, x], free[y, x], values[y, x, best], tolerance)
+
+
+@numba.njit(cache=True, nogil=True)
+def _rival(values, free, winner, tolerance):
+    """Most votes that any colour not shared with the winner gets."""
+    count, most = len(values), 0
+    for t in range(count):
+        if not free[t] or _same(values[t], winner, 2 * tolerance):
+            continue
+        agreeing = 0
+        for s in range(count):
+            if free[s] and _same(values[s], values[t], tolerance):
+                agreeing += 1
+        most = max(most, agreeing)
+    return most
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _same(a, b, tolerance):
+    return (
+        abs(np.int16(a[0]) - np.int16(b[0])) <= tolerance
+        and abs(np.int16(a[1]) - np.int16(b[1])) <= tolerance
+        and abs(np.int16(a[2]) - np.int16(b[2])) <= tolerance
+    )
+
+
+def write_plate(path: Path, rgb: np.ndarray, measured: np.ndarray) -> None:
+    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent black."""
+    alpha = np.where(measured, np.uint8(255), np.uint8(0))
+    stored = np.concatenate([np.where(measured[..., None], rgb, np.uint8(0))[..., ::-1], alpha[..., None]], axis=-1)
+    encoded = cv2.imencode(".png", np.ascontiguousarray(stored))[1]
+    with complete(path) as partial:
+        partial.write_bytes(encoded.tobytes())
