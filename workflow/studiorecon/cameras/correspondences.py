@@ -8,14 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.body.layouts import LAYOUTS
-from studiorecon.errors import Refusal
-from studiorecon.geometry.correspondence import TrackGraph, group_affinity, groups_of, track_graph
+from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, TrackGraph, group_affinity, groups_of, stable_detections, track_graph
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
-
-# Joints that a detector places within centimetres from every side; faces are seen from the front only.
-STABLE_KEYPOINTS = tuple(f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right"))
 
 
 @dataclass(frozen=True)
@@ -39,30 +34,12 @@ class Observations:
     affinity: float
 
 
-def stable_indices(layout: str) -> list[int]:
-    """Where the stable keypoints stand in a layout; -1 for missing ones."""
-    names = LAYOUTS[layout].keypoints
-    return [names.index(k) if k in names else -1 for k in STABLE_KEYPOINTS]
-
-
-def stable_detections(detections: Sequence[Detections], frames: np.ndarray) -> list[Detections]:
-    """The detections of ``frames`` with the stable keypoints only, in their order, whatever the layout of each camera was."""
-    chosen = []
-    for d in detections:
-        which = np.isin(d.frame, frames)
-        padded = np.concatenate([d.keypoints[which], np.full((int(which.sum()), 1, 3), [np.nan, np.nan, 0.0])], axis=1)
-        chosen.append(Detections(d.camera, d.layout, d.frame[which], d.track[which], padded[:, stable_indices(d.layout)]))
-    return chosen
-
-
 def observe(
     detections: Sequence[Detections], cameras: Sequence[Camera], frames: np.ndarray, gate_m: float
 ) -> tuple[Observations, TrackGraph]:
     """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""
     stable = stable_detections(detections, frames)
-    if not len(STABLE_KEYPOINTS):
-        raise Refusal("no keypoints are common to all layouts")
-    graph = track_graph(stable, cameras, min_keypoints=4, keypoints=range(len(STABLE_KEYPOINTS)))
+    graph = track_graph(stable, cameras)
     groups = groups_of(graph.distance_m, graph.view, graph.together, gate_m)
     count, times = len(STABLE_KEYPOINTS), len(frames)
     pixels = np.full((len(cameras), len(groups), times, count, 2), np.nan)

@@ -14,11 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.body.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+# Joints that a detector places within centimetres from every side; faces are seen from the front only.
+STABLE_KEYPOINTS = tuple(f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right"))
 _NEAR_M = 0.1
 _BEAM = 200
+_MIN_SHARED = 4
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,22 @@ class TrackGraph:
     together: np.ndarray
 
 
+def stable_indices(layout: str) -> list[int]:
+    """Where the stable keypoints stand in a layout; -1 for missing ones."""
+    names = LAYOUTS[layout].keypoints
+    return [names.index(k) if k in names else -1 for k in STABLE_KEYPOINTS]
+
+
+def stable_detections(detections: Sequence[Detections], frames: np.ndarray | None = None) -> list[Detections]:
+    """The detections (of ``frames``, if given) with the stable keypoints only, in their order, whatever the layout of each camera was."""
+    chosen = []
+    for d in detections:
+        which = np.ones(len(d.frame), dtype=bool) if frames is None else np.isin(d.frame, frames)
+        padded = np.concatenate([d.keypoints[which], np.full((int(which.sum()), 1, 3), [np.nan, np.nan, 0.0])], axis=1)
+        chosen.append(Detections(d.camera, d.layout, d.frame[which], d.track[which], padded[:, stable_indices(d.layout)]))
+    return chosen
+
+
 def ray_distances(
     first_origin: np.ndarray, first: np.ndarray, second_origin: np.ndarray, second: np.ndarray, near_m: float = _NEAR_M
 ) -> np.ndarray:
@@ -54,13 +74,13 @@ def ray_distances(
     return np.where((range_first > near_m) & (range_second > near_m), np.linalg.norm(gap, axis=-1), np.inf)
 
 
-def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera], min_keypoints: int, keypoints: Sequence[int]) -> TrackGraph:
-    """The graph of all tracks; ``keypoints`` are the indices that are compared, ``min_keypoints`` how many a pair must share."""
+def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> TrackGraph:
+    """The graph of all tracks of detections with one common order of keypoints; a pair must share four of them in a frame."""
     nodes = [(v, int(t)) for v, d in enumerate(detections) for t in np.unique(d.track)]
     node_of = {node: i for i, node in enumerate(nodes)}
     count = len(nodes)
     distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
-    rays = [_directions(d.keypoints[:, keypoints], c) for d, c in zip(detections, cameras)]
+    rays = [_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
     for a in range(len(cameras)):
         for b in range(a, len(cameras)):
             first, second = _same_frame(detections[a].frame, detections[b].frame)
@@ -71,7 +91,7 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera], min
                 continue
             apart = ray_distances(cameras[a].centre_m, rays[a][0][first], cameras[b].centre_m, rays[b][0][second])
             shared = rays[a][1][first] & rays[b][1][second]
-            per_pair = _median_over(apart, shared, min_keypoints)
+            per_pair = _median_over(apart, shared, _MIN_SHARED)
             for row, column in sorted(set(zip(rows.tolist(), columns.tolist()))):
                 seen = per_pair[(rows == row) & (columns == column)]
                 seen = seen[~np.isnan(seen)]

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.associate``: which tracks of which cameras are the same person, and who is a person of this scene at all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.images.video import read_frames
+from studiorecon.people.evidence import EvidenceLimits, absent, foreground, keypoint_support, person_share
+from studiorecon.people.grouping import AssociationLimits, Group, group_tracks, torso_m
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.people import Detections, read_detections, write_identities, write_people
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Limits of agreement, of association and of the pictures' say."""
+
+    triangulation: Limits
+    association: AssociationLimits
+    evidence: EvidenceLimits
+
+
+def judge(group: Group, cameras: Sequence[Camera], frames: int, limits: AssociationLimits) -> str | None:
+    """Why a group is not a person of this scene, as the end of a sentence; None when it is one."""
+    seen_by = int(group.seen.any(1).sum())
+    needed = int(np.ceil(limits.camera_share * len(cameras)))
+    least = max(limits.least_frames, int(np.ceil(limits.least_share * frames)))
+    if len(group.frames) < least:
+        return f"two cameras agree in {len(group.frames)} frames only, {least} are needed"
+    if seen_by < needed:
+        return f"a bystander: {seen_by} of {len(cameras)} cameras see it, {needed} are needed"
+    length = torso_m(group)
+    if np.isfinite(length) and not limits.torso_m[0] <= length <= limits.torso_m[1]:
+        return f"its torso would be {length:.2f} m long"
+    return None
+
+
+def supports(
+    groups: Sequence[Group], detections: Sequence[Detections], videos: Sequence[Path], plates: Sequence[Path], limits: EvidenceLimits
+) -> list[float]:
+    """Share of every group's keypoints on pixels that differ from the clean plate, NaN when nothing could be judged."""
+    counts = np.zeros((len(groups), len(detections), 2), dtype=int)
+    for v, found in enumerate(progress(detections, "cameras")):
+        numbers = np.unique(found.frame)
+        if not len(numbers) or not limits.frames:
+            continue
+        picked = set(numbers[np.linspace(0, len(numbers) - 1, min(limits.frames, len(numbers))).round().astype(int)].tolist())
+        plate = _read_plate(plates[v])
+        for t, picture in enumerate(read_frames(videos[v], 0, max(picked) + 1)):
+            if t not in picked:
+                continue
+            present, measured = foreground(picture, plate, limits.difference)
+            for d in np.flatnonzero(found.frame == t):
+                for g, group in enumerate(groups):
+                    if (v, int(found.track[d])) in group.members:
+                        counts[g, v] += keypoint_support(found.keypoints[d], present, measured)
+    return [person_share([(int(on), int(judged)) for on, judged in views]) for views in counts]
+
+
+def _read_plate(path: Path) -> np.ndarray:
+    """(H, W, 4) uint8 RGBA."""
+    bgra = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if bgra is None or bgra.ndim != 3 or bgra.shape[2] != 4:
+        raise Refusal(f"plate {path} is not an RGBA picture; delete it and run again")
+    return cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA)
+
+
+def name_people(groups: Sequence[Group]) -> list[int]:
+    """Order of the groups as p0, p1, …: by first frame seen by two cameras, then by how long, then by x."""
+    return sorted(
+        range(len(groups)), key=lambda i: (groups[i].frames[0], -len(groups[i].frames), float(np.nanmedian(groups[i].centres_m[:, 0])))
+    )
+
+
+def run(
+    settings: Settings,
+    model: Path,
+    manifest: Path,
+    detections: list[Path],
+    videos: list[Path],
+    plates: list[Path],
+    people: Path,
+    identities: Path,
+) -> None:
+    """Write ``people`` (people.tsv, in order of appearance) and ``identities`` (camera, track → person, empty = rejected)."""
+    cameras, found = read_model(model.parent), read_manifest(manifest)
+    given = [read_detections(p) for p in detections]
+    if [d.camera for d in given] != [c.name for c in cameras]:
+        raise Refusal(
+            f"detections are of {[d.camera for d in given]}, the model has {[c.name for c in cameras]}; delete results and run again"
+        )
+    groups = group_tracks(given, cameras, found.frames, found.fps, settings.association, settings.triangulation)
+    kept = []
+    for group in groups:
+        reason = judge(group, cameras, found.frames, settings.association)
+        if reason is None:
+            kept.append(group)
+        else:
+            say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
+    if kept and videos and plates and settings.evidence.frames:
+        kept = _confirmed(kept, supports(kept, given, videos, plates, settings.evidence), cameras, settings.evidence)
+    kept = [kept[i] for i in name_people(kept)]
+    table = {(d.camera, int(t)): "" for d in given for t in np.unique(d.track)}
+    rows = []
+    for number, group in enumerate(kept):
+        table |= {(cameras[v].name, t): f"p{number}" for v, t in group.members}
+        seen_by = [c.name for c, seen in zip(cameras, group.seen.any(1)) if seen]
+        confidence = float(np.nanmean(group.agreement))
+        rows.append((f"p{number}", len(group.frames), ",".join(seen_by), confidence))
+        say(
+            f"p{number}: seen in {len(group.frames)} of {found.frames} frames by {', '.join(seen_by)}; "
+            f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
+        )
+    rejected = sum(not person for person in table.values())
+    say(f"{len(rows)} people; {rejected} of {len(table)} tracks belong to nobody" if table else "no people: no camera has a detection")
+    write_people(people, rows)
+    write_identities(identities, table)
+
+
+def _confirmed(groups: list[Group], shares: list[float], cameras: Sequence[Camera], limits: EvidenceLimits) -> list[Group]:
+    kept = []
+    for group, share, gone in zip(groups, shares, absent(shares, limits)):
+        if gone:
+            say(
+                f"not a person of this scene: {_tracks(group, cameras)}: the pictures show nobody there, {share:.0%} of "
+                "its keypoints lie on pixels that differ from the clean plate"
+            )
+        else:
+            kept.append(group)
+    if kept and not any(share >= limits.present_share for share in shares):
+        listed = ", ".join(f"{share:.0%}" for share in shares)
+        say(
+            f"whether the pictures show these people is undetermined: {listed} of their keypoints differ from the clean plates, which may hold them"
+        )
+    return kept
+
+
+def _tracks(group: Group, cameras: Sequence[Camera]) -> str:
+    return "tracks " + ", ".join(f"{cameras[v].name}/{t}" for v, t in group.members)

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Groups of per-camera tracks that are one person: chosen by rays, checked by triangulation, joined over gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, groups_of, stable_detections, track_graph
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+
+@dataclass(frozen=True)
+class AssociationLimits:
+    """Which tracks are one person, and who counts as one; see ``config.yaml`` for each value's meaning."""
+
+    gate_m: float
+    sigma_position_m: float
+    sigma_pose_rad: float
+    track_agreement: float
+    camera_share: float
+    least_frames: int
+    least_share: float
+    torso_m: tuple[float, float]
+    reentry_speed_m_s: float
+    reentry_s: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """Tracks that show one person.
+
+    Attributes:
+        members: (view, track) pairs, sorted.
+        points_m: (T, K, 3) stable keypoints, NaN where undetermined.
+        agreement: (V,) share of each view's keypoints that agree with the points, NaN where it has none.
+        seen: (V, T) bool: the view has an agreeing keypoint in that frame.
+    """
+
+    members: tuple[tuple[int, int], ...]
+    points_m: np.ndarray
+    agreement: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Frames in which at least two cameras agree."""
+        return np.flatnonzero(self.seen.sum(0) >= 2)
+
+    @property
+    def centres_m(self) -> np.ndarray:
+        """(T, 3) median of the determined keypoints, NaN where there are none."""
+        known = np.isfinite(self.points_m).all(-1)
+        centres = np.full((len(self.points_m), 3), np.nan)
+        for t in np.flatnonzero(known.any(-1)):
+            centres[t] = np.median(self.points_m[t, known[t]], axis=0)
+        return centres
+
+
+def group_tracks(
+    detections: Sequence[Detections], cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits, agree: Limits
+) -> list[Group]:
+    """All groups of at least two cameras, whoever they are; ``judge`` decides who counts."""
+    stable = stable_detections(detections)
+    graph = track_graph(stable, cameras)
+    chosen = [
+        [(int(graph.view[n]), int(graph.track[n])) for n in g]
+        for g in groups_of(graph.distance_m, graph.view, graph.together, limits.gate_m)
+    ]
+    groups = []
+    for members in chosen:
+        group = _without_strangers(_group(members, stable, cameras, frames, agree), stable, cameras, frames, limits, agree)
+        if group is not None:
+            groups.append(group)
+    groups = _with_leftovers(groups, stable, cameras, frames, limits, agree)
+    return _joined_over_gaps(groups, stable, cameras, frames, fps, limits, agree)
+
+
+def torso_m(group: Group) -> float:
+    """Median distance from the middle of the shoulders to the middle of the hips; NaN when never seen."""
+    at = [STABLE_KEYPOINTS.index(f"{s}_{j}") for j in ("shoulder", "hip") for s in ("left", "right")]
+    ends = group.points_m[:, at]
+    known = np.isfinite(ends).all((1, 2))
+    lengths = np.linalg.norm(ends[known, :2].mean(1) - ends[known, 2:].mean(1), axis=-1)
+    return float(np.median(lengths)) if len(lengths) else float("nan")
+
+
+def _group(
+    members: Sequence[tuple[int, int]], stable: Sequence[Detections], cameras: Sequence[Camera], frames: int, agree: Limits
+) -> Group:
+    pixels, confidence = _observed(members, stable, frames)
+    views, times, count = confidence.shape
+    found = triangulate(pixels.reshape(views, -1, 2), confidence.reshape(views, -1), cameras, agree)
+    inliers = found.inliers.reshape(views, times, count)
+    judged = (confidence > agree.min_confidence) & found.valid.reshape(times, count)
+    total = judged.sum((1, 2))
+    agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
+    return Group(tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.any(-1))
+
+
+def _observed(members: Sequence[tuple[int, int]], stable: Sequence[Detections], frames: int) -> tuple[np.ndarray, np.ndarray]:
+    pixels = np.full((len(stable), frames, len(STABLE_KEYPOINTS), 2), np.nan)
+    confidence = np.zeros(pixels.shape[:-1])
+    for view, track in members:
+        which = stable[view].track == track
+        pixels[view, stable[view].frame[which]] = stable[view].keypoints[which, :, :2]
+        confidence[view, stable[view].frame[which]] = stable[view].keypoints[which, :, 2]
+    return pixels, confidence
+
+
+def track_agreements(group: Group, stable: Sequence[Detections], cameras: Sequence[Camera], agree: Limits) -> dict[tuple[int, int], float]:
+    """Share of every member's keypoints that lie within the outlier limit of the group's points."""
+    return {m: _fit(m, group, stable, cameras, agree)[0] for m in group.members}
+
+
+def _fit(
+    member: tuple[int, int], group: Group, stable: Sequence[Detections], cameras: Sequence[Camera], agree: Limits
+) -> tuple[float, int]:
+    view, track = member
+    which = np.flatnonzero(stable[view].track == track)
+    projected, depth = cameras[view].project(group.points_m[stable[view].frame[which]])
+    comparable = (stable[view].keypoints[which, :, 2] > agree.min_confidence) & (np.nan_to_num(depth, nan=-1.0) > agree.near_m)
+    error = np.linalg.norm(projected - stable[view].keypoints[which, :, :2], axis=-1)
+    limit = unit_px([cameras[view]], agree)[0] * agree.outlier_units
+    total = int(comparable.sum())
+    return (float((np.where(comparable, error, np.inf) < limit).sum() / total) if total else float("nan")), total
+
+
+def _without_strangers(
+    group: Group, stable: Sequence[Detections], cameras: Sequence[Camera], frames: int, limits: AssociationLimits, agree: Limits
+) -> Group | None:
+    """The group without tracks that disagree with its points, worst first; None when fewer than two cameras remain."""
+    while len({v for v, _ in group.members}) >= 2:
+        shares = {m: s for m, s in track_agreements(group, stable, cameras, agree).items() if not s >= limits.track_agreement}
+        if not shares:
+            return group
+        worst = min(shares, key=lambda m: (np.nan_to_num(shares[m], nan=-1.0), m))
+        group = _group([m for m in group.members if m != worst], stable, cameras, frames, agree)
+    return None
+
+
+def _with_leftovers(
+    groups: list[Group], stable: Sequence[Detections], cameras: Sequence[Camera], frames: int, limits: AssociationLimits, agree: Limits
+) -> list[Group]:
+    """Groups with the tracks that no pair of rays placed, where their keypoints lie on a group's projected points (A14)."""
+    taken = {m for g in groups for m in g.members}
+    left = [(v, int(t)) for v, d in enumerate(stable) for t in np.unique(d.track) if (v, int(t)) not in taken]
+    for member in left:
+        fits = [(_fit(member, g, stable, cameras, agree), i) for i, g in enumerate(groups) if _free(member, g, stable)]
+        fits = [(share, -i) for (share, total), i in fits if total >= len(STABLE_KEYPOINTS) and share >= limits.track_agreement]
+        if fits:
+            i = -max(fits)[1]
+            groups[i] = _group([*groups[i].members, member], stable, cameras, frames, agree)
+    return groups
+
+
+def _free(member: tuple[int, int], group: Group, stable: Sequence[Detections]) -> bool:
+    """Whether the group has no detection of this camera in any of the member's frames: one detection per view."""
+    view, track = member
+    mine = stable[view].frame[stable[view].track == track]
+    theirs = [stable[view].frame[stable[view].track == t] for v, t in group.members if v == view]
+    return not any(np.intersect1d(mine, t).size for t in theirs)
+
+
+def _joined_over_gaps(
+    groups: list[Group],
+    stable: Sequence[Detections],
+    cameras: Sequence[Camera],
+    frames: int,
+    fps: float,
+    limits: AssociationLimits,
+    agree: Limits,
+) -> list[Group]:
+    """Groups that follow each other, as one: the gate grows with the time nobody was seen (A14); the nearest pair first."""
+    while True:
+        best: tuple[float, int, int] | None = None
+        for i, first in enumerate(groups):
+            for j, second in enumerate(groups):
+                if i == j or not all(_free(m, first, stable) for m in second.members):
+                    continue
+                first_seen, second_seen = (np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in (first, second))
+                if not len(first_seen) or not len(second_seen) or first_seen[-1] >= second_seen[0]:
+                    continue
+                gap_s = (second_seen[0] - first_seen[-1]) / fps
+                apart = float(np.linalg.norm(second.centres_m[second_seen[0]] - first.centres_m[first_seen[-1]]))
+                if (
+                    gap_s <= limits.reentry_s
+                    and apart < 2 * limits.gate_m + limits.reentry_speed_m_s * gap_s
+                    and (best is None or apart < best[0])
+                ):
+                    best = (apart, i, j)
+        if best is None:
+            return groups
+        merged = _group([*groups[best[1]].members, *groups[best[2]].members], stable, cameras, frames, agree)
+        groups = [g for k, g in enumerate(groups) if k not in best[1:]] + [merged]
