@@ -1,0 +1,48 @@
+# Static Gaussians of the room.
+
+
+rule background_train:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        plates=collect(
+            "results/{scene}/capture/{camera}.plate.png",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        depth=collect(
+            "results/{scene}/depth/{camera}.exr",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        shell="results/{scene}/depth/shell.json",
+        path="results/{scene}/views/path.json",
+        views=collect(
+            "results/{scene}/views/{segment}.mkv",
+            segment=SEGMENTS,
+            allow_missing=True,
+        ),
+        supports=collect(
+            "results/{scene}/views/{segment}.mask.mkv",
+            segment=SEGMENTS,
+            allow_missing=True,
+        ),
+    output:
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+    log:
+        "logs/{scene}/background/train.log",
+    benchmark:
+        "benchmarks/{scene}/background/train.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=3000,
+    params:
+        settings=settings("background"),
+        code=code("background.train"),
+    shell:
+        "python -m studiorecon background.train --settings {params.settings:q} --log {log}"
+        " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
+        " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
+        " --background {output.background} --provenance {output.provenance}"

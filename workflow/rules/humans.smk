@@ -1,0 +1,40 @@
+# One person as Gaussians that the body moves.
+
+
+rule humans_train:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        manifest="results/{scene}/capture/manifest.json",
+        people="results/{scene}/people/people.tsv",
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        masks=collect(
+            "results/{scene}/masks/{camera}.mkv",
+            camera=TRAINING,
+            allow_missing=True,
+        ),
+        fit="results/{scene}/people/{person}.npz",
+        body=config["people"]["fit"]["body"],
+    output:
+        gaussians="results/{scene}/humans/{person}.ply",
+        avatar="results/{scene}/humans/{person}.npz",
+    log:
+        "logs/{scene}/humans/train/{person}.log",
+    benchmark:
+        "benchmarks/{scene}/humans/train/{person}.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=3000,
+    params:
+        settings=settings("humans"),
+        code=code("humans.train"),
+    shell:
+        "python -m studiorecon humans.train --settings {params.settings:q} --log {log}"
+        " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
+        " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
+        " --gaussians {output.gaussians} --avatar {output.avatar}"

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Static Gaussians of the room, trained on clean plates and synthesized views.
+
+Writes ``background/scene.ply`` and ``background/provenance.npz`` (``provenance``: per Gaussian, in PLY order, measured / inferred /
+invented as in ``scene/provenance.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.background import shell as room
+from studiorecon.background.seeding import random_volume, seeds_from_depth
+from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
+from studiorecon.errors import Refusal
+from studiorecon.images.exr import read_depth
+from studiorecon.images.metrics import psnr
+from studiorecon.images.stills import read_plate
+from studiorecon.images.video import read_stack, to_float
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.discs import discs
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.scene.gaussians_ply import write_ply
+from studiorecon.scene.path import Step, read_path
+from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
+from studiorecon.scene.shell import Shell, read_shell
+from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.targets import Target, scene_extent
+from studiorecon.splatting.training import TrainingSettings, train
+
+_FLATNESS = 0.15  # of a wall's discs
+_WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
+_FILL_OPACITY = 0.9
+_SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the background is started and trained; see config.yaml."""
+
+    start: Literal["depth", "random"]
+    random_count: int
+    random_size_m: float
+    stride: int
+    seed_size: float
+    seed_opacity: float
+    measured_confidence: float
+    equalise: bool
+    fill: bool
+    fill_step_m: float
+    fill_limit: int
+    views_share: float
+    hole_weight: float
+    plate_boost: float
+    seed: int
+    training: TrainingSettings
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A training camera's clean plate: ``rgb`` (H, W, 3) float32, ``known`` (H, W) bool, ``depth_m`` and ``confidence`` (H, W)."""
+
+    camera: Camera
+    rgb: np.ndarray
+    known: np.ndarray
+    depth_m: np.ndarray
+    confidence: np.ndarray
+
+
+def seeds(photos: Sequence[Photo], shell: Shell, settings: Settings) -> tuple[Gaussians, np.ndarray]:
+    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the shell where nobody sees it."""
+    degree = settings.training.sh_degree
+    sets, marks = [], []
+    for photo in photos:
+        made, at = seeds_from_depth(
+            photo.camera, photo.rgb, photo.known, photo.depth_m, settings.stride, settings.seed_size, settings.seed_opacity, degree
+        )
+        sure = photo.confidence[at[:, 0], at[:, 1]] > settings.measured_confidence
+        sets.append(made)
+        marks.append(np.where(sure, MEASURED, INFERRED))
+    if settings.fill:
+        faces = room.faces_of(shell)
+        step_m = room.node_step(faces, settings.fill_step_m, settings.fill_limit)
+        cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
+        for painted in room.paint(faces, cameras, plates, known, depths, step_m):
+            unseen = ~painted.seen
+            normals = np.tile(painted.face.normal, (int(unseen.sum()), 1))
+            width_m = step_m * _WIDTH_SHARE
+            sets.append(discs(painted.points_m[unseen], normals, painted.rgb[unseen], width_m, _FLATNESS, _FILL_OPACITY, degree))
+            marks.append(np.full(len(normals), INVENTED))
+    return concatenate(sets), np.concatenate(marks).astype(np.uint8)
+
+
+def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
+    """Every plate as a target; a photo stands at distance 0 of itself, so its pixels weigh 1 + ``boost`` (numerics U15, U16)."""
+    weight = view_weight(0.0, cutoff_angle([p.camera for p in photos]), boost)
+    return [Target(p.camera, p.rgb, p.known * np.float32(weight)) for p in photos]
+
+
+def view_targets(
+    steps: Sequence[Step], pictures: Sequence[np.ndarray], supports: Sequence[np.ndarray], cameras: Sequence[Camera], settings: Settings
+) -> list[Target]:
+    """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix C).
+
+    Views that stand where a photo does are left out: the photo is there already.
+    """
+    cutoff = cutoff_angle(cameras)
+    targets = []
+    for step, rgb, support in zip(steps, pictures, supports, strict=True):
+        nearest = min(angle_between_axes(step.camera, c) for c in cameras)
+        if min(np.linalg.norm(step.camera.centre_m - c.centre_m) for c in cameras) < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
+            continue
+        weight = view_weight(nearest, cutoff, settings.plate_boost)
+        targets.append(Target(step.camera, to_float(rgb), support_weight(support, settings.hole_weight) * np.float32(weight)))
+    return targets
+
+
+def _read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], shell: Shell, settings: Settings) -> list[Photo]:
+    if not len(cameras) == len(plates) == len(depth):
+        raise Refusal(
+            f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; one of each is needed per camera"
+        )
+    photos = []
+    for camera, plate_path, depth_path in zip(cameras, plates, depth):
+        rgb, known = read_plate(plate_path)
+        depth_m, confidence = read_depth(depth_path)
+        for name, hw in ((plate_path, rgb.shape[:2]), (depth_path, depth_m.shape)):
+            if hw != camera.hw:
+                raise Refusal(f"{name} is {hw[1]}×{hw[0]} pixels, but camera {camera.name} works at {camera.wh[0]}×{camera.wh[1]}")
+        if not known.any():
+            raise Refusal(f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/")
+        if settings.equalise and camera.name in shell.gains:
+            rgb = np.clip(rgb / shell.gains[camera.name].astype(np.float32), 0, 1)
+        photos.append(Photo(camera, rgb, known, depth_m, confidence))
+    return photos
+
+
+def _read_views(path: Path, views: list[Path], supports: list[Path], cameras: Sequence[Camera], settings: Settings) -> list[Target]:
+    """All synthesized views; none when their share of the draws is 0, or there are none."""
+    if settings.views_share == 0 or not views:
+        return []
+    steps, _ = read_path(path)
+    segments = list(dict.fromkeys(step.segment for step in steps))
+    if not len(segments) == len(views) == len(supports):
+        raise Refusal(
+            f"{path} has {len(segments)} segments, but there are {len(views)} view videos and {len(supports)} masks; make views again"
+        )
+    targets = []
+    for segment, video, mask in zip(segments, views, supports):
+        own = [step for step in steps if step.segment == segment]
+        targets += view_targets(own, read_stack(video, 0, len(own)), read_stack(mask, 0, len(own)), cameras, settings)
+    return targets
+
+
+def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Settings) -> list[float]:
+    """PSNR of every plate on its measured pixels, dB."""
+    rasteriser = Rasteriser(near_m=settings.training.near_m)
+    return [psnr(rasteriser.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
+
+
+def run(
+    settings: Settings,
+    model: Path,
+    plates: list[Path],
+    depth: list[Path],
+    shell: Path,
+    path: Path,
+    views: list[Path],
+    supports: list[Path],
+    background: Path,
+    provenance: Path,
+) -> None:
+    """Train the background and write it with its provenance."""
+    cameras = read_model(model.parent)
+    box = read_shell(shell)
+    photos = _read_photos(cameras, plates, depth, box, settings)
+    rng = np.random.default_rng(settings.seed)
+    if settings.start == "depth":
+        start, marks = seeds(photos, box, settings)
+        shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
+        say(f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on default walls, {shares[2]} where nobody sees")
+    else:
+        start = random_volume(cameras, settings.random_count, settings.random_size_m, settings.training.sh_degree, rng)
+        marks = np.full(start.count, MEASURED, np.uint8)
+        say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
+    real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
+    say(
+        f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {settings.views_share if synthesized else 0:.0%} of the steps"
+    )
+    shares = draw_shares(len(real), len(synthesized), settings.views_share)
+    targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
+    trained = train(start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background")
+    marks = marks[trained.source]
+    scores = _plate_scores(trained.gaussians, photos, settings)
+    say(f"{trained.gaussians.count} Gaussians after training; plates at {np.mean(scores):.2f} dB on average, {min(scores):.2f} at worst")
+    write_ply(background, trained.gaussians)
+    write_npz(provenance, {"provenance": marks})

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The person's motion while it is being refined on the pictures: joint turns per frame, moved by image gradients.
+
+The paper refines SMPL poses jointly with the Gaussians under a temporal smoothness term (appendix D, weight 50). Turns live on
+SO(3): each step is a small rotation put in front of the joint's own, so nothing wraps or needs an Euler angle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.geometry import rotations
+
+_FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
+# Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
+_HELD = (10, 11, 15, 22, 23)  # feet (toes), head, hands
+
+
+class Motion:
+    """Local joint rotations and pelvis positions of T frames, with Adam's state per frame.
+
+    Attributes:
+        local: (T, 24, 3, 3) rotations relative to the parent; joint 0's is in the world.
+        trans_m: (T, 3) pelvis positions.
+    """
+
+    def __init__(self, poses: np.ndarray, trans_m: np.ndarray, rest_joints_m: np.ndarray, parents: np.ndarray) -> None:
+        self.local = rotations.exp(np.asarray(poses, np.float64).reshape(-1, 24, 3))
+        self.trans_m = np.asarray(trans_m, np.float64).copy()
+        self.rest_joints_m, self.parents = rest_joints_m, parents
+        self._subtree = np.eye(24, dtype=bool)
+        for joint in range(23, 0, -1):
+            self._subtree[parents[joint]] |= self._subtree[joint]
+        self._first, self._second = np.zeros((len(self.local), 25, 3)), np.zeros((len(self.local), 25, 3))
+        self._steps = np.zeros(len(self.local), np.int64)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """(T, 72) axis-angle."""
+        return rotations.log(self.local).reshape(-1, 72)
+
+    def transforms(self, frame: int) -> np.ndarray:
+        """(24, 4, 4) world_from_rest of one frame."""
+        world, joints = self._chain(frame)
+        transforms = np.tile(np.eye(4), (24, 1, 1))
+        transforms[:, :3, :3] = world
+        transforms[:, :3, 3] = joints - np.einsum("jab,jb->ja", world, self.rest_joints_m)
+        return transforms
+
+    def _chain(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        world, joints = np.empty((24, 3, 3)), np.empty((24, 3))
+        world[0], joints[0] = self.local[frame, 0], self.trans_m[frame]
+        for joint in range(1, 24):
+            parent = self.parents[joint]
+            world[joint] = world[parent] @ self.local[frame, joint]
+            joints[joint] = joints[parent] + world[parent] @ (self.rest_joints_m[joint] - self.rest_joints_m[parent])
+        return world, joints
+
+    def gradient(self, frame: int, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """(25, 3) gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
+
+        ``force``, ``torque`` (24, 3) per bone as in ``body.posing.bone_wrenches``.
+        """
+        world, joints = self._chain(frame)
+        total_force, total_torque = self._subtree @ force, self._subtree @ torque
+        in_world = total_torque - np.cross(joints, total_force)
+        gradient = np.zeros((25, 3))
+        gradient[0] = in_world[0]
+        gradient[1:24] = np.einsum("jab,ja->jb", world[self.parents[1:]], in_world[1:])
+        gradient[24] = total_force[0]
+        return gradient
+
+    def smoothness_gradient(self, frame: int, weight: float) -> np.ndarray:
+        """(25, 3) gradient of weight · mean(squared geodesic first difference) + the same of translation in metres (numerics U51)."""
+        gradient = np.zeros((25, 3))
+        for other in (frame - 1, frame + 1):
+            if 0 <= other < len(self.local):
+                # d|log(R_oᵀ exp(ω) R)|²/dω = 2 log(R R_oᵀ): the turn from the neighbour, in the parent's axes.
+                turn = rotations.log(self.local[frame] @ np.swapaxes(self.local[other], -1, -2))
+                gradient[:24] += 2 * weight * turn / 24
+                gradient[24] += 2 * weight * (self.trans_m[frame] - self.trans_m[other])
+        return gradient
+
+    def step(self, frame: int, gradient: np.ndarray, rate: float) -> None:
+        """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not move (O04)."""
+        gradient = np.where(np.isfinite(gradient), gradient, 0.0)
+        gradient[list(_HELD)] = 0.0
+        self._steps[frame] += 1
+        first, second = self._first[frame], self._second[frame]
+        first += (1 - _FIRST_DECAY) * (gradient - first)
+        second += (1 - _SECOND_DECAY) * (gradient**2 - second)
+        count = self._steps[frame]
+        change = -rate * (first / (1 - _FIRST_DECAY**count)) / (np.sqrt(second / (1 - _SECOND_DECAY**count)) + 1e-12)
+        self.local[frame] = rotations.project_to_so3(rotations.exp(change[:24]) @ self.local[frame])
+        self.trans_m[frame] += change[24]

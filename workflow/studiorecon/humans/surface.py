@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Canonical Gaussians on the body's surface, and what lies beside what there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from studiorecon.scene.discs import discs
+from studiorecon.scene.gaussians import Gaussians
+
+# A disc's standard deviation as a share of the spacing, so that neighbours just overlap, and its thickness as a share of that.
+_WIDTH, _FLATNESS = 0.6, 0.33
+_OPACITY = 0.9
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points spread over a body mesh.
+
+    Attributes:
+        points_m: (N, 3) float64, canonical pose.
+        normals: (N, 3) outward unit normals.
+        weights: (N, 24) skinning weights, mixed from the face's corners.
+        spacing_m: root of the area per point.
+    """
+
+    points_m: np.ndarray
+    normals: np.ndarray
+    weights: np.ndarray
+    spacing_m: float
+
+
+def sample_surface(vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, count: int, rng: np.random.Generator) -> SurfaceSamples:
+    """``count`` points over the mesh, evenly by area: one in every ``count``-th of the area in face order, jittered.
+
+    Faces that follow each other in a body mesh lie beside each other, so equal steps along the summed area leave neither clumps
+    nor gaps, which independent draws would.
+    """
+    corners = vertices_m[faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(crosses, axis=1) / 2
+    total = np.cumsum(areas)
+    at = (np.arange(count) + rng.random(count)) / count * total[-1]
+    face = np.minimum(np.searchsorted(total, at), len(faces) - 1)
+    u, v = rng.random((2, count))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    mix = np.stack([1 - u - v, u, v], axis=1)
+    vertex_normals = np.zeros_like(vertices_m)
+    np.add.at(vertex_normals, faces.reshape(-1), np.repeat(crosses, 3, axis=0))
+    normals = np.einsum("nk,nkc->nc", mix, vertex_normals[faces[face]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    mixed = np.einsum("nk,nkb->nb", mix, np.asarray(weights, np.float64)[faces[face]])
+    points = np.einsum("nk,nkc->nc", mix, corners[face])
+    return SurfaceSamples(points, normals, mixed / mixed.sum(axis=1, keepdims=True), float(np.sqrt(total[-1] / count)))
+
+
+def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
+    """Grey discs on the samples, facing along their normals."""
+    grey = np.full_like(samples.points_m, 0.5)
+    return discs(samples.points_m, samples.normals, grey, samples.spacing_m * _WIDTH, _FLATNESS, _OPACITY, sh_degree)
+
+
+def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
+    """(N, count) indices of the nearest samples whose normals agree, so that a palm does not border on the thigh beside it.
+
+    Samples with fewer agreeing neighbours repeat themselves.
+    """
+    _, near = cKDTree(samples.points_m).query(samples.points_m, k=2 * count + 1)
+    near = near[:, 1:]
+    agree = np.einsum("nc,nkc->nk", samples.normals, samples.normals[near]) > 0
+    order = np.argsort(~agree, axis=1, kind="stable")[:, :count]
+    chosen, fits = np.take_along_axis(near, order, axis=1), np.take_along_axis(agree, order, axis=1)
+    return np.where(fits, chosen, np.arange(len(near))[:, None])
+
+
+def mirrored(samples: SurfaceSamples, within_m: float) -> np.ndarray:
+    """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond ``within_m``."""
+    distance, index = cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
+    return np.where(distance <= within_m, index, -1)
+
+
+def fill_unseen(values: np.ndarray, seen: np.ndarray, near: np.ndarray, twin: np.ndarray, passes: int = 400) -> np.ndarray:
+    """``values`` (N, C) with the unseen rows replaced: from the body's other side where that was seen, else spread from seen neighbours.
+
+    Spreading is repeated averaging over ``near`` (the discrete Laplace equation with seen rows held), started from the mean of
+    all seen rows. Rows stay as they are when nothing was seen.
+    """
+    if not seen.any() or seen.all():
+        return values
+    filled = values.astype(np.float64).copy()
+    from_twin = ~seen & (twin >= 0) & seen[np.maximum(twin, 0)]
+    filled[from_twin] = filled[twin[from_twin]]
+    known = seen | from_twin
+    filled[~known] = filled[seen].mean(axis=0)
+    hidden = np.flatnonzero(~known)
+    for _ in range(passes if len(hidden) else 0):
+        filled[hidden] = filled[near[hidden]].mean(axis=1)
+    # The seam between copied and seen rows: a few passes over the copied ones take the edge off.
+    copied = np.flatnonzero(from_twin)
+    for _ in range(3 if len(copied) else 0):
+        filled[copied] = filled[near[copied]].mean(axis=1)
+    return filled.astype(values.dtype)

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One person as Gaussians in the body's rest pose, trained on every training camera's frames.
+
+Writes ``humans/<person>.ply`` (canonical Gaussians) and ``humans/<person>.npz`` (skinning, refined motion, provenance; see
+``body/avatar.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.body.avatar import Avatar, write_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.body.posing import MAX_SH_DEGREE, Posing
+from studiorecon.body.weight_grid import build_weight_grid, strongest
+from studiorecon.errors import Refusal
+from studiorecon.humans.colouring import look, nearest_surface
+from studiorecon.humans.training import Limits, Losses, Rates, train_gaussians
+from studiorecon.humans.footage import Crop, crops_of
+from studiorecon.humans.motion import Motion
+from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
+from studiorecon.images.video import read_frames
+from studiorecon.progress import say
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
+from studiorecon.scene.people import Person, read_people, read_person
+from studiorecon.scene.provenance import INFERRED, MEASURED
+
+_BONES_KEPT = 4
+_NEIGHBOURS = 8
+# Pictures that colours start from: enough to see every side of a turning person, few enough to take a second.
+_LOOKS = 160
+# A Gaussian is measured when the weight of its looks passes that of one frontal look from 20 focal lengths per metre.
+_SEEN_WEIGHT = 20.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a person is started and trained; see config.yaml."""
+
+    gaussians: int
+    sh_degree: int
+    skinning: Literal["surface", "grid"]
+    grid_resolution: int
+    grid_margin: float
+    iterations: int
+    pose_from: int
+    margin_px: int
+    edge_px: int
+    occluder_px: int
+    smallest_px: int
+    near_m: float
+    seed: int
+    losses: Losses
+    rates: Rates
+    limits: Limits
+
+
+def skinning_weights(
+    samples: SurfaceSamples, vertices_m: np.ndarray, weights: np.ndarray, settings: Settings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joints (N, 4) and weights (N, 4): the surface's own, or those of the paper's voxel grid.
+
+    The grid mixes what is nearer than a voxel (3 cm at 64³), fingers and thighs among it (numerics L06); the surface does not.
+    """
+    if settings.skinning == "surface":
+        return strongest(samples.weights, _BONES_KEPT)
+    grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
+    return strongest(grid.query(samples.points_m), _BONES_KEPT)
+
+
+def first_colours(samples: SurfaceSamples, posing: Posing, motion: Motion, crops: Sequence[Crop]) -> tuple[np.ndarray, np.ndarray]:
+    """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
+    sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
+    chosen = np.unique(np.linspace(0, len(crops) - 1, min(_LOOKS, len(crops))).astype(int))
+    points = samples.points_m.astype(np.float32)
+    nothing = np.zeros((len(points), 1, 3), np.float32)
+    for crop in (crops[i] for i in chosen):
+        means, _, _ = posing.out(points, np.tile(np.float32([1, 0, 0, 0]), (len(points), 1)), nothing, motion.transforms(crop.frame))
+        normals = np.einsum("nab,nb->na", posing.turn, samples.normals)
+        pixels, depth_m = crop.camera.project(means.astype(np.float64))
+        # A disc covers about its spacing; the nearest surface has to close over the gaps between the points.
+        reach = int(np.ceil(samples.spacing_m * np.mean(crop.camera.focal_px) / max(float(np.median(depth_m)), 0.1)))
+        look(crop, means.astype(np.float64), normals, nearest_surface(pixels, depth_m, crop.camera.hw, reach), sums, weights)
+    seen = weights > _SEEN_WEIGHT
+    return np.where(seen[:, None], sums / np.maximum(weights, 1e-12)[:, None], 0.5), seen
+
+
+def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin: np.ndarray) -> Gaussians:
+    """The trained Gaussians with every unseen one's colour taken from its surroundings on the body; training showed it silhouettes only."""
+    sh = np.where(seen[:, None, None], trained.sh, 0)
+    sh[:, 0] = fill_unseen(trained.sh[:, 0], seen, near, twin)
+    return replace(trained, sh=sh)
+
+
+def run(
+    settings: Settings, person: str, model: Path, manifest: Path, people: Path, videos: list[Path], masks: list[Path], fit: Path,
+    body: Path, gaussians: Path, avatar: Path,
+) -> None:  # fmt: skip
+    """Train one person and write the avatar."""
+    cameras = read_model(model.parent)
+    footage = read_manifest(manifest)
+    if not len(cameras) == len(videos) == len(masks):
+        raise Refusal(f"{len(videos)} videos and {len(masks)} masks for {len(cameras)} training cameras; one of each is needed per camera")
+    if settings.sh_degree > MAX_SH_DEGREE:
+        raise Refusal(f"humans.sh_degree is {settings.sh_degree}; moving Gaussians rotate harmonics up to degree {MAX_SH_DEGREE} only")
+    names = read_people(people)
+    if person not in names:
+        raise Refusal(f"{person} is not among the people of {people} ({', '.join(names) or 'none'})")
+    fitted = read_person(fit)
+    body_model = BodyModel.load(body)
+    if fitted.body != body_model.identity:
+        raise Refusal(f"{fit} was fitted with the body model {fitted.body}, but {body} is {body_model.identity}; fit {person} again")
+    crops = _read_crops(settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames)
+    if not crops:
+        raise Refusal(
+            f"no training camera shows {settings.smallest_px} pixels of {person} in any frame with a fitted body; check the masks, or "
+            "remove the person in people/identities.tsv"
+        )
+    rng = np.random.default_rng(settings.seed)
+    rest = body_model.rest_vertices(fitted.betas)
+    outside = np.array([name != "inside" for name in body_model.region_names])
+    samples = sample_surface(
+        rest, body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]], body_model.weights, settings.gaussians, rng
+    )
+    bones, weights = skinning_weights(samples, rest, body_model.weights, settings)
+    posing = Posing(bones, weights)
+    motion = Motion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents)
+    colours, seen = first_colours(samples, posing, motion, crops)
+    near, twin = neighbours(samples, _NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
+    start = gaussians_on(samples, settings.sh_degree)
+    start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
+    say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
+    trained = train_gaussians(
+        start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
+        settings.limits, settings.near_m, rng,
+    )  # fmt: skip
+    trained = recolour_unseen(trained, seen, near, twin)
+    moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
+    say(
+        f"{person}: Gaussians moved {np.median(moved_mm):.1f} mm from the body's surface in the median, {np.quantile(moved_mm, 0.99):.0f} mm at most (99 %)"
+    )
+    write_avatar(gaussians, avatar, Avatar(
+        person=person, model=body_model, gaussians=trained, bones=bones, weights=weights,
+        provenance=np.where(seen, MEASURED, INFERRED).astype(np.uint8), poses=motion.poses, trans=motion.trans_m, betas=fitted.betas,
+        valid=fitted.valid, fps=fitted.fps, metric=fitted.metric,
+    ))  # fmt: skip
+
+
+def _read_crops(
+    settings: Settings,
+    cameras: Sequence,
+    videos: list[Path],
+    masks: list[Path],
+    fitted: Person,
+    body_model: BodyModel,
+    label: int,
+    frames: int,
+) -> list[Crop]:
+    vertices = body_model.vertices(fitted.poses, fitted.betas, fitted.trans)
+    crops = []
+    for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
+        crops += crops_of(
+            view, camera, read_frames(video, 0, frames), read_frames(mask, 0, frames), vertices, fitted.valid, label,
+            settings.margin_px, settings.edge_px, settings.occluder_px, settings.smallest_px,
+        )  # fmt: skip
+    return crops
