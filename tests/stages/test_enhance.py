@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""enhance: the residual transfer, the recursion around it, and the files a shot leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.enhance import shot as enhance_shot
+from studiorecon.enhance.enhancer import Moment, Unchanged, loop_gain
+from studiorecon.enhance.playback import Playback
+from studiorecon.enhance.residual import ResidualTransfer, Transfer, best_strength, carried_over, source
+from studiorecon.errors import Refusal
+from studiorecon.images.metrics import psnr
+from studiorecon.images.video import read_frame, read_stack, write_lossless
+from studiorecon.render import shot as render_shot
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.path import Step, read_path
+
+from tests.stages.made_scene import FRAMES, enhance_options, render_options, ring, write_scene
+
+TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
+    """Footage of a scene, and shots of a background whose colours are 10 % too dark: the residual is the same everywhere."""
+    folder = tmp_path_factory.mktemp("scene")
+    write_scene(folder, root, people=0)
+    right = read_ply(folder / "background/scene.ply")
+    write_ply(folder / "background/scene.ply", replace(right, sh=right.sh - np.float32(0.1 / 0.28209479)))
+    section = default_settings("render")
+    section["shots"] = {"heldout": {"kind": "heldout"}}
+    settings = settings_module.load(render_shot.Settings, section, "render")
+    for shot in ("train", "heldout"):
+        render_shot.run(settings, **render_options(folder, shot, people=0))
+    return folder
+
+
+@pytest.fixture
+def settings(default_settings: Callable) -> enhance_shot.Settings:
+    return settings_module.load(enhance_shot.Settings, default_settings("enhance"), "enhance")
+
+
+def score(folder: Path, video: Path) -> float:
+    steps, _ = read_path(folder / "render/heldout.json")
+    pairs = zip(steps, read_stack(video))
+    return float(np.mean([psnr(picture, read_frame(folder / f"capture/{s.camera.name}.mkv", int(s.frame))) for s, picture in pairs]))
+
+
+def test_residual_transfer_repairs_what_every_training_camera_sees_wrong(scene: Path, settings: enhance_shot.Settings) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    enhance_shot.run(replace(settings, strength=1.0), **options)
+    raw, enhanced = score(scene, scene / "render/heldout.mkv"), score(scene, options["video"])
+    assert enhanced > raw + 1.0
+    assert read_path(scene / "render/heldout.json")[0][0].segment == "view0"
+    assert len(read_stack(options["video"])) == 2 * FRAMES
+    assert options["film"].read_bytes()[4:8] == b"ftyp"
+
+
+def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: enhance_shot.Settings) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    contents = []
+    for _ in range(2):
+        enhance_shot.run(settings, **options)
+        contents.append((options["video"].read_bytes(), options["film"].read_bytes()))
+    assert contents[0] == contents[1]
+
+
+def test_without_enhancer_and_history_the_render_comes_out(scene: Path, settings: enhance_shot.Settings) -> None:
+    plain = replace(settings, enhancer="none", injection=replace(settings.injection, history=0))
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    enhance_shot.run(plain, **options)
+    np.testing.assert_array_equal(read_stack(options["video"]), read_stack(options["render"]))
+
+
+def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: enhance_shot.Settings) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    with pytest.raises(Refusal, match="render the shot train again"):
+        enhance_shot.run(settings, **{**options, "train_path": scene / "render/heldout.json"})
+
+
+def one_view() -> tuple:
+    """A training camera that looks at a wall 3 m away with a residual of 0.2 in red, and a view 20° beside it."""
+    camera, view = ring([0, 20], "cam")
+    height, width = camera.hw
+
+    def wall_depth(one) -> np.ndarray:
+        origin, rays = one.rays()
+        return np.where(rays[..., 0] < 0, (-3.0 - origin[0]) / np.minimum(rays[..., 0], -1e-9), 0).astype(np.float32)
+
+    photo = np.zeros((height, width, 3), np.uint8)
+    photo[..., 0] = 51
+    return camera, view, wall_depth(camera), wall_depth(view), photo
+
+
+def test_residual_lands_only_on_surfaces_that_the_camera_sees() -> None:
+    camera, view, depth, view_depth, photo = one_view()
+    residual, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    seen = cover > 0
+    assert 0.3 < seen.mean() < 1
+    np.testing.assert_allclose(residual[seen][:, 0], 0.2, atol=1e-5)
+    pixels, distance = camera.project(view.unproject(view.pixel_centres(), view_depth.astype(float)))
+    outside = (distance <= 0) | (pixels < 0).any(axis=-1) | (pixels > np.array(camera.wh)).any(axis=-1)
+    assert not seen[outside].any()
+    nearer, covered = carried_over(
+        view, np.where(view_depth > 0, view_depth * 0.8, 0), [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER
+    )
+    assert (covered == 0).all(), "another surface in front of the wall is not what the camera saw"
+    assert np.isfinite(nearer).all()
+
+
+def test_unseen_and_unknown_pixels_stay_untouched() -> None:
+    camera, view, depth, view_depth, photo = one_view()
+    view_depth = view_depth.copy()
+    view_depth[:20] = 0
+    enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
+    image = np.random.default_rng(0).random((*view.hw, 3)).astype(np.float32) * 0.5
+    moment = Moment(view, 0.0, view_depth, np.zeros(view.hw, np.float32))
+    output = enhancer.enhance(image, photo, moment)
+    _, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    np.testing.assert_array_equal(output[cover == 0], image[cover == 0])
+    np.testing.assert_array_equal(output[:20], image[:20])
+    assert (output[cover > 0.9][:, 0] > image[cover > 0.9][:, 0] + 0.15).all()
+
+
+def test_corrections_fade_in_towards_seams() -> None:
+    camera, view, depth, view_depth, photo = one_view()
+    wide = replace(TRANSFER, feather_px=12.0)
+    _, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, wide)], wide)
+    steps = np.abs(np.diff(cover, axis=1))
+    assert steps.max() < 0.2, "no correction starts at full strength"
+
+
+def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
+    """History already carries the correction; adding it again in full would end at 1 / (1 - w) times the residual."""
+    camera, view, depth, view_depth, photo = one_view()
+    enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
+    section = enhance_shot.Injection(3, 0.3, 0.5, 60.0, 11, 2.0, "residual")
+    picture = np.full((*view.hw, 3), 60, np.uint8)
+    steps = [Step(view, 0.0, "00")] * 12
+    depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
+    outputs = list(enhance_shot.enhanced(steps, [picture] * 12, depths, lambda c, f: photo, enhancer, section, "medium"))
+    _, cover = carried_over(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
+    added = outputs[-1][..., 0].astype(float) - 60
+    np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
+
+
+def test_history_starts_anew_with_every_segment() -> None:
+    view = ring([0], "view")[0]
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 255, (*view.hw, 3), dtype=np.uint8) for _ in range(2)]
+    steps = [Step(view, 0.0, "a"), Step(view, 1.0, "b")]
+    depths = [np.full(view.hw, 2000, np.uint16)] * 2
+    loose = enhance_shot.Injection(3, 0.3, 0.5, 255.0, 11, 2.0, "residual")
+    together = list(enhance_shot.enhanced(steps, pictures, depths, lambda c, f: pictures[0], Unchanged(), loose, "medium"))
+    np.testing.assert_array_equal(together[1], pictures[1])
+
+
+def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> None:
+    class Brighter:
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            return image * np.float32(1.05)
+
+    view = ring([0], "view")[0]
+    picture, depth = np.full((*view.hw, 3), 100, np.uint8), np.full(view.hw, 2000, np.uint16)
+    injection = enhance_shot.Injection(3, 0.3, 0.5, 30.0, 11, 2.0, "residual")
+    with pytest.raises(Refusal, match=r"1\.050"):
+        next(enhance_shot.enhanced([Step(view, 0.0, "a")], [picture], [depth], lambda c, f: picture, Brighter(), injection, "medium"))
+
+
+def test_the_loop_gain_of_the_residual_transfer_is_one() -> None:
+    camera, view, depth, view_depth, photo = one_view()
+    enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
+    moment = Moment(view, 0.0, view_depth, np.zeros(view.hw, np.float32))
+    assert loop_gain(enhancer, photo, moment) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture() -> None:
+    """Theory for confidence 1: an autoregression with 0.3 · (4, 2, 1) / 7, whose steps are 0.93 of the noise's own."""
+
+    class Flickering:
+        def __init__(self) -> None:
+            self.rng = np.random.default_rng(0)
+
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            return np.clip(image + self.rng.normal(0, 6 / 255, image.shape).astype(np.float32), 0, 1)
+
+    view = ring([0], "view")[0]
+    picture = np.clip(np.random.default_rng(1).normal(120, 30, (*view.hw, 3)), 0, 255).astype(np.uint8)
+    depth = np.full(view.hw, 2000, np.uint16)
+
+    def flicker(history: int) -> float:
+        injection = enhance_shot.Injection(history, 0.3, 0.5, 30.0, 11, 2.0, "residual")
+        steps = [Step(view, float(i), "a") for i in range(20)]
+        outputs = list(enhance_shot.enhanced(steps, [picture] * 20, [depth] * 20, lambda c, f: picture, Flickering(), injection, "medium"))
+        return float(np.abs(np.diff(np.stack(outputs[4:]).astype(float), axis=0)).mean())
+
+    assert 0.90 < flicker(3) / flicker(0) < 0.95
+
+
+def test_strength_is_the_least_squares_factor_and_undetermined_without_overlap(settings: enhance_shot.Settings) -> None:
+    rng = np.random.default_rng(0)
+    predicted, cover = rng.normal(0, 0.1, (20, 30, 3)), np.ones((20, 30))
+    assert best_strength([(predicted, cover)], [0.6 * predicted])[0] == pytest.approx(0.6)
+    assert best_strength([(predicted, cover)], [-predicted])[0] == 0.0
+    assert best_strength([(predicted, 0 * cover)], [predicted]) == (0.0, 0.0)
+    assert best_strength([(predicted, cover)], [rng.normal(0, 0.1, predicted.shape)])[0] < 0.1
+
+
+def test_playback_goes_back_by_reading_again_and_stays_inside_its_part(tmp_path: Path) -> None:
+    frames = [np.full((16, 16), value, np.uint8) for value in range(10)]
+    write_lossless(tmp_path / "a.mkv", frames, 10.0)
+    part = Playback(tmp_path / "a.mkv", 3, 4)
+    assert [int(part.at(i)[0, 0]) for i in (0, 2, 2, 1, 3)] == [3, 5, 5, 4, 6]
+    with pytest.raises(IndexError, match="4 frames"):
+        part.at(4)
+
+
+def test_the_reference_is_the_training_photo_with_the_smallest_angle() -> None:
+    cameras = ring([0, 90, 180, 270], "cam")
+
+    class Photo:
+        def __init__(self, value: int) -> None:
+            self.value = value
+
+        def at(self, index: int) -> np.ndarray:
+            return np.array([self.value, index])
+
+    training = enhance_shot.Training(cameras, [Photo(i) for i in range(4)], [], [], 10)
+    assert training.reference(ring([60], "view")[0], training.nearest_frame(3.4)).tolist() == [1, 3]
+    assert training.reference(ring([350], "view")[0], training.nearest_frame(99.0)).tolist() == [0, 9]
