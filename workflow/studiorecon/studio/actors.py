@@ -53,6 +53,7 @@ class Troupe:
             self.actors.append(Actor(number, betas, poses, trans_m, dressed(OUTFITS[number], body)))
         # Faces around every vertex, to average their normals: (V, F) sparse.
         self._faces_of_vertices = _incidence(body) if self.actors else None
+        self._template_m = body.template_m.astype(np.float32)
 
     def at(self, frame: int) -> tuple[list[Solid], list[int]]:
         """All moving solids in one frame and the mask value of each."""
@@ -66,18 +67,19 @@ class Troupe:
             values.append(UNOWNED)
         return solids, values
 
-    def soles_m(self, frame: int) -> np.ndarray:
-        """(P, 4, 3) ankles and balls of everybody's feet, lowered to the sole: what darkens the floor beneath."""
-        found = []
-        for actor in self.actors:
-            joints = self.body.joints(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0, list(_FEET)]
+    def soles_m(self) -> np.ndarray:
+        """(T, P, 4, 3) ankles and balls of everybody's feet, lowered to the sole: what darkens the floor beneath."""
+        found = np.zeros((len(self.times_s), len(self.actors), len(_FEET), 3))
+        for number, actor in enumerate(self.actors):
+            joints = self.body.joints(actor.poses, actor.betas, actor.trans_m)[:, list(_FEET)]
             rest = self.body.rest_joints(actor.betas)[list(_FEET), 1] - self.body.rest_vertices(actor.betas)[:, 1].min()
-            found.append(joints - [0, 0, 1] * rest[:, None])
-        return np.array(found).reshape(-1, len(_FEET), 3)
+            found[:, number] = joints - [0, 0, 1] * rest[:, None]
+        return found
 
-    def keypoints_m(self, actor: Actor, names: tuple[str, ...], frame: int) -> np.ndarray:
-        """(K, 3) world keypoints of one person in one frame."""
-        return self.body.keypoints(names, actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0]
+    def keypoints_m(self, names: tuple[str, ...]) -> np.ndarray:
+        """(T, P, K, 3) world keypoints of everybody."""
+        found = [self.body.keypoints(names, actor.poses, actor.betas, actor.trans_m) for actor in self.actors]
+        return np.stack(found, axis=1) if found else np.zeros((len(self.times_s), 0, len(names), 3))
 
     def person(self, actor: Actor) -> Person:
         """The exact body of one person, as the pipeline's own files store it."""
@@ -96,13 +98,13 @@ class Troupe:
         )
 
     def _person(self, actor: Actor, frame: int) -> Solid:
-        vertices = self.body.vertices(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0].astype(np.float64)
+        vertices = self.body.vertices(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0]
         a, b, c = (vertices[self.body.faces[:, k]] for k in range(3))
         normals = self._faces_of_vertices @ np.cross(b - a, c - a)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         return Solid(
             f"person {actor.number}", vertices, self.body.faces, actor.texture, np.eye(4),
-            texture_vertices=self.body.template_m, vertex_normals=normals,
+            texture_vertices=self._template_m, vertex_normals=normals,
         )  # fmt: skip
 
     def _stick(self, frame: int) -> Solid:
@@ -137,4 +139,4 @@ def _incidence(body: BodyModel):
 
     count = len(body.faces)
     rows = body.faces.T.ravel()
-    return csr_matrix((np.ones(3 * count), (rows, np.tile(np.arange(count), 3))), shape=(body.vertex_count, count))
+    return csr_matrix((np.ones(3 * count, dtype=np.float32), (rows, np.tile(np.arange(count), 3))), shape=(body.vertex_count, count))

@@ -96,7 +96,8 @@ def _nerfstudio(lenses: Sequence[Lens]) -> dict[str, str]:
         k, (k1, k2, p1, p2) = lens.intrinsics, lens.distortion[:4]
         frames.append(
             {"file_path": f"images/{lens.name}.png", "camera_label": lens.name, "transform_matrix": world_from_camera.tolist(),
-             "w": lens.wh[0], "h": lens.wh[1], "fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "k1": k1, "k2": k2, "p1": p1, "p2": p2}
+             "w": lens.wh[0], "h": lens.wh[1], "fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2],
+             "k1": k1, "k2": k2, "p1": p1, "p2": p2}
         )  # fmt: skip
     return {"transforms.json": json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n"}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import shutil
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ import yaml
 
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
+from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
 from studiorecon.images.video import write_lossless, write_watchable
 from studiorecon.progress import progress, say
@@ -28,12 +30,14 @@ from studiorecon.studio.actors import Troupe
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import RESOURCES, Description, planned_dataset, read_description
 from studiorecon.studio.detections import detect, openpose_json
-from studiorecon.studio.film import Backdrop, backdrop, exposed
+from studiorecon.studio.film import Backdrop, backdrop, exposed, touched_pixels
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, developed, sensor_of
+from studiorecon.studio.solids import Solid
 from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames, write_picture
 
+FACTS = "truth.json"
 _LAYOUT = "body_25"
 
 
@@ -52,11 +56,9 @@ def run(description: Path, dataset: Path, truth: Path, body: Path | None = None,
     """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, exact truth into ``truth``."""
     described = read_description(description)
     body = body or RESOURCES / "body.npz"
-    for folder in (dataset, truth):
-        # A capture of an older description may hold cameras that are gone.
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
+    _clear(dataset, truth)
     ideal = rig.cameras(described)
+    _write_facts(described, truth)
     lenses = rig.true_lenses(described, ideal)
     say(
         f"{described.people} people, {len(described.training)} training and {len(described.held_out)} held-out cameras, "
@@ -76,6 +78,16 @@ def run(description: Path, dataset: Path, truth: Path, body: Path | None = None,
     _write_truth(described, ideal, BodyModel.load(body), truth)
 
 
+def _clear(dataset: Path, truth: Path) -> None:
+    """Remove an older capture, which may hold cameras that are gone; refuses to touch a folder that no studio filled."""
+    files = [p for folder in (dataset, truth) for p in folder.rglob("*") if not p.is_dir()]
+    if files and not (truth / FACTS).is_file():
+        raise Refusal(f"{files[0].parent} holds files that the studio did not make; give --dataset and --truth folders of their own")
+    for folder in (dataset, truth):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+
+
 def film_camera(job: Job) -> None:
     """Write everything that belongs to one camera."""
     described, name = job.description, job.lens.name
@@ -89,15 +101,21 @@ def film_camera(job: Job) -> None:
     truth = TruthFrames(job.lens, solids, described.truth)
     detector = np.random.default_rng([described.seed, 31, described.names.index(name)])
 
-    def frames():
+    keypoints_m, soles_m = troupe.keypoints_m(LAYOUTS[_LAYOUT].keypoints), troupe.soles_m()
+
+    def frames() -> Iterator[np.ndarray]:
         for frame in range(described.frames):
             moving, values = troupe.at(frame)
             tracer = Tracer(solids + moving)
-            truth.add(tracer, moving, values, _next(troupe, frame) if described.truth.flow else None)
+            touched = touched_pixels(job.lens, moving)
+            centres = touched_pixels(truth.lens, moving) if job.lens.distortion.any() else touched
+            truth.add(tracer, moving, centres, values, _next(troupe, frame) if described.truth.flow else None)
             if training and described.people:
-                _write_keypoints(job, troupe, tracer, len(solids), frame, detector)
+                people = detect(keypoints_m[frame], job.lens, tracer, len(solids), described.detections, detector)
+                path = job.dataset / "keypoints" / name / f"{name}_{frame:012d}_keypoints.json"
+                write_json(path, openpose_json(people))
             light = lamp_swing(described, float(times_s[frame]))
-            yield developed(light * exposed(scene, tracer, moving, troupe.soles_m(frame), described.effects), sensor, frame)
+            yield developed(light * exposed(scene, tracer, moving, touched, soles_m[frame], described.effects), sensor, frame)
 
     video = job.dataset / "videos" / f"{name}.mp4"
     if training:
@@ -117,16 +135,8 @@ def lamp_swing(described: Description, time_s: float) -> float:
     return 1 + described.effects.changing_light * float(np.sin(2 * np.pi * time_s / length_s))
 
 
-def _next(troupe: Troupe, frame: int):
+def _next(troupe: Troupe, frame: int) -> list[Solid] | None:
     return troupe.at(frame + 1)[0] if frame + 1 < len(troupe.times_s) else None
-
-
-def _write_keypoints(job: Job, troupe: Troupe, tracer: Tracer, first_actor: int, frame: int, rng: np.random.Generator) -> None:
-    names = LAYOUTS[_LAYOUT].keypoints
-    points = np.concatenate([troupe.keypoints_m(actor, names, frame)[None] for actor in troupe.actors])
-    people = detect(points, job.lens, tracer, first_actor, job.description.detections, rng)
-    path = job.dataset / "keypoints" / job.lens.name / f"{job.lens.name}_{frame:012d}_keypoints.json"
-    write_json(path, openpose_json(people))
 
 
 def _write_static(job: Job, scene: Backdrop, truth: TruthFrames, sensor: Sensor) -> None:
@@ -151,19 +161,18 @@ def _write_truth(described: Description, ideal: list, body: BodyModel, truth: Pa
     for actor in troupe.actors:
         person = troupe.person(actor)
         write_person(truth / "bodies" / f"{person.name}.npz", person)
-    people = [f"p{actor.number}" for actor in troupe.actors]
     write_json(truth / "cameras.json", [camera.as_json() for camera in ideal])
-    write_json(
-        truth / "truth.json",
-        {
-            "training": list(described.training),
-            "held_out": list(described.held_out),
-            "people": people,
-            "frames": described.frames,
-            "fps": described.fps,
-            "sync_offsets_frames": rig.sync_offsets_frames(described),
-            "gains": {name: sensor_of(described, name).gains for name in described.names},
-            "radial_distortion": described.faults.radial_distortion,
-        },
-    )
-    say(f"truth: {', '.join(people) or 'nobody'}; cameras stand {np.linalg.norm(ideal[0].centre_m[:2]):.2f} m from the middle")
+
+
+def _write_facts(described: Description, truth: Path) -> None:
+    facts = {
+        "training": list(described.training),
+        "held_out": list(described.held_out),
+        "people": [f"p{number}" for number in range(described.people)],
+        "frames": described.frames,
+        "fps": described.fps,
+        "sync_offsets_frames": rig.sync_offsets_frames(described),
+        "gains": {name: sensor_of(described, name).gains for name in described.names},
+        "radial_distortion": described.faults.radial_distortion,
+    }
+    write_json(truth / FACTS, facts)

@@ -61,15 +61,18 @@ def backdrop(lens: Lens, solids: list[Solid], supersampling: int) -> Backdrop:
         if not hits.met.all():
             raise ValueError(f"camera {lens.name} looks out of the room")
         depth[s], seen[s] = hits.distance, hits.solid
-        colour[s] = radiance(solids, tracer, hits, np.broadcast_to(centre_m(lens), subset.shape), subset.astype(np.float64), lamps[s])
+        origins = np.broadcast_to(centre_m(lens).astype(np.float32), subset.shape)
+        colour[s] = radiance(solids, tracer, hits, origins, subset, lamps[s])
     return Backdrop(lens, solids, rays, depth, colour, seen, colour.mean(axis=0, dtype=np.float64), lamps)
 
 
-def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], soles_m: np.ndarray, effects: Effects) -> np.ndarray:
-    """(H, W, 3) radiance of one frame with the ``moving`` solids in the room; ``tracer`` holds both, the room first."""
+def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], touched: np.ndarray, soles_m: np.ndarray, effects: Effects) -> np.ndarray:
+    """(H, W, 3) radiance of one frame with the ``moving`` solids in the room.
+
+    ``tracer`` holds room and moving solids, the room first; ``touched`` (N,) are the pixels of ``touched_pixels``.
+    """
     height, width = scene.lens.wh[1], scene.lens.wh[0]
     picture = scene.mean.copy()
-    touched = touched_pixels(scene.lens, moving)
     shaded = _shadowed_pixels(scene, moving) if effects.moving_shadows else np.zeros(height * width, dtype=bool)
     if effects.glossy_floor and moving:
         reflected = [_mirrored(solid) for solid in moving]
@@ -80,22 +83,25 @@ def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], soles_m: np.nd
         return picture.reshape(height, width, 3)
     solids = scene.solids + moving
     direct, again = touched[changed], shaded[changed]
+    retrace = np.flatnonzero(direct | again)
+    origin = scene.centre_m.astype(np.float32)
+    shade = contact_shade(_floor_points(scene, changed), soles_m, effects.contact_shading) if effects.contact_shading else None
     total = np.zeros((len(changed), 3))
-    for s, rays in enumerate(scene.rays):
-        colour = scene.colour[s, changed].astype(np.float64)
-        solid_seen, depth = scene.solid[s, changed].astype(np.int64), scene.depth_m[s, changed]
-        retrace = np.flatnonzero(direct | again)
-        rays_here = rays[changed[retrace]].astype(np.float64)
-        hits = tracer.cast(scene.centre_m, rays_here)
+    for s, every_ray in enumerate(scene.rays):
+        colour, solid_seen = scene.colour[s, changed], scene.solid[s, changed].astype(np.int64)
+        rays = every_ray[changed[retrace]]
+        hits = tracer.cast(origin, rays)
+        is_moving = hits.solid >= len(scene.solids)
         # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame to frame.
-        anew = hits.met & ((hits.solid >= len(scene.solids)) | again[retrace])
-        solid_seen[retrace[anew]], depth[retrace[anew]] = hits.solid[anew], hits.distance[anew]
-        origins = np.broadcast_to(scene.centre_m, (int(anew.sum()), 3))
-        colour[retrace[anew]] = radiance(solids, tracer, hits.take(anew), origins, rays_here[anew], scene.lamps_m[s])
-        if effects.contact_shading:
-            floor = np.flatnonzero(solid_seen == 0)
-            points = scene.centre_m + rays[changed[floor]] * depth[floor, None]
-            colour[floor] *= contact_shade(points, soles_m, effects.contact_shading)[:, None]
+        # Half the lamp points do for what moves; the room must be lit by the same ones as in its stored colour.
+        for part, lamps in ((is_moving, scene.lamps_m[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps_m[s])):
+            chosen = np.flatnonzero(part)
+            if len(chosen):
+                origins = np.broadcast_to(origin, (len(chosen), 3))
+                colour[retrace[chosen]] = radiance(solids, tracer, hits.take(chosen), origins, rays[chosen], lamps)
+                solid_seen[retrace[chosen]] = hits.solid[chosen]
+        if shade is not None:
+            colour = colour * np.where(solid_seen == 0, shade, 1.0)[:, None]
         total += colour
     picture[changed] = total / len(scene.rays)
     return picture.reshape(height, width, 3)
@@ -160,11 +166,18 @@ def _contact_pixels(scene: Backdrop, soles_m: np.ndarray) -> np.ndarray:
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (3.0 * _CONTACT_REACH_M / np.cos(np.pi / 24))
     near = np.zeros((height, width), dtype=bool)
     for sole in soles_m.reshape(-1, 3):
-        pixels, depth = projected(scene.lens, rim + [sole[0], sole[1], 0.0])
+        pixels, depth = projected(scene.lens, rim + np.append(sole[:2], 0.0))
         if (depth > _NEAR_M).all():
             (left, top), (right, bottom) = np.floor(pixels.min(axis=0)).astype(int), np.ceil(pixels.max(axis=0)).astype(int)
             near[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True
     return near.ravel() & (scene.solid == 0).any(axis=0)
+
+
+def _floor_points(scene: Backdrop, pixels: np.ndarray) -> np.ndarray:
+    """(M, 3) where the first ray of some pixels meets the floor's plane; a point far away where it does not."""
+    rays = scene.rays[0, pixels]
+    downward = np.minimum(rays[:, 2], -1e-6)
+    return scene.centre_m + rays * (-scene.centre_m[2] / downward)[:, None]
 
 
 def _shadowed_pixels(scene: Backdrop, moving: list[Solid]) -> np.ndarray:

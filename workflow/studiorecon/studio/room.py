@@ -71,7 +71,7 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Solid]:
     sideboard_y = -0.7 + shift()
     solids += [
         box("sideboard", (0.48, 1.7, 0.74), placed((3.95, sideboard_y, 0.10)), dark_wood),
-        *(box("sideboard foot", (0.06, 0.06, 0.10), placed((3.95 + a, sideboard_y + b, 0)), dark_wood) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
+        *(box("foot", (0.06, 0.06, 0.1), placed((3.95 + a, sideboard_y + b, 0)), dark_wood) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
         lathe("bowl", [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)],
               placed((3.92, sideboard_y + 0.3, 0.84)), _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12))),
         box("crate", (0.55, 0.55, 0.48), placed((2.55 + shift(), -1.05 + shift(), 0), 0.6), box_texture(textures.planks, seed + 26)),

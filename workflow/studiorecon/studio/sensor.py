@@ -48,8 +48,8 @@ def sensor_of(description: Description, name: str) -> Sensor:
 
 def developed(radiance: np.ndarray, sensor: Sensor, frame: int) -> np.ndarray:
     """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame number."""
-    picture = np.clip(radiance, 0, None) ** (1 / _GAMMA)
-    picture = np.minimum(picture, 1.0) * np.asarray(sensor.gains)
+    picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / _GAMMA)
+    picture = picture * np.asarray(sensor.gains, dtype=np.float32)
     if sensor.noise_levels > 0:
         rng = np.random.default_rng([*sensor.seed, frame])
         picture = picture + rng.normal(0, sensor.noise_levels / 255, picture.shape)

@@ -19,7 +19,7 @@ _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does no
 
 @dataclass(frozen=True)
 class Hits:
-    """What (N,) rays met.
+    """What (N,) rays met, in the ray caster's single precision.
 
     Attributes:
         distance: (N,) in lengths of the ray's direction; inf where nothing was met.
@@ -60,14 +60,14 @@ class Tracer:
     def cast(self, origins_m: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays from (N, 3) or (3,) origins along (N, 3) directions of any length."""
         answer = self._scene.cast_rays(self._tensor(_rays(origins_m, directions)), nthreads=1)
-        distance = answer["t_hit"].numpy().astype(np.float64)
+        distance = answer["t_hit"].numpy()
         solid = answer["geometry_ids"].numpy().astype(np.int64)
         return Hits(
             distance=distance,
             solid=np.where(np.isfinite(distance), solid, -1),
             face=np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), 0),
-            barycentric=answer["primitive_uvs"].numpy().astype(np.float64),
-            normal=answer["primitive_normals"].numpy().astype(np.float64),
+            barycentric=answer["primitive_uvs"].numpy(),
+            normal=answer["primitive_normals"].numpy(),
         )
 
     def blocked(self, origins_m: np.ndarray, targets_m: np.ndarray) -> np.ndarray:
@@ -92,21 +92,19 @@ def lamp_points(subset: int, subsets: int) -> np.ndarray:
 
 def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps_m: np.ndarray, tracer: Tracer) -> np.ndarray:
     """(N,) irradiance from the lamps, shadows included: the mean over lamp points of both cosines over distance squared."""
-    total = np.zeros(len(points_m))
-    starts = points_m + normals * _SKIN_M
-    for lamp in lamps_m:
-        gain, lit = lamp_gain(points_m, normals, lamp)
-        lit[lit] = ~tracer.blocked(starts[lit], np.broadcast_to(lamp, (int(lit.sum()), 3)))
-        total[lit] += gain[lit]
-    return total / len(lamps_m)
+    gains = np.stack([lamp_gain(points_m, normals, lamp) for lamp in lamps_m.astype(points_m.dtype)])
+    lamp, point = np.nonzero(gains)
+    starts = points_m + normals * points_m.dtype.type(_SKIN_M)
+    gains[lamp, point] *= ~tracer.blocked(starts[point], lamps_m[lamp])
+    return gains.mean(axis=0)
 
 
-def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Irradiance (N,) that one lamp point would give without obstacles, and where it is on the lit side (N,)."""
+def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> np.ndarray:
+    """(N,) irradiance that one lamp point would give without obstacles; 0 on the side that faces away."""
     towards = lamp_m - points_m
     squared = np.einsum("ij,ij->i", towards, towards)
     cosines = np.einsum("ij,ij->i", towards, normals) * towards[:, 2]
-    return 2 * _LAMP_WEIGHT * np.maximum(cosines, 0) / (squared * (squared + 0.3)), cosines > 0
+    return 2 * _LAMP_WEIGHT * np.maximum(cosines, 0) / (squared * (squared + 0.3))
 
 
 def ambient_light(points_m: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -140,9 +138,9 @@ class Surface:
 def surfaces(solids: Sequence[Solid], hits: Hits, origins_m: np.ndarray, directions: np.ndarray) -> Surface:
     """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at once."""
     points = origins_m + directions * hits.distance[:, None]
-    normals = hits.normal.copy()
+    normals = hits.normal.astype(points.dtype)
     albedo = np.zeros_like(points)
-    emission, mirror = np.zeros(len(points)), np.zeros(len(points))
+    emission, mirror = np.zeros(len(points), points.dtype), np.zeros(len(points), points.dtype)
     for index in np.unique(hits.solid):
         here = np.flatnonzero(hits.solid == index)
         solid = solids[index]
@@ -150,11 +148,11 @@ def surfaces(solids: Sequence[Solid], hits: Hits, origins_m: np.ndarray, directi
         weights = np.column_stack([1 - hits.barycentric[here].sum(axis=1), hits.barycentric[here]])
         if solid.vertex_normals is not None:
             normals[here] = np.einsum("nk,nkx->nx", weights, solid.vertex_normals[corners])
-        rotation = solid.world_from_solid[:3, :3]
+        rotation = solid.world_from_solid[:3, :3].astype(points.dtype)
         if solid.texture_vertices is not None:
             local = np.einsum("nk,nkx->nx", weights, solid.texture_vertices[corners])
         else:
-            local = (points[here] - solid.world_from_solid[:3, 3]) @ rotation
+            local = (points[here] - solid.world_from_solid[:3, 3].astype(points.dtype)) @ rotation
         albedo[here] = solid.texture(local, normals[here] @ rotation)
         emission[here], mirror[here] = solid.emission, solid.mirror
     # Thin walls are seen from one side only, but a mesh's winding need not know which.

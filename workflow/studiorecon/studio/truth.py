@@ -12,7 +12,7 @@ from studiorecon.images.video import write_lossless
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import complete, write_npz
 from studiorecon.studio.description import TruthOptions
-from studiorecon.studio.film import centre_m, projected, touched_pixels
+from studiorecon.studio.film import centre_m, projected
 from studiorecon.studio.rig import directions
 from studiorecon.studio.solids import Solid
 from studiorecon.studio.tracing import Tracer
@@ -37,14 +37,14 @@ class TruthFrames:
         self.first_moving = len(solids)
         self._rays = directions(self.lens, 1)[0]
         self._shape = (lens.wh[1], lens.wh[0])
-        self.room_depth_m = Tracer(solids).cast(centre_m(lens), self._rays).distance.reshape(self._shape).astype(np.float32)
+        self.room_depth_m = Tracer(solids).cast(centre_m(lens), self._rays).distance.reshape(self._shape)
         self.masks: list[np.ndarray] = []
         self.depths: list[np.ndarray] = []
         self.flows: list[np.ndarray] = []
 
-    def add(self, tracer: Tracer, moving: list[Solid], values: list[int], following: list[Solid] | None) -> None:
-        """Trace one frame; ``tracer`` holds the room and ``moving``; ``following`` are the same solids one frame later."""
-        touched = np.flatnonzero(touched_pixels(self.lens, moving))
+    def add(self, tracer: Tracer, moving: list[Solid], touched: np.ndarray, values: list[int], following: list[Solid] | None) -> None:
+        """Trace one frame at the pixels ``touched`` (N,); ``following`` are the ``moving`` solids one frame later."""
+        touched = np.flatnonzero(touched)
         hits = tracer.cast(centre_m(self.lens), self._rays[touched])
         seen = hits.solid >= self.first_moving
         covered, hits = touched[seen], hits.take(seen)
