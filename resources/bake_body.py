@@ -23,10 +23,11 @@ from anny.face_segmentation import get_face_segmentation_mask
 
 IDENTITY = "anny-smpl24 pca10 v1"
 SAMPLES, SHAPES, SEED = 400, 10, 0
-JOINTS = (
-    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot neck left_collar "
-    "right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hand right_hand"
-).split()
+JOINTS = [
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
+    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
+    "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+]  # fmt: skip
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 REGIONS = ("skin", "hair", "shirt", "trousers", "shoes", "eyes", "inside")
 LIMBS = {
@@ -181,8 +182,8 @@ def keypoints(model: anny.Anny, template: np.ndarray, joints: np.ndarray) -> dic
     found["mid_hip"] = 0.5 * (found["left_hip"] + found["right_hip"])
     head_top = np.zeros(len(template))
     head_top[np.argsort(-template[:, 1], kind="stable")[:20]] = 1 / 20
-    # MPII's "upper neck": centre of the ring of skin between the neck and the head joint.
-    centre = 0.5 * (joints[JOINTS.index("neck")] + joints[JOINTS.index("head")])
+    # BODY_25B's "upper neck": on real footage 6 cm below the middle of the neck and head joints, which is the neck joint.
+    centre = joints[JOINTS.index("neck")]
     upper_neck = np.zeros(len(template))
     upper_neck[np.argsort(np.linalg.norm(template - centre, axis=1), kind="stable")[:60]] = 1 / 60
     found |= {"head_top": head_top, "upper_neck": upper_neck}
@@ -211,7 +212,7 @@ def main(path: Path) -> None:
     group: list[int] = []
     for i, bone in enumerate(bones):
         group.append(JOINTS.index(anchor[bone]) if bone in anchor else group[parents[i]])
-    middle = {n: 0.5 for n in ("gender", "muscle", "weight", "height", "proportions")} | {"age": 2 / 3}
+    middle = dict.fromkeys(("gender", "muscle", "weight", "height", "proportions"), 0.5) | {"age": 2 / 3}
     with torch.no_grad():
         rest = model(phenotype_kwargs=middle)
     pose = t_pose(bones, parents, dict(zip(bones, rest["rest_bone_heads"][0].numpy())))

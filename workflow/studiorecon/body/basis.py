@@ -9,6 +9,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
+from studiorecon.geometry import rotations
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,23 @@ class State:
     trans: np.ndarray  # (F, 3)
     betas: np.ndarray  # (B,)
     log_scale: float
+    corrections: np.ndarray  # (K, 3) metres, detector's point minus the body's, in the axes of the joint that carries it most
+
+    @property
+    def shared(self) -> np.ndarray:
+        """(S,) what all frames share: betas, log scale, corrections."""
+        return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
+
+    def moved(self, local_turn: np.ndarray, shift: np.ndarray, shared: np.ndarray) -> State:
+        """The state after small turns (F, 24, 3) about the joints' own axes, shifts (F, 3) and a change (S,) of what is shared."""
+        count = len(self.betas)
+        return State(
+            self.local @ rotations.exp(local_turn),
+            self.trans + shift,
+            self.betas + shared[:count],
+            self.log_scale + float(shared[count]),
+            self.corrections + shared[count + 1 :].reshape(-1, 3),
+        )
 
 
 @dataclass(frozen=True)
@@ -25,14 +43,19 @@ class Linear:
 
     points: np.ndarray  # (F, K, 3)
     turned: np.ndarray  # (F, K, 24, 3): D
-    shaped: np.ndarray  # (F, K, 3, S): by betas, then log scale
+    shaped: np.ndarray  # (F, K, 3, S): by betas, log scale and corrections
     world: np.ndarray  # (F, 24, 3, 3)
 
 
 class Basis:
-    """Keypoints (or joints) as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``."""
+    """Keypoints (or joints) as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
 
-    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray) -> None:
+    ``corrected`` says whether the state's corrections belong to these points (they do not belong to the joints).
+    """
+
+    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray, corrected: bool) -> None:
+        self.corrected = corrected
+        self.carrier = share.argmax(1)  # (K,)
         self.body, self.share, self.ancestors = body, share, ancestors
         skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
         # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
@@ -45,6 +68,8 @@ class Basis:
         """Points (F, K, 3), their parts per joint (F, 24, K, 3), G, and posed joints about the pelvis, unscaled."""
         world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
         offsets = self.offsets @ np.append(1.0, state.betas)  # (24, K, 3)
+        if self.corrected:
+            offsets[self.carrier, range(len(self.carrier))] += state.corrections
         parts = offsets @ np.swapaxes(world, -1, -2) + self.share.T[..., None] * joints[:, :, None]
         points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
         return points, parts, world, joints
@@ -64,4 +89,8 @@ class Basis:
         by_shape = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
         by_shape = by_shape + (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
         by_scale = (points - state.trans[:, None])[..., None]
-        return Linear(points, turned, np.concatenate([scale * by_shape, by_scale], axis=-1), world)
+        by_correction = np.zeros((frames, count, 3, *state.corrections.shape))
+        if self.corrected:
+            by_correction[:, range(count), :, range(count)] = scale * np.swapaxes(world[:, self.carrier], 0, 1)
+        shaped = [scale * by_shape, by_scale, by_correction.reshape(frames, count, 3, -1)]
+        return Linear(points, turned, np.concatenate(shaped, axis=-1), world)

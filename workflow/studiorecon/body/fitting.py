@@ -31,16 +31,20 @@ class FitSettings:
     Attributes:
         iterations: most Levenberg-Marquardt steps; it ends earlier when a step gains less than ``tolerance`` of the cost.
         tolerance: relative gain below which it has converged.
-        point_sigma_m: deviation between a detector's point and the body's, added to the triangulation's.
+        point_sigma_m: deviation between a detector's point and the body's from frame to frame, added to the triangulation's.
+        correction_sigma_m: deviation of the constant part of that difference, one vector per keypoint, which is estimated:
+            no detector's hip is the body's hip (numerics M07).
         huber_units: deviations beyond which a point pulls with constant force.
         pose_weight: multiplies the squared angle prior; 1 = the deviations of ``body/prior.py``.
-        beta_weight: multiplies Σ β², once per person (paper: λ_β = 10).
+        beta_weight: multiplies Σ β² in every frame (paper: λ_β = 10). Counted once per person instead, real footage bends the shape
+            to 15 deviations, because a detector's habits repeat in every frame.
         free_scale: estimate one scale as well; only where lengths are not metres, since scale and β₀ are exchangeable.
     """
 
     iterations: int
     tolerance: float
     point_sigma_m: float
+    correction_sigma_m: float
     huber_units: float
     pose_weight: float
     beta_weight: float
@@ -53,6 +57,7 @@ class Fit:
 
     Attributes:
         rotations: (T, 24, 3, 3) relative to the parent, ``trans_m`` (T, 3) pelvis, ``betas`` (B,), ``scale`` of the body.
+        corrections_m: (K, 3) detector's point minus the body's, in the axes of the joint that carries it most.
         valid: (T,) bool.
         joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue.
         residual_m: (T, K) distance between body and keypoint, NaN where there was none.
@@ -63,6 +68,7 @@ class Fit:
     trans_m: np.ndarray
     betas: np.ndarray
     scale: float
+    corrections_m: np.ndarray
     valid: np.ndarray
     joints_m: np.ndarray
     joint_sigma_m: np.ndarray
@@ -85,6 +91,7 @@ def fit(body: BodyModel, names: list[str], points_m: np.ndarray, sigma_m: np.nda
         trans_m=np.full((frames, 3), np.nan),
         betas=np.zeros(body.shapes),
         scale=1.0,
+        corrections_m=np.zeros((count, 3)),
         valid=valid,
         joints_m=np.full((frames, 24, 3), np.nan),
         joint_sigma_m=np.full((frames, 24), np.inf),
@@ -95,13 +102,14 @@ def fit(body: BodyModel, names: list[str], points_m: np.ndarray, sigma_m: np.nda
     if not valid.any():
         return out
     problem = _Problem(body, names, points_m[valid], sigma_m[valid], seen[valid], settings)
-    state = State(problem_start.local[valid], problem_start.trans_m[valid], np.zeros(body.shapes), 0.0)
+    state = State(problem_start.local[valid], problem_start.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
     state, steps, converged = _descend(problem, state, settings)
     residual = np.linalg.norm(problem.linear(state).points - problem.targets, axis=-1)
     out.rotations[valid], out.trans_m[valid] = state.local, state.trans
     out.joints_m[valid], out.joint_sigma_m[valid] = problem.joints(state)
     out.residual_m[valid] = np.where(problem.seen, residual, np.nan)
-    return replace(out, betas=state.betas, scale=float(np.exp(state.log_scale)), iterations=steps, converged=converged)
+    scale = float(np.exp(state.log_scale))
+    return replace(out, betas=state.betas, scale=scale, corrections_m=state.corrections, iterations=steps, converged=converged)
 
 
 def _descend(problem: _Problem, state: State, settings: FitSettings) -> tuple[State, int, bool]:
@@ -136,12 +144,14 @@ class _Problem:
         for j, parent in enumerate(body.parents):
             if parent >= 0:
                 self.ancestors[:, j] += self.ancestors[:, parent]
-        self.basis = Basis(body, *body.keypoint_basis(names), self.ancestors)
-        self.skeleton = Basis(body, *body.keypoint_basis([f"{n}_joint" for n in body.names]), self.ancestors)
+        self.basis = Basis(body, *body.keypoint_basis(names), self.ancestors, True)
+        self.skeleton = Basis(body, *body.keypoint_basis([f"{n}_joint" for n in body.names]), self.ancestors, False)
         self.precision = prior.precision() * settings.pose_weight  # (24, 3); 0 for the root
-        shape_precision = np.full(body.shapes, settings.beta_weight)
+        # What is wrong with a detector's points is wrong in every frame, so the frames count as one for what they share.
+        corrections = np.full(3 * len(names), settings.correction_sigma_m**-2.0)
+        shapes = np.full(body.shapes, settings.beta_weight)
         # A fixed scale is a scale with an enormous prior: one code path, and it costs one column.
-        self.shared_precision = np.append(shape_precision, 1.0 if settings.free_scale else 1e12)
+        self.shared_precision = len(targets) * np.concatenate([shapes, [1.0 if settings.free_scale else 1e12], corrections])
 
     def linear(self, state: State) -> Linear:
         return self.basis.linear(state)
@@ -155,8 +165,7 @@ class _Problem:
         bound = self.settings.huber_units
         data = np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound)).sum()
         bend = prior.bend(state.local)
-        shared = np.append(state.betas, state.log_scale)
-        return float(data + 0.5 * (self.precision * bend**2).sum() + 0.5 * (self.shared_precision * shared**2).sum())
+        return float(data + 0.5 * (self.precision * bend**2).sum() + 0.5 * (self.shared_precision * state.shared**2).sum())
 
     def normal(self, state: State) -> tuple[np.ndarray, ...]:
         """Normal matrices of the frames (F, 75, 75), coupling (F, 75, S), shared (S, S), and both right sides; and G."""
@@ -191,7 +200,7 @@ class _Problem:
         side[:, 72:] = np.einsum("fk,fkx->fx", w, residual)
         flat = weighted_shape.reshape(-1, shared)
         shared_matrix = flat.T @ linear.shaped.reshape(-1, shared) + np.diag(self.shared_precision)
-        shared_side = flat.T @ residual.reshape(-1) + self.shared_precision * np.append(state.betas, state.log_scale)
+        shared_side = flat.T @ residual.reshape(-1) + self.shared_precision * state.shared
         self._add_prior(state, linear.world, matrix, side)
         return matrix, coupling, shared_matrix, side, shared_side, linear.world
 
@@ -211,14 +220,12 @@ class _Problem:
         diagonal += damping * (diagonal + 1.0)
         solved = np.linalg.solve(damped, np.concatenate([coupling, side[..., None]], axis=-1))
         by_shared, own = solved[..., :-1], solved[..., -1]
-        reduced = shared_matrix * (1 + damping * np.eye(len(shared_matrix))) - np.einsum("fps,fpr->sr", coupling, by_shared)
+        reduced = shared_matrix * (1 + damping * np.eye(len(shared_matrix))) - np.tensordot(coupling, by_shared, ((0, 1), (0, 1)))
         shared = -np.linalg.solve(reduced, shared_side - np.einsum("fps,fp->s", coupling, own))
         change = -own - by_shared @ shared
         # World-axis turn ω of joint i is the turn Gᵀω about its own axes.
         turn = np.einsum("fjyx,fjy->fjx", world, change[:, :72].reshape(-1, 24, 3))
-        return State(
-            state.local @ rotations.exp(turn), state.trans + change[:, 72:], state.betas + shared[:-1], state.log_scale + shared[-1]
-        )
+        return state.moved(turn, change[:, 72:], shared)
 
     def joints(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """(F, 24, 3) joints and (F, 24) posterior deviations, Laplace's approximation at the minimum."""
@@ -227,7 +234,7 @@ class _Problem:
         frames = len(matrix)
         inverse = np.linalg.inv(matrix + 1e-9 * np.eye(75))
         by_shared = inverse @ coupling
-        reduced = shared_matrix - np.einsum("fps,fpr->sr", coupling, by_shared)
+        reduced = shared_matrix - np.tensordot(coupling, by_shared, ((0, 1), (0, 1)))
         rows = np.zeros((frames, 24, 3, 75))
         rows[..., :72] = -np.moveaxis(rotations.cross_matrix(linear.turned), 2, 3).reshape(frames, 24, 3, 72)
         rows[..., range(3), range(72, 75)] = 1.0

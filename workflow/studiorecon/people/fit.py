@@ -30,7 +30,7 @@ _LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (
 
 @dataclass(frozen=True)
 class BodyFit:
-    """How the body is fitted; see ``body/fitting.FitSettings`` for the first six.
+    """How the body is fitted; see ``body/fitting.FitSettings`` for the first seven.
 
     Attributes:
         unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (numerics T13).
@@ -41,6 +41,7 @@ class BodyFit:
     iterations: int
     tolerance: float
     point_sigma_m: float
+    correction_sigma_m: float
     huber_units: float
     pose_weight: float
     beta_weight: float
@@ -117,7 +118,14 @@ def fit_person(person: str, points: Points, body: BodyModel, fps: float, setting
             "people/identities.tsv, or leave the person out there"
         )
     options = fitting.FitSettings(
-        keys.iterations, keys.tolerance, keys.point_sigma_m, keys.huber_units, keys.pose_weight, keys.beta_weight, free_scale=False
+        iterations=keys.iterations,
+        tolerance=keys.tolerance,
+        point_sigma_m=keys.point_sigma_m,
+        correction_sigma_m=keys.correction_sigma_m,
+        huber_units=keys.huber_units,
+        pose_weight=keys.pose_weight,
+        beta_weight=keys.beta_weight,
+        free_scale=False,
     )
     result = fitting.fit(body, points.names, points.points_m, points.sigma_m, options)
     if not result.valid.any():
