@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -47,7 +48,30 @@ def carry(photo: Source, camera: Camera, oversampling: int, z_tolerance: float) 
     count = np.zeros(camera.hw)
     for gather in (False, True):
         _splat(photo.rgb, photo.depth_m, photo.usable, pixel_map, shift, oversampling, z_tolerance, gather, nearest, total, count)
-    return total / np.maximum(count, 1)[..., None], nearest, count
+    return close_pinholes(total / np.maximum(count, 1)[..., None], nearest, count)
+
+
+def close_pinholes(rgb: np.ndarray, depth_m: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fill pixels that fell between the samples of one surface; they count half a sample, so their support stays low.
+
+    A pixel is such a pinhole when at least five of its eight neighbours are covered and lie at one depth; the edge of a true hole
+    has neighbours missing on one side or a nearer surface on the other.
+    """
+    covered = count > 0
+    ones = np.ones((3, 3))
+    around = cv2.filter2D(covered.astype(np.float64), -1, ones, borderType=cv2.BORDER_CONSTANT)
+    inverse = np.where(covered, 1 / np.where(covered, depth_m, 1.0), 0)
+    nearest = cv2.dilate(inverse, ones, borderType=cv2.BORDER_REPLICATE)
+    farthest = -cv2.dilate(np.where(covered, -inverse, -np.inf), ones, borderType=cv2.BORDER_REPLICATE)
+    pinhole = ~covered & (around >= 5) & (nearest < farthest * (1 + 2 * _SAME_SURFACE))
+    share = np.maximum(around, 1)
+    mean_rgb = cv2.filter2D(np.where(covered[..., None], rgb, 0), -1, ones, borderType=cv2.BORDER_CONSTANT) / share[..., None]
+    mean_inverse = cv2.filter2D(inverse, -1, ones, borderType=cv2.BORDER_CONSTANT) / share
+    return (
+        np.where(pinhole[..., None], mean_rgb, rgb),
+        np.where(pinhole, 1 / np.where(pinhole, mean_inverse, 1.0), depth_m),
+        np.where(pinhole, 0.5, count),
+    )
 
 
 @njit(cache=True)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit a predicted depth map to a measured one: scale, and a shift where the scene's relief supports one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# Relief (robust spread over median) below which a shift cannot be told from a scale (numerics D02).
+_LEAST_RELIEF = 0.05
+_LEAST_PIXELS = 50
+# Pairs of pixels that vote for the slope; more does not move their median.
+_PAIRS = 20000
+_ROUNDS = 20
+# Huber's limit in robust standard deviations.
+_HUBER = 1.5
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """aligned = scale · predicted + shift_m; ``model`` says what was fitted: "affine", "scale" or "undetermined" (scale 1, shift 0)."""
+
+    scale: float
+    shift_m: float
+    model: str
+
+    def apply(self, predicted: np.ndarray, near_m: float) -> np.ndarray:
+        """Aligned depth in metres; 0 (unknown) where the prediction is unknown, not finite, or falls nearer than ``near_m`` (D04)."""
+        known = np.isfinite(predicted) & (predicted > 0)
+        aligned = self.scale * np.where(known, predicted, 1.0) + self.shift_m
+        return np.where(known & (aligned >= near_m), aligned, 0.0)
+
+
+def align_depth(predicted: np.ndarray, reference_m: np.ndarray, static: np.ndarray, rng: np.random.Generator) -> Alignment:
+    """Robust fit of ``predicted`` to ``reference_m`` (metres) over ``static`` pixels, all of one shape.
+
+    In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds stand up to
+    45 % of moved pixels (D01); more need the mask. Both maps are noisy, so the slope is the geometric mean of the fits in both
+    directions (D07). Values that are not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned.
+    """
+    usable = static & np.isfinite(predicted) & np.isfinite(reference_m) & (predicted > 0) & (reference_m > 0)
+    x, y = predicted[usable].astype(np.float64), reference_m[usable].astype(np.float64)
+    if len(x) < _LEAST_PIXELS:
+        return Alignment(1.0, 0.0, "undetermined")
+    ratio = Alignment(float(np.median(y / x)), 0.0, "scale")
+    if min(_relief(x), _relief(y)) < _LEAST_RELIEF:
+        return ratio
+    first, second = rng.integers(0, len(x), (2, _PAIRS))
+    steps_x, steps_y = x[first] - x[second], y[first] - y[second]
+    # Only pairs a relief apart: the slope of near-equal depths is noise.
+    apart = np.abs(steps_x) > np.median(np.abs(x - np.median(x)))
+    if not apart.any():
+        return ratio
+    scale = float(np.median(steps_y[apart] / steps_x[apart]))
+    if scale <= 0:
+        return ratio
+    shift = float(np.median(y - scale * x))
+    for _ in range(_ROUNDS):
+        residual = (y - scale * x - shift) / np.sqrt(1 + scale**2)
+        sigma = max(1.4826 * float(np.median(np.abs(residual))), 1e-9)
+        size = np.abs(residual) / sigma
+        # Huber, then nothing beyond twice its limit: Huber alone bounds an outlier's pull but never ends it.
+        weight = np.where(size < 2 * _HUBER, np.minimum(1, _HUBER / np.maximum(size, 1e-12)), 0)
+        mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
+        spread_x = np.average((x - mean_x) ** 2, weights=weight)
+        spread_y = np.average((y - mean_y) ** 2, weights=weight)
+        together = np.average((x - mean_x) * (y - mean_y), weights=weight)
+        if together <= 0:
+            return ratio
+        # The geometric mean of the slope of y on x (together/spread_x) and that of x on y turned round (spread_y/together).
+        scale = float(np.sqrt(spread_y / spread_x))
+        shift = float(mean_y - scale * mean_x)
+    return Alignment(scale, shift, "affine")
+
+
+def shared_alignment(frames: Sequence[Alignment]) -> Alignment:
+    """One alignment for a static camera: median scale and shift of its frames, so that depth does not flicker (D06, U22).
+
+    Affine when most determined frames are; undetermined without any.
+    """
+    known = [f for f in frames if f.model != "undetermined"]
+    affine = [f for f in known if f.model == "affine"]
+    if not known:
+        return Alignment(1.0, 0.0, "undetermined")
+    chosen = affine if 2 * len(affine) > len(known) else [f for f in known if f.model == "scale"] or known
+    return Alignment(float(np.median([f.scale for f in chosen])), float(np.median([f.shift_m for f in chosen])), chosen[0].model)
+
+
+def _relief(depth_m: np.ndarray) -> float:
+    low, middle, high = np.percentile(depth_m, [10, 50, 90])
+    return float((high - low) / middle)
