@@ -18,11 +18,11 @@ rule capture_frames:
         settings=settings("capture"),
         code=code("capture.frames"),
         held_out=lookup("{camera}", within={c: int(c in HELDOUT) for c in CAMERAS}),
-        first=DATASET.first_frame,
-        count=DATASET.frame_count,
+        first_frame=DATASET.first_frame,
+        frame_count=DATASET.frame_count,
     shell:
         "python -m studiorecon capture.frames --settings {params.settings:q} --log {log:q}"
-        " --camera {wildcards.camera:q} --held-out {params.held_out} --first {params.first} --count {params.count}"
+        " --camera {wildcards.camera:q} --held-out {params.held_out} --first {params.first_frame} --count {params.frame_count}"
         " --source {input.source:q} --calibration {input.calibration:q}"
         " --video {output.video:q} --footage {output.footage:q}"
 
