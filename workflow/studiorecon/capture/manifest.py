@@ -23,12 +23,12 @@ class SyncSettings:
     Attributes:
         search_s: largest lag that is tried, seconds.
         min_correlation: below this best correlation of motion over time the lag is undetermined.
-        min_gain: the best lag must beat lag zero by this much correlation before it is reported.
+        min_z: the best lag must beat no lag by this many standard errors before it is reported.
     """
 
     search_s: float
     min_correlation: float
-    min_gain: float
+    min_z: float
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def check_alike(footage: Sequence[Footage]) -> None:
     if shortest.frames != longest.frames:
         raise Refusal(
             f"{shortest.source} has {shortest.frames} frames and {longest.source} has {longest.frames}; if they start together, write "
-            f"frames: {{first: {shortest.first_source_frame}, count: {shortest.frames}}} into capture.yaml, else cut them to the same moments"
+            f"frames: {{first: {shortest.first_source_frame}, count: {shortest.frames}}} into capture.yaml, else cut them to fit"
         )
     slowest, fastest = min(footage, key=lambda f: f.fps), max(footage, key=lambda f: f.fps)
     # 29.97 against 30 is the same clip until the clocks have drifted apart by half a frame.
@@ -80,7 +80,7 @@ def run(settings: Settings, scene: str, footage: list[Path], videos: list[Path],
     fps = float(np.median([c.fps for c in cameras]))
     energies = [motion_energy(read_frames(video)) for video in progress(videos, "motion")]
     sync = settings.sync
-    for lag in lags([c.camera for c in cameras], energies, round(sync.search_s * fps), sync.min_correlation, sync.min_gain):
+    for lag in lags([c.camera for c in cameras], energies, round(sync.search_s * fps), sync.min_correlation, sync.min_z):
         say(describe(lag, fps))
     write_manifest(manifest, Manifest(scene, fps, cameras[0].frames, tuple(cameras)))
     held_out = [c.camera for c in cameras if c.held_out]

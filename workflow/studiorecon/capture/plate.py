@@ -147,7 +147,10 @@ def run(
     given: list[Path],
     plate: Path,
 ) -> None:
-    """The clean plate of ``video`` as an RGBA PNG; ``detections`` say where people stand, ``given`` is the user's plate; each is none or one file."""
+    """The clean plate of ``video`` as an RGBA PNG.
+
+    ``detections`` say where people stand and ``given`` is the user's plate; each is none or one file.
+    """
     options = settings.plate
     about = read_footage(footage)
     chosen = np.unique(np.linspace(0, about.frames - 1, min(about.frames, options.frames)).round().astype(int))
@@ -162,9 +165,8 @@ def run(
     for picture in given:
         colour, measured = _add_given(picture, calibration, about, colour, measured, options)
     if measured.mean() < 0.8:
-        say(
-            f"{about.camera}: {1 - measured.mean():.1%} is always covered and stays unknown; a picture of the empty room in plates/ would fill it"
-        )
+        unknown = 1 - measured.mean()
+        say(f"{about.camera}: {unknown:.1%} is always covered and stays unknown; a picture of the empty room in plates/ would help")
     write_plate(plate, np.clip(np.rint(colour), 0, 255).astype(np.uint8), measured)
 
 

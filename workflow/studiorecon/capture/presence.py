@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import cv2
@@ -68,7 +69,7 @@ def _height_px(points: dict[str, np.ndarray]) -> float:
     longest = float(np.max(np.ptp(found, axis=0)))
     for side in ("left", "right"):
         joints = [points.get(f"{side}_{name}") for name in _CHAIN]
-        lengths = [float(np.linalg.norm(b - a)) for a, b in zip(joints, joints[1:]) if a is not None and b is not None]
+        lengths = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(joints) if a is not None and b is not None]
         longest = max(longest, 1.2 * sum(lengths))
     return longest
 

@@ -17,8 +17,8 @@ import numpy as np
 _SHRINK = 4
 # Grey levels of difference that noise still reaches after shrinking.
 _NOISE_LEVELS = 3.0
-# A correlation over fewer frames than this is not evidence.
-_LEAST_FRAMES = 12
+# A correlation of fewer independent samples than this is not evidence.
+_LEAST_MOMENTS = 6.0
 
 
 @dataclass(frozen=True)
@@ -53,32 +53,49 @@ def motion_energy(frames: Iterable[np.ndarray]) -> np.ndarray:
     return np.array(energy)
 
 
-def lags(cameras: Sequence[str], energies: Sequence[np.ndarray], search: int, min_correlation: float, min_gain: float) -> list[Lag]:
-    """The lag of every camera against the mean of the others, searched over ± ``search`` frames; empty without energies."""
-    found = []
-    for index, camera in enumerate(cameras[: len(energies)]):
-        others = [_standardised(e) for i, e in enumerate(energies) if i != index and e.std() > 0]
-        own = energies[index]
-        if not others or own.std() == 0:
-            found.append(Lag(camera, 0, 0.0, 0.0, False, "nothing moves in its pictures or in the others'"))
-            continue
-        search_here = min(search, len(own) - _LEAST_FRAMES)
-        if search_here < 0:
-            found.append(Lag(camera, 0, 0.0, 0.0, False, f"{len(own) + 1} frames are too few"))
-            continue
-        reference = np.mean(others, axis=0)
-        shifts = np.arange(-search_here, search_here + 1)
-        scores = np.array([_correlation(own, reference, int(shift)) for shift in shifts])
-        best, zero = int(np.argmax(scores)), float(scores[search_here])
-        if scores[best] < min_correlation:
-            found.append(Lag(camera, 0, float(scores[best]), zero, False, f"its motion correlates at {scores[best]:.2f} only"))
-        elif scores[best] - zero < min_gain:
-            found.append(Lag(camera, 0, zero, zero, zero >= min_correlation, "several lags fit equally well"))
-        elif best in (0, len(shifts) - 1):
-            found.append(Lag(camera, 0, float(scores[best]), zero, False, "the best lag is at the end of the search"))
-        else:
-            found.append(Lag(camera, int(shifts[best]), float(scores[best]), zero, True, ""))
-    return found
+def lags(cameras: Sequence[str], energies: Sequence[np.ndarray], search: int, min_correlation: float, min_z: float) -> list[Lag]:
+    """The lag of every camera against the mean of the others, searched over ± ``search`` frames; empty without energies.
+
+    A lag is reported when its correlation reaches ``min_correlation`` and lies ``min_z`` standard errors above that of no lag; no
+    lag is reported when nothing else is better by one standard error. The standard error counts how many independent moments the
+    motion has: slow motion over a short clip has a handful, and then everything is undetermined.
+    """
+    return [_lag(camera, index, energies, search, min_correlation, min_z) for index, camera in enumerate(cameras[: len(energies)])]
+
+
+def _lag(camera: str, index: int, energies: Sequence[np.ndarray], search: int, min_correlation: float, min_z: float) -> Lag:
+    def unknown(reason: str, correlation: float = 0.0, at_zero: float = 0.0) -> Lag:
+        return Lag(camera, 0, correlation, at_zero, False, reason)
+
+    own = energies[index]
+    others = [_standardised(e) for i, e in enumerate(energies) if i != index and len(e) == len(own) and e.std() > 0]
+    if not others or own.std() == 0:
+        return unknown("nothing moves in its pictures or in the others'")
+    reference = np.mean(others, axis=0)
+    moments = _independent_moments(own, reference)
+    if moments < _LEAST_MOMENTS:
+        return unknown(f"{len(own) + 1} frames show {moments:.0f} independent moments of motion, too few")
+    reach = min(search, len(own) // 2)
+    scores = np.array([_correlation(own, reference, shift) for shift in range(-reach, reach + 1)])
+    best, zero = int(np.argmax(scores)), float(scores[reach])
+    if scores[best] < min_correlation:
+        return unknown(f"its motion correlates at {scores[best]:.2f} only", float(scores[best]), zero)
+    gain = float(np.arctanh(min(scores[best], 0.999)) - np.arctanh(np.clip(zero, -0.999, 0.999))) * np.sqrt(moments - 3)
+    if best == reach or (gain < 1 and zero >= min_correlation):
+        return Lag(camera, 0, zero, zero, True, "")
+    if gain < min_z:
+        return unknown("several lags fit about equally well", float(scores[best]), zero)
+    if best in (0, 2 * reach):
+        return unknown("the best lag is at the end of the search", float(scores[best]), zero)
+    return Lag(camera, best - reach, float(scores[best]), zero, True, "")
+
+
+def _independent_moments(a: np.ndarray, b: np.ndarray) -> float:
+    """How many independent samples two smooth series amount to (Bartlett: N / (1 + 2 Σ ρa ρb), up to where ρ first vanishes)."""
+    a, b = _standardised(a), _standardised(b)
+    product = np.array([np.mean(a[k:] * a[: len(a) - k]) * np.mean(b[k:] * b[: len(b) - k]) for k in range(1, len(a) // 2)])
+    gone = np.flatnonzero(product <= 0.01)
+    return len(a) / (1 + 2 * float(product[: gone[0] if len(gone) else None].sum()))
 
 
 def _standardised(values: np.ndarray) -> np.ndarray:
