@@ -96,7 +96,8 @@ class TrainedGaussians:
 
 
 def exponential(begin: float, end: float, done: float) -> float:
-    """The schedule ``begin``^(1 − done) · ``end``^done."""
+    """The schedule ``begin``^(1 − done) · ``end``^done, both raised to 1e-12 so that a rate of 0 is no logarithm of 0 (numerics O07)."""
+    begin, end = max(begin, RATE_LEAST), max(end, RATE_LEAST)
     return float(begin * (end / begin) ** done)
 
 
@@ -245,6 +246,7 @@ class _Run:
 
 
 BETA_1, BETA_2 = 0.9, 0.999
-EPSILON_STEPS = 10
+EPSILON_STEPS = 4
+RATE_LEAST = 1e-12
 EPSILON_LEAST = 1e-30
 """Keeps 0 / 0 away where a kind of parameter has had no gradient at all."""
