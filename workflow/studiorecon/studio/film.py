@@ -29,7 +29,7 @@ class Backdrop:
         rays: (S, N, 3) float32 world directions, one metre of z-depth long.
         depth_m: (S, N) z-depth of the room; ``colour``: (S, N, 3) float32 radiance.
         solid: (S, N) index of the solid that is seen; ``mean`` (N, 3): radiance of the pixels.
-        lamps_m: one set of lamp points per ray of a pixel.
+        lamps: one set of lamp points per ray of a pixel.
     """
 
     lens: Lens
@@ -39,7 +39,7 @@ class Backdrop:
     colour: np.ndarray
     solid: np.ndarray
     mean: np.ndarray
-    lamps_m: list[np.ndarray]
+    lamps: list[np.ndarray]
 
     @property
     def centre_m(self) -> np.ndarray:
@@ -94,7 +94,7 @@ def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], touched: np.nd
         is_moving = hits.solid >= len(scene.solids)
         # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame to frame.
         # Half the lamp points do for what moves; the room must be lit by the same ones as in its stored colour.
-        for part, lamps in ((is_moving, scene.lamps_m[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps_m[s])):
+        for part, lamps in ((is_moving, scene.lamps[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps[s])):
             chosen = np.flatnonzero(part)
             if len(chosen):
                 origins = np.broadcast_to(origin, (len(chosen), 3))

@@ -9,8 +9,10 @@ from studiorecon.studio import textures
 from studiorecon.studio.solids import Solid, Texture, box, box_texture, lathe, placed, plain, quad
 
 HALF_X_M, HALF_Y_M, HEIGHT_M = 4.2, 3.6, 3.0
-# Centre and half-size of the two luminous panels in the ceiling; light.py samples the same rectangles.
-LAMPS_M = ((-1.5, -0.6, 0.42, 0.22), (1.6, 0.8, 0.42, 0.22))
+# Centre and half-size of the two luminous panels in the ceiling; tracing.py samples the same rectangles.
+LAMPS_M = ((-1.3, -0.5, 0.42, 0.22), (1.7, 0.9, 0.42, 0.22))
+# Unequal, so that every shadow has one clear direction.
+LAMP_SHARES = (1.3, 0.7)
 LAMP_BELOW_CEILING_M = 0.06
 LAMP_RADIANCE = 2.5
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMPS_M
+from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMP_SHARES, LAMPS_M
 from studiorecon.studio.solids import Solid
 
 POINTS_PER_LAMP = 16
-_LAMP_WEIGHT = 7.6
-_AMBIENT = 0.30
+_LAMP_WEIGHT = 9.4
+_AMBIENT = 0.24
 _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
 
 
@@ -78,7 +78,7 @@ class Tracer:
 
 
 def lamp_points(subset: int, subsets: int) -> np.ndarray:
-    """(M, 3) points on the lamps for one of ``subsets`` rays of a pixel: together they cover both lamps evenly.
+    """(M, 4) points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both lamps.
 
     A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is smooth.
     """
@@ -86,16 +86,20 @@ def lamp_points(subset: int, subsets: int) -> np.ndarray:
     k = np.arange(subset * per_lamp, (subset + 1) * per_lamp)
     u, v = (0.5 + k * 0.7548776662466927) % 1 * 2 - 1, (0.5 + k * 0.5698402909980532) % 1 * 2 - 1
     # Just below the luminous face, so that the lamp does not block its own light.
-    height = HEIGHT_M - LAMP_BELOW_CEILING_M - 0.004
-    return np.concatenate([np.stack([cx + hx * u, cy + hy * v, np.full(per_lamp, height)], axis=1) for cx, cy, hx, hy in LAMPS_M])
+    height = np.full(per_lamp, HEIGHT_M - LAMP_BELOW_CEILING_M - 0.004)
+    lamps = [
+        np.stack([cx + hx * u, cy + hy * v, height, np.full(per_lamp, share)], axis=1)
+        for (cx, cy, hx, hy), share in zip(LAMPS_M, LAMP_SHARES)
+    ]
+    return np.concatenate(lamps)
 
 
-def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps_m: np.ndarray, tracer: Tracer) -> np.ndarray:
-    """(N,) irradiance from the lamps, shadows included: the mean over lamp points of both cosines over distance squared."""
-    gains = np.stack([lamp_gain(points_m, normals, lamp) for lamp in lamps_m.astype(points_m.dtype)])
+def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps: np.ndarray, tracer: Tracer) -> np.ndarray:
+    """(N,) irradiance from the lamp points (M, 4), shadows included: their mean of both cosines over distance squared."""
+    gains = np.stack([lamp_gain(points_m, normals, lamp[:3]) * lamp[3] for lamp in lamps.astype(points_m.dtype)])
     lamp, point = np.nonzero(gains)
     starts = points_m + normals * points_m.dtype.type(_SKIN_M)
-    gains[lamp, point] *= ~tracer.blocked(starts[point], lamps_m[lamp])
+    gains[lamp, point] *= ~tracer.blocked(starts[point], lamps[lamp, :3])
     return gains.mean(axis=0)
 
 
@@ -167,12 +171,12 @@ def radiance(
     hits: Hits,
     origins_m: np.ndarray,
     directions: np.ndarray,
-    lamps_m: np.ndarray,
+    lamps: np.ndarray,
     bounces: int = 1,
 ) -> np.ndarray:
     """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one mirror bounce."""
     surface = surfaces(solids, hits, origins_m, directions)
-    light = lamp_light(surface.points_m, surface.normals, lamps_m, tracer) + ambient_light(surface.points_m, surface.normals)
+    light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(surface.points_m, surface.normals)
     colour = surface.albedo * (light + surface.emission)[:, None]
     glossy = np.flatnonzero(surface.mirror > 0)
     if bounces and len(glossy):
@@ -183,7 +187,7 @@ def radiance(
         mirrored = tracer.cast(starts, outgoing)
         seen = np.flatnonzero(mirrored.met)
         reflection = np.zeros((len(glossy), 3))
-        reflection[seen] = radiance(solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps_m, bounces - 1)
+        reflection[seen] = radiance(solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps, bounces - 1)
         # Schlick's approximation: a varnish reflects little straight down and much at a grazing angle.
         cosine = np.abs(across) / np.linalg.norm(incoming, axis=1)
         share = (surface.mirror[glossy] * (0.25 + 0.75 * (1 - cosine) ** 5))[:, None]
