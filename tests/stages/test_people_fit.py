@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
@@ -151,7 +153,7 @@ def test_random_keypoints_are_no_person(body: BodyModel, made: Made, default_set
     rng = np.random.default_rng(5)
     for d in detections:
         d.keypoints[..., :2] = rng.uniform(0, 700, d.keypoints[..., :2].shape)
-    with pytest.raises(Refusal, match=r"person p0: the fitted shape is .* no person is"):
+    with pytest.raises(Refusal, match=r"person p0: the body lies more than .* off the keypoints"):
         solve(body, made, detections, default_settings("people"))
 
 
@@ -169,7 +171,7 @@ def test_world_in_feet_is_refused(body: BodyModel, made: Made, default_settings)
         camera_from_world = camera.camera_from_world.copy()
         camera_from_world[:3, 3] /= 0.3048
         feet.append(replace(camera, camera_from_world=camera_from_world))
-    with pytest.raises(Refusal, match="in metres"):
+    with pytest.raises(Refusal, match="check that the calibration is in metres"):
         solve(body, replace(made, cameras=feet), detections, default_settings("people"))
 
 
@@ -202,3 +204,34 @@ def test_run_writes_the_same_bytes_twice(root: Path, body: BodyModel, made: Made
     assert person.body == body.identity
     assert person.metric
     assert error_mm(person, made) < 10
+
+
+@pytest.mark.real
+def test_real_balancing_man_is_fitted_to_two_centimetres(real_data: Path, body: BodyModel, default_settings) -> None:
+    """Four cameras, 100 frames of OpenPose BODY_25B; the detections themselves are 10 to 20 mm from any rigid truth."""
+    folder = real_data / "pose2sim_balancing"
+    cameras, views = [], []
+    for name, lens in sorted(json.loads((folder / "derived/cameras_opencv.json").read_text())["scene"].items()):
+        intrinsics, distortion = np.array(lens["K"]), np.array(lens["dist_k1k2p1p2"])
+        camera_from_world = np.eye(4)
+        camera_from_world[:3] = np.column_stack([lens["R_world_to_cam"], lens["t_world_to_cam_m"]])
+        cameras.append(Camera(name, (1088, 1920), intrinsics, camera_from_world))
+        keypoints = np.full((100, 25, 3), np.nan)
+        keypoints[..., 2] = 0
+        for path in (folder / "pose2d_body25b_single" / name).glob("*.json"):
+            people = [p for p in json.loads(path.read_text())["people"] if p.get("pose_keypoints_2d")]
+            if people:
+                found = np.array(people[0]["pose_keypoints_2d"]).reshape(25, 3)
+                at = np.flatnonzero(found[:, 2] > 0)
+                frame = int(path.stem.split(".")[-1])
+                keypoints[frame, at, :2] = cv2.undistortPoints(found[at, None, :2], intrinsics, distortion, P=intrinsics)[:, 0]
+                keypoints[frame, at, 2] = np.minimum(found[at, 2], 1)
+        views.append(Detections(name, "body_25b", np.arange(100), np.zeros(100, dtype=np.int64), keypoints))
+    settings = settings_module.load(fit.Settings, default_settings("people"), "people")
+    names, keypoints = fit.observations("p0", views, {(c.name, 0): "p0" for c in cameras}, body, 100)
+    points = fit.lift(names, keypoints, cameras, settings)
+    person, result = fit.fit_person("p0", points, body, 60.0, settings)
+    assert person.valid.mean() > 0.98
+    assert np.nanmedian(result.residual_m) < 0.016
+    assert np.abs(person.betas).max() < 2
+    assert abs(fit.limb_ratio(points, person, body) - 1) < 0.03

@@ -27,6 +27,9 @@ from studiorecon.scene.people import Detections, Person, read_detections, read_i
 
 _LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow")))
 
+# Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of them.
+_LEAST_PLAUSIBLE = 0.5
+
 
 @dataclass(frozen=True)
 class BodyFit:
@@ -135,10 +138,10 @@ def fit_person(person: str, points: Points, body: BodyModel, fps: float, setting
         )
     median = _row_median(result.residual_m)
     valid = result.valid & (median <= keys.worst_frame_m)
-    if not valid.any():
+    if valid.sum() < _LEAST_PLAUSIBLE * result.valid.sum():
         raise Refusal(
-            f"person {person}: the body is {np.nanmedian(median):.2f} m off the keypoints in every frame, more than "
-            f"people.fit.worst_frame_m = {keys.worst_frame_m:g}; check the keypoint layout and the identities"
+            f"person {person}: the body lies more than people.fit.worst_frame_m = {keys.worst_frame_m:g} m off the keypoints in "
+            f"{result.valid.sum() - valid.sum()} of {result.valid.sum()} frames; check the keypoint layout, calibration and identities"
         )
     worst = int(np.argmax(np.abs(result.betas)))
     if abs(result.betas[worst]) > keys.worst_beta:

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotations: inverse pairs, agreement with scipy, determinants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from studiorecon.geometry import rotations
+
+coordinates = st.floats(-1.8, 1.8)
+vectors = st.tuples(coordinates, coordinates, coordinates).map(np.array)
+
+
+@given(vectors)
+def test_log_inverts_exp_below_half_a_turn(w: np.ndarray) -> None:
+    if np.linalg.norm(w) < np.pi - 1e-6:
+        np.testing.assert_allclose(rotations.log(rotations.exp(w)), w, atol=1e-9)
+
+
+@given(vectors, vectors, st.floats(0, 1))
+def test_slerp_is_the_same_way_back(a: np.ndarray, b: np.ndarray, share: float) -> None:
+    first, second = rotations.exp(a), rotations.exp(b)
+    if rotations.angle(first, second) < np.pi - 1e-5:
+        forth, back = rotations.slerp(first, second, share), rotations.slerp(second, first, 1 - share)
+        np.testing.assert_allclose(forth, back, atol=1e-8)
+        np.testing.assert_allclose(rotations.angle(first, forth), share * rotations.angle(first, second), atol=1e-8)
+
+
+def test_exp_log_and_quaternions_agree_with_scipy() -> None:
+    rng = np.random.default_rng(0)
+    w = rng.normal(size=(500, 3)) * 2
+    theirs = Rotation.from_rotvec(w)
+    np.testing.assert_allclose(rotations.exp(w), theirs.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(rotations.log(theirs.as_matrix()), theirs.as_rotvec(), atol=1e-9)
+    quaternion = theirs.as_quat(canonical=True)[:, [3, 0, 1, 2]]
+    np.testing.assert_allclose(rotations.to_quaternion(theirs.as_matrix()), quaternion, atol=1e-12)
+    np.testing.assert_allclose(rotations.from_quaternion(3 * quaternion), theirs.as_matrix(), atol=1e-13)
+
+
+def test_shapes_are_kept() -> None:
+    w = np.zeros((2, 5, 3))
+    assert rotations.exp(w).shape == (2, 5, 3, 3)
+    assert rotations.log(rotations.exp(w)).shape == (2, 5, 3)
+    assert rotations.exp(np.zeros((0, 3))).shape == (0, 3, 3)
+    assert rotations.log(np.zeros((0, 3, 3))).shape == (0, 3)
+
+
+def test_project_to_so3_repairs_rounding_and_reflections() -> None:
+    rng = np.random.default_rng(1)
+    truth = rotations.exp(rng.normal(size=(100, 3)))
+    np.testing.assert_allclose(rotations.project_to_so3(1.7 * truth), truth, atol=1e-12)
+    noisy = rotations.project_to_so3(rng.normal(size=(200, 3, 3)))
+    np.testing.assert_allclose(np.linalg.det(noisy), 1, atol=1e-12)
+    np.testing.assert_allclose(np.swapaxes(noisy, -1, -2) @ noisy, np.broadcast_to(np.eye(3), noisy.shape), atol=1e-12)
+
+
+def test_kabsch_recovers_a_motion_and_ignores_missing_points() -> None:
+    rng = np.random.default_rng(2)
+    source = rng.normal(size=(7, 10, 3))
+    turn, shift = rotations.exp(rng.normal(size=(7, 3))), rng.normal(size=(7, 3))
+    target = np.einsum("tij,tnj->tni", turn, source) + shift[:, None]
+    weights = np.ones((7, 10))
+    target[:, 3], weights[:, 3] = np.nan, 0
+    rotation, translation, determined = rotations.kabsch(source, target, weights)
+    assert determined.all()
+    np.testing.assert_allclose(rotation, turn, atol=1e-12)
+    np.testing.assert_allclose(translation, shift, atol=1e-12)
+
+
+@pytest.mark.parametrize("points", [0, 1, 2, "line"])
+def test_kabsch_says_when_points_fix_nothing(points: int | str) -> None:
+    source = np.random.default_rng(3).normal(size=(1, 6, 3))
+    weights = np.zeros((1, 6))
+    if points == "line":
+        source, weights = np.linspace(0, 1, 6)[None, :, None] * np.array([1.0, 2, 3]), np.ones((1, 6))
+    else:
+        weights[:, : int(points)] = 1
+    rotation, _, determined = rotations.kabsch(source, source, weights)
+    assert not determined.any()
+    assert np.isfinite(rotation).all()
