@@ -75,8 +75,8 @@ def avatar(body: BodyModel, rng: np.random.Generator, person: str, frames: int =
     )  # fmt: skip
 
 
-def write_scene(folder: Path, root: Path, people: int = 1, seed: int = 0) -> dict[str, list[Camera]]:
-    """Write cameras, manifest, background, people and footage (renders of the scene itself) below ``folder``."""
+def write_scene(folder: Path, root: Path, people: int = 1, seed: int = 0, filmed: bool = True) -> dict[str, list[Camera]]:
+    """Write cameras, manifest, background, people and, if ``filmed``, footage (renders of the scene itself) below ``folder``."""
     rng = np.random.default_rng(seed)
     training, held_out = ring([0, 90, 180, 270], "cam"), ring([45, 135], "view")
     write_model(folder / "cameras", training)
@@ -98,7 +98,7 @@ def write_scene(folder: Path, root: Path, people: int = 1, seed: int = 0) -> dic
         for one in persons:
             write_avatar(folder / f"humans/{one.person}.ply", folder / f"humans/{one.person}.npz", one)
     rasteriser = Rasteriser(near_m=0.2)
-    for camera in [*training, *held_out]:
+    for camera in [*training, *held_out] if filmed else []:
         with writing([lambda frames, c=camera: write_lossless(folder / f"capture/{c.name}.mkv", frames, FPS)]) as put:
             for frame in range(FRAMES):
                 put(to_bytes(rasteriser.forward(concatenate([static, *(p.posed(frame) for p in persons)]), camera).rgb))

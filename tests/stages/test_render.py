@@ -136,7 +136,7 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: render_shot.
 
 
 def test_an_empty_room_is_rendered_without_people_files(tmp_path: Path, root: Path, settings: render_shot.Settings) -> None:
-    write_scene(tmp_path, root, people=0)
+    write_scene(tmp_path, root, people=0, filmed=False)
     options = render_options(tmp_path, "train", people=0)
     render_shot.run(settings, **{**options, "heldout_model": None, "body": None})
     assert len(read_path(options["path"])[0]) == 4 * FRAMES

@@ -27,5 +27,5 @@ rule deliver_export:
     shell:
         "python -m studiorecon deliver.export --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --background {input.background}"
-        " --gaussians {input.gaussians} --avatars {input.avatars} --fits {input.fits} --body {input.body}"
-        " --films {input.films} --contents {output.contents}"
+        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --fits {input.fits:q} --body {input.body}"
+        " --films {input.films:q} --contents {output.contents}"

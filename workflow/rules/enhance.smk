@@ -28,7 +28,7 @@ rule enhance_shot:
         code=code("enhance.shot"),
     shell:
         "python -m studiorecon enhance.shot --settings {params.settings:q} --log {log}"
-        " --shot {wildcards.shot} --render {input.render} --render-path {input.render_path} --render-depth {input.render_depth}"
+        " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --render-depth {input.render_depth}"
         " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
-        " --model {input.model} --manifest {input.manifest} --videos {input.videos}"
+        " --model {input.model} --manifest {input.manifest} --videos {input.videos:q}"
         " --video {output.video} --film {output.film}"

@@ -28,6 +28,6 @@ rule render_shot:
     shell:
         "python -m studiorecon render.shot --settings {params.settings:q} --log {log}"
         " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
-        " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians}"
-        " --avatars {input.avatars} --body {input.body}"
+        " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
+        " --avatars {input.avatars:q} --body {input.body}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"

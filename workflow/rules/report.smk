@@ -43,8 +43,8 @@ rule report_score:
     shell:
         "python -m studiorecon report.score --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --heldout-model {input.heldout_model}"
-        " --videos {input.videos} --render {input.render} --render-path {input.render_path} --enhanced {input.enhanced}"
-        " --truth-maps {input.truth_maps} --fits {input.fits} {params.truth} --metrics {output.metrics}"
+        " --videos {input.videos:q} --render {input.render:q} --render-path {input.render_path:q} --enhanced {input.enhanced:q}"
+        " --truth-maps {input.truth_maps:q} --fits {input.fits:q} {params.truth} --metrics {output.metrics}"
 
 
 rule report_page:
@@ -121,9 +121,9 @@ rule report_page:
     shell:
         "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
-        " --decisions {input.decisions} --doctor {input.doctor} --sheet {input.sheet} --plates {input.plates}"
-        " --depths {input.depths} --training-videos {input.training_videos} --masks {input.masks} --films {input.films}"
-        " --renders {input.renders} --truth-maps {input.truth_maps} --heldout-videos {input.heldout_videos}"
-        " --heldout-render {input.heldout_render} --heldout-enhanced {input.heldout_enhanced}"
-        " --heldout-path {input.heldout_path} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
+        " --decisions {input.decisions} --doctor {input.doctor} --sheet {input.sheet} --plates {input.plates:q}"
+        " --depths {input.depths:q} --training-videos {input.training_videos:q} --masks {input.masks:q} --films {input.films:q}"
+        " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
+        " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
+        " --heldout-path {input.heldout_path:q} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
         " --licences {params.licences:q} --costs {output.costs} --page {output.page}"

@@ -56,9 +56,8 @@ def compare_camera(camera: str, renders: Path, truth: Path, flow_preset: str) ->
     try:
         for picture, photo in progress(pairs, f"frames of {camera}"):
             if picture.shape != photo.shape:
-                raise Refusal(
-                    f"{renders} is {picture.shape[1]}×{picture.shape[0]} but {truth} is {photo.shape[1]}×{photo.shape[0]}; resize one"
-                )
+                sizes = f"{picture.shape[1]}×{picture.shape[0]} and {photo.shape[1]}×{photo.shape[0]}"
+                raise Refusal(f"the frames of {renders} and {truth} differ in size ({sizes}); resize one of them")
             values.append({**measure_picture(picture, photo, {}), **flicker.measure(photo, {"render": picture})["render"]})
     except ValueError as error:
         if "zip()" not in str(error):

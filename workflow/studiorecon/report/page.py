@@ -125,7 +125,8 @@ def run(
     write_json(costs, spent)
     width = settings.picture_width
     body = [sections.head(scene, capture, len(read_model(model.parent)), measured, spent)]
-    body += [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
+    shown = [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
+    body += [*shown[:1], html.row(shown[1:], 2) if shown[1:] else ""]
     body.append(
         html.heading("Against the held-out cameras", "Cameras that no stage but this report has looked at. Differences are amplified.")
     )

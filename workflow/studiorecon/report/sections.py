@@ -12,19 +12,19 @@ from studiorecon.report import html
 from studiorecon.scene.capture import Manifest
 
 MISSING = "not measured"
-# name, unit, digits, which way is better, what it means.
+# name in metrics.json, name for readers, unit, digits, what it means. Arrows say which way is better.
 _MEASURES = (
-    ("psnr", "dB", 2, "↑", "whole picture"),
-    ("ssim", "", 4, "↑", "whole picture, windows inside it"),
-    ("ssim_3dgs", "", 4, "↑", "whole picture, zero padding: comparable with papers on Gaussian splatting"),
-    ("psnr_people", "dB", 2, "↑", "pixels of people"),
-    ("ssim_people", "", 4, "↑", "windows inside people"),
-    ("psnr_background", "dB", 2, "↑", "everything else"),
-    ("ssim_background", "", 4, "↑", "everything else"),
-    ("psnr_seen", "dB", 2, "↑", "surfaces that some training camera sees at that time"),
-    ("psnr_unseen", "dB", 2, "↑", "surfaces that none sees"),
-    ("temporal_l1", "", 5, "↓", "mean change against the previous picture, moved along with the photos' flow"),
-    ("warp_square", "", 6, "↓", "the same, squared"),
+    ("psnr", "PSNR ↑", "dB", 2, "whole picture"),
+    ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
+    ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as papers on Gaussian splatting print it"),
+    ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
+    ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
+    ("psnr_background", "PSNR, room ↑", "dB", 2, "everything else"),
+    ("ssim_background", "SSIM, room ↑", "", 4, "everything else"),
+    ("psnr_seen", "PSNR, seen ↑", "dB", 2, "surfaces of the room that some training camera sees at that time"),
+    ("psnr_unseen", "PSNR, unseen ↑", "dB", 2, "surfaces of the room that none sees"),
+    ("temporal_l1", "flicker ↓", "", 5, "change against the previous picture moved along the photos' flow, mean absolute"),
+    ("warp_square", "flicker, squared ↓", "", 6, "the same, mean square"),
 )
 
 
@@ -62,15 +62,15 @@ def measures(metrics: Mapping[str, Any]) -> str:
     """The table of picture measures, raw beside enhanced, and the values per camera on demand."""
     rows, reasons = [], {}
     pictures = metrics["pictures"]
-    for name, unit, digits, better, meaning in _MEASURES:
+    for name, title, unit, digits, meaning in _MEASURES:
         raw, final = (pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in ("raw", "enhanced"))
         photo = pictures.get("photo", {}).get(name, {}).get("value")
         change = "" if raw["value"] is None or final["value"] is None else f"{final['value'] - raw['value']:+.{digits}f}"
-        rows.append([f"{name} {better}", shown(raw["value"], digits, unit), shown(final["value"], digits, unit), change, meaning])
+        rows.append([title, shown(raw["value"], digits, unit), shown(final["value"], digits, unit), change, meaning])
         if photo is not None:
             rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
         if final["value"] is None and final["reason"]:
-            reasons.setdefault(final["reason"], []).append(name)
+            reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
     notes = "".join(f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items())
     notes += f"<p class=soft>Not measured: LPIPS: {html.text(metrics['lpips']['reason'])}.</p>"
     each = [

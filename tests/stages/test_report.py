@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""report: averages, bodies, cost, truth regions, comparison of folders, and the page."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon import __main__ as command
+from studiorecon import settings as settings_module
+from studiorecon.errors import Refusal
+from studiorecon.images.exr import write_depth
+from studiorecon.images.video import read_frame, write_lossless, write_watchable
+from studiorecon.report import compare, page, score, sections
+from studiorecon.report.bodies import compare_bodies, match, similarity_aligned
+from studiorecon.report.cost import cost, read_benchmark
+from studiorecon.report.measures import Flicker, measure_picture, summary
+from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
+from studiorecon.report.truth import View, regions
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.path import Step, write_path
+from studiorecon.scene.people import Person, write_person
+
+from tests.stages.made_scene import FPS, FRAMES, WH, ring, write_scene
+
+MISSING = "not measured"
+
+
+def test_frames_are_averaged_per_camera_and_cameras_equally() -> None:
+    """40, 15, 15 dB is 23.3 dB; pooling squared errors would give 16.75."""
+    result = summary({"a": [40.0, 15.0, 15.0], "b": [20.0, None, None]}, "")
+    assert result["cameras"]["a"]["value"] == pytest.approx(70 / 3)
+    assert result["value"] == pytest.approx((70 / 3 + 20) / 2)
+    assert (result["cameras"]["b"]["used"], result["cameras"]["b"]["skipped"]) == (1, 2)
+    assert result["cameras"]["a"]["frames"] == [40.0, 15.0, 15.0]
+
+
+def test_nothing_measured_is_null_with_a_reason_and_never_zero() -> None:
+    result = summary({"a": [None, None]}, "too small")
+    assert result["value"] is None
+    assert result["reason"] == "too small"
+    assert sections.shown(None, 2, "dB") == MISSING
+
+
+def test_errors_inside_people_do_not_reach_the_background_measures() -> None:
+    """Numerics I08: naive masking of the map gives 0.991 outside."""
+    rng = np.random.default_rng(0)
+    photo = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    people = np.zeros((60, 80), bool)
+    people[10:40, 20:50] = True
+    picture = np.where(people[..., None], 255 - photo, photo).astype(np.uint8)
+    values = measure_picture(picture, photo, {"people": people, "background": ~people})
+    assert values["ssim_background"] == pytest.approx(1.0, abs=1e-9)
+    assert values["psnr_background"] == 100.0
+    assert values["psnr_people"] < 10 < values["psnr"]
+
+
+def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
+    rng = np.random.default_rng(0)
+    photo = cv2.GaussianBlur(rng.integers(0, 255, (64, 96, 3), dtype=np.uint8), (0, 0), 2)
+    flicker = Flicker("medium")
+    noisy = [np.clip(photo + rng.normal(0, 5, photo.shape), 0, 255).astype(np.uint8) for _ in range(3)]
+    values = [flicker.measure(photo, {"still": photo, "noisy": picture}) for picture in noisy]
+    assert values[0]["still"]["temporal_l1"] is None
+    assert values[2]["still"]["temporal_l1"] == pytest.approx(0, abs=1e-6)
+    assert values[2]["noisy"]["temporal_l1"] * 255 == pytest.approx(5 * 2 / np.sqrt(np.pi), rel=0.1)
+
+
+def walking(rng: np.random.Generator, frames: int = 20) -> np.ndarray:
+    return rng.normal(0, 0.4, (1, 24, 3)) + np.linspace(0, 1, frames)[:, None, None] * [1.0, 0, 0]
+
+
+def test_bodies_are_matched_by_where_they_are_and_ghosts_are_named() -> None:
+    rng = np.random.default_rng(0)
+    true = {"p0": walking(rng), "p1": walking(rng) + np.array([0, 3, 0]), "p2": walking(rng) + np.array([9, 9, 0])}
+    valid = np.ones(20, bool)
+    fitted = {"p0": (true["p1"] + [0, 0, 0.03], valid), "p1": (true["p0"] + 0.0, valid), "p2": (true["p0"] + [0, 0, 5.0], valid)}
+    assert match(fitted, true) == {"p0": "p1", "p1": "p0"}
+    result = compare_bodies(fitted, true)
+    assert result["people"]["p0"]["mpjpe_world_mm"] == pytest.approx(30)
+    assert result["people"]["p0"]["mpjpe_pelvis_mm"] == pytest.approx(0, abs=1e-9)
+    assert result["mpjpe_world_mm"] == pytest.approx(15)
+    assert (result["missed"], result["invented"]) == (["p2"], ["p2"])
+
+
+def test_only_measured_frames_count_in_joint_errors() -> None:
+    true = {"p0": walking(np.random.default_rng(0))}
+    valid = np.arange(20) < 10
+    fitted = {"p0": (np.where(valid[:, None, None], true["p0"] + [0.01, 0, 0], 50.0), valid)}
+    result = compare_bodies(fitted, true)
+    assert result["people"]["p0"]["frames"] == 10
+    assert result["mpjpe_world_mm"] == pytest.approx(10)
+    nobody = compare_bodies({"p0": (true["p0"], np.zeros(20, bool))}, true)
+    assert nobody["mpjpe_world_mm"] is None
+    assert nobody["reason"]
+
+
+def test_similarity_alignment_never_mirrors() -> None:
+    points = np.random.default_rng(0).normal(size=(24, 3))
+    turn = np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(similarity_aligned(points, 1.3 * points @ turn.T + [1, 2, 3]), 1.3 * points @ turn.T + [1, 2, 3], atol=1e-12)
+    mirrored = points * [-1, 1, 1]
+    assert np.linalg.norm(similarity_aligned(points, mirrored) - mirrored) > 0.5
+
+
+def test_cost_adds_jobs_and_leaves_what_was_not_measured_null(tmp_path: Path) -> None:
+    for name, seconds, memory in (("depth/sweep/a", "2.5", "100"), ("depth/sweep/b", "4.0", "-"), ("depth/shell", "0.1", "NA")):
+        path = tmp_path / f"{name}.tsv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"s\th:m:s\tmax_rss\tcpu_time\n{seconds}\t0:00:02\t{memory}\t-\n")
+    result = cost(tmp_path)
+    depth = result["stages"]["depth"]
+    assert depth["seconds"] == pytest.approx(6.6)
+    assert depth["rules"]["sweep"]["seconds"] == pytest.approx(6.5)
+    assert depth["peak_memory_mb"] == 100
+    assert depth["rules"]["shell"]["peak_memory_mb"] is None
+    assert depth["cpu_seconds"] is None
+    assert read_benchmark(tmp_path / "depth/sweep/b.tsv")["peak_memory_mb"] is None
+    assert cost(tmp_path / "nothing")["reason"]
+
+
+def wall_view(camera, masks: Path) -> View:
+    """Truth of a camera that looks at the wall x = -3."""
+    origin, rays = camera.rays()
+    depth = np.where(rays[..., 0] < -1e-6, (-3 - origin[0]) / np.minimum(rays[..., 0], -1e-6), 0).astype(np.float32)
+    return View(camera, depth, masks)
+
+
+def test_a_surface_is_seen_while_nobody_stands_before_the_camera_that_sees_it(tmp_path: Path) -> None:
+    held, near, behind = ring([10, 0, 180], "c")
+    behind_masks = [np.zeros((WH[1], WH[0]), np.uint8)] * 3
+    own = [m.copy() for m in behind_masks]
+    own[0][10:40, 60:70] = 2
+    hidden = [m.copy() for m in behind_masks]
+    hidden[1][:] = 1
+    for name, masks in (("held", own), ("near", hidden), ("behind", behind_masks)):
+        write_lossless(tmp_path / f"{name}.mkv", masks, FPS)
+    views = {
+        "c0": wall_view(held, tmp_path / "held.mkv"),
+        "c1": wall_view(near, tmp_path / "near.mkv"),
+        "c2": wall_view(behind, tmp_path / "behind.mkv"),
+    }
+    found = list(regions(views, held, ["c1", "c2"], 0, 3, 0.05))
+    assert found[0]["people"].sum() == 300
+    assert not (found[0]["people"] & (found[0]["seen"] | found[0]["unseen"])).any()
+    assert found[0]["seen"].mean() > 0.5
+    assert found[1]["seen"].sum() == 0, "somebody covers the whole picture of the camera that sees the wall"
+    assert found[2]["seen"].sum() >= found[0]["seen"].sum()
+    np.testing.assert_array_equal(found[2]["seen"] | found[2]["unseen"], found[2]["background"])
+
+
+def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> None:
+    camera = ring([0], "c")[0]
+    mask = np.zeros((WH[1] * 2, WH[0] * 2), np.uint8)
+    mask[40:80, 100:160] = 1
+    write_lossless(tmp_path / "m.mkv", [mask], FPS)
+    views = {"c0": wall_view(camera.resized((WH[0] * 2, WH[1] * 2)), tmp_path / "m.mkv")}
+    people = next(regions(views, camera, [], 0, 1, 0.05))["people"]
+    expected = np.zeros((WH[1], WH[0]), bool)
+    expected[20:40, 50:80] = True
+    np.testing.assert_array_equal(people, expected)
+
+
+def test_any_renders_can_be_compared_with_any_photos(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    photos = [rng.integers(0, 200, (48, 64, 3), dtype=np.uint8) for _ in range(3)]
+    write_lossless(tmp_path / "renders/a.mkv", [p + 10 for p in photos], 10.0)
+    (tmp_path / "truth/a").mkdir(parents=True)
+    for index, photo in enumerate(photos):
+        cv2.imwrite(str(tmp_path / f"truth/a/{index:03d}.png"), photo[..., ::-1])
+    arguments = ["report.compare", "--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth")]
+    assert command.main([*arguments, "--metrics", str(tmp_path / "m.json")]) == 0
+    assert read_json(tmp_path / "m.json")["psnr"]["value"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-6)
+    assert "psnr: 28.13" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "count", "sentence"),
+    [("b", (48, 64), 3, "no camera"), ("a", (40, 64), 3, "differ in size"), ("a", (48, 64), 2, "different numbers of frames")],
+)
+def test_renders_that_do_not_fit_the_photos_are_refused(
+    tmp_path: Path, name: str, size: tuple[int, int], count: int, sentence: str
+) -> None:
+    write_lossless(tmp_path / "truth/a.mkv", [np.zeros((48, 64, 3), np.uint8)] * 3, 10.0)
+    write_lossless(tmp_path / f"renders/{name}.mkv", [np.zeros((*size, 3), np.uint8)] * count, 10.0)
+    with pytest.raises(Refusal, match=sentence):
+        compare.run(tmp_path / "renders", tmp_path / "truth")
+
+
+def test_pictures_for_readers_mark_what_they_should() -> None:
+    photo = np.full((20, 30, 3), 100, np.uint8)
+    mask = np.zeros((20, 30), np.uint8)
+    mask[:5], mask[5:10] = 1, 255
+    tinted = mask_picture(photo, mask)
+    assert (tinted[15] == 100).all()
+    assert len({tuple(tinted[row, 0]) for row in (0, 7, 15)}) == 3
+    depth = np.full((20, 30), 2.0, np.float32)
+    depth[:, 15:], depth[0, 0] = 4.0, 0.0
+    picture, (near, far) = depth_picture(depth)
+    assert (near, far) == (2.0, 4.0)
+    assert picture[0, 0].tolist() == [0, 0, 0]
+    assert picture[5, 5].sum() > picture[5, 25].sum()
+    assert difference(photo, photo).sum(axis=-1).max() < 30
+    assert truth_picture(np.full((20, 30), 0, np.uint8), photo)[0, 0].argmax() == 0
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
+    """A small scene scored and reported without truth, with the footage itself as renders."""
+    folder = tmp_path_factory.mktemp("scene")
+    cameras = write_scene(folder, root, people=0)
+    held_out, training = cameras["held_out"], cameras["training"]
+    pictures = [read_frame(folder / f"capture/{c.name}.mkv", f) for c in held_out for f in range(FRAMES)]
+    write_lossless(folder / "render/heldout.mkv", [np.clip(p.astype(int) + 5, 0, 255).astype(np.uint8) for p in pictures], FPS)
+    write_lossless(folder / "enhance/heldout.mkv", pictures, FPS)
+    write_watchable(folder / "enhance/heldout.mp4", pictures, FPS)
+    write_lossless(folder / "render/heldout.truth.mkv", [np.full((WH[1], WH[0]), 128, np.uint8)] * len(pictures), FPS)
+    write_path(folder / "render/heldout.json", [Step(c, float(f), c.name) for c in held_out for f in range(FRAMES)], FPS)
+    for camera in training:
+        write_depth(folder / f"depth/{camera.name}.exr", np.full((WH[1], WH[0]), 3.0), np.ones((WH[1], WH[0])))
+        plate = np.dstack([read_frame(folder / f"capture/{camera.name}.mkv", 0)[..., ::-1], np.full((WH[1], WH[0]), 255, np.uint8)])
+        cv2.imwrite(str(folder / f"capture/{camera.name}.plate.png"), plate)
+    write_json(folder / "survey/decisions.json", {"people": {"verdict": "off", "value": 0, "threshold": 1, "reason": "an <empty> room"}})
+    write_json(folder / "cameras/doctor.json", {"median_px": 0.5})
+    cv2.imwrite(str(folder / "cameras/doctor.png"), np.full((60, 90, 3), 128, np.uint8))
+    section = default_settings("report")
+    common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
+    shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
+    score.run(
+        settings_module.load(score.Settings, section, "report"), **common, **shot, heldout_model=folder / "cameras/heldout/images.txt",
+        videos=[folder / f"capture/{c.name}.mkv" for c in reversed(held_out)], enhanced=[folder / "enhance/heldout.mkv"],
+        truth_maps=[folder / "render/heldout.truth.mkv"], fits=[], metrics=folder / "report/metrics.json",
+    )  # fmt: skip
+    page.run(
+        settings_module.load(page.Settings, section, "report"), **common, metrics=folder / "report/metrics.json",
+        decisions=folder / "survey/decisions.json", doctor=folder / "cameras/doctor.json", sheet=folder / "cameras/doctor.png",
+        plates=[folder / f"capture/{c.name}.plate.png" for c in training], depths=[folder / f"depth/{c.name}.exr" for c in training],
+        training_videos=[folder / f"capture/{c.name}.mkv" for c in training], masks=[], films=[folder / "enhance/heldout.mp4"],
+        renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],
+        heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
+        heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"], benchmarks=folder / "none",
+        configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences", costs=folder / "report/cost.json",
+        page=folder / "report/index.html",
+    )  # fmt: skip
+    return folder
+
+
+def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) -> None:
+    metrics = read_json(reported / "report/metrics.json")
+    raw = metrics["pictures"]["raw"]["psnr"]
+    assert raw["value"] == pytest.approx(20 * np.log10(255 / 5), abs=0.3)
+    assert list(raw["cameras"]) == ["view0", "view1"]
+    assert len(raw["cameras"]["view0"]["frames"]) == FRAMES
+    assert metrics["pictures"]["enhanced"]["psnr"]["value"] == 100.0
+    for name in ("psnr_people", "ssim_background", "psnr_seen"):
+        assert metrics["pictures"]["raw"][name]["value"] is None
+        assert "truth" in metrics["pictures"]["raw"][name]["reason"]
+    assert metrics["pictures"]["raw"]["temporal_l1"]["cameras"]["view0"]["skipped"] == 1
+    assert metrics["bodies"]["mpjpe_world_mm"] is None
+    assert metrics["lpips"] == {"value": None, "reason": metrics["lpips"]["reason"], "cameras": {}}
+    assert metrics["coverage"]["heldout"]["inferred"] == 1.0
+
+
+def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None:
+    text = (reported / "report/index.html").read_text()
+    metrics = read_json(reported / "report/metrics.json")
+    assert not re.search(r'(?:src|href)=(?!"data:)', text), "everything is inside the page"
+    assert not re.search(r"@import|url\(", text)
+    assert f"{metrics['pictures']['raw']['psnr']['value']:.2f} dB" in text
+    assert MISSING in text
+    assert "data:video/mp4;base64," in text
+    assert "an &lt;empty&gt; room" in text
+    assert "100 % inferred" in text
+
+
+def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
+    reported: Path, default_settings: Callable, tmp_path: Path
+) -> None:
+    write_json(tmp_path / "unused.json", {})
+    for name in ("cameras", "images"):
+        (tmp_path / f"{name}.txt").write_text("# none\n")
+    score.run(
+        settings_module.load(score.Settings, default_settings("report"), "report"), scene="made",
+        manifest=reported / "capture/manifest.json", model=reported / "cameras/images.txt", heldout_model=tmp_path / "images.txt",
+        videos=[], render=[], render_path=[], enhanced=[], truth_maps=[], fits=[], metrics=tmp_path / "metrics.json",
+    )  # fmt: skip
+    values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
+    assert values["value"] is None
+    assert "held out" in values["reason"]
+
+
+def test_bodies_are_scored_from_the_files(tmp_path: Path) -> None:
+    joints = walking(np.random.default_rng(0))
+    for folder, shift in (("truth/bodies", 0.0), ("people", 0.02)):
+        person = Person(
+            "p0", "any", 30.0, np.zeros((20, 72)), np.zeros((20, 3)), np.zeros(10), joints + np.array([shift, 0, 0]), np.ones(20, bool),
+            np.zeros((20, 24)), True,
+        )  # fmt: skip
+        write_person(tmp_path / folder / "p0.npz", person)
+    result = score.score_bodies([tmp_path / "people/p0.npz"], tmp_path / "truth", 0)
+    assert result["mpjpe_world_mm"] == pytest.approx(20)
+    assert score.score_bodies([], None, 0)["reason"]
