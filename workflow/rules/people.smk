@@ -36,8 +36,9 @@ checkpoint people_associate:
             camera=TRAINING,
             allow_missing=True,
         ),
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
-        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
+        ),
     output:
         people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
@@ -56,7 +57,7 @@ checkpoint people_associate:
     shell:
         "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
         " --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
-        " --plates {input.plates:q} --people {output.people:q} --identities {output.identities:q}"
+        " --people {output.people:q} --identities {output.identities:q}"
 
 
 rule people_fit:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
-from studiorecon.people.evidence import EvidenceLimits, absent, foreground, keypoint_support, person_share
+from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, person_share, sampled_frames
 from studiorecon.people.grouping import AssociationLimits, Group, group_tracks, torso_m
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
@@ -46,34 +45,20 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, limits: Associat
     return None
 
 
-def supports(
-    groups: Sequence[Group], detections: Sequence[Detections], videos: Sequence[Path], plates: Sequence[Path], limits: EvidenceLimits
-) -> list[float]:
-    """Share of every group's keypoints on pixels that differ from the clean plate, NaN when nothing could be judged."""
+def supports(groups: Sequence[Group], detections: Sequence[Detections], videos: Sequence[Path], limits: EvidenceLimits) -> list[float]:
+    """Share of the places every group's keypoints moved over that changed in the picture, NaN when too little moved."""
     counts = np.zeros((len(groups), len(detections), 2), dtype=int)
     for v, found in enumerate(progress(detections, "cameras")):
-        numbers = np.unique(found.frame)
-        if not len(numbers) or not limits.frames:
+        picked = sampled_frames(found.frame, limits.frames)
+        if not len(picked):
             continue
-        picked = set(numbers[np.linspace(0, len(numbers) - 1, min(limits.frames, len(numbers))).round().astype(int)].tolist())
-        plate = _read_plate(plates[v])
-        for t, picture in enumerate(read_frames(videos[v], 0, max(picked) + 1)):
-            if t not in picked:
-                continue
-            present, measured = foreground(picture, plate, limits.difference)
-            for d in np.flatnonzero(found.frame == t):
-                for g, group in enumerate(groups):
-                    if (v, int(found.track[d])) in group.members:
-                        counts[g, v] += keypoint_support(found.keypoints[d], present, measured)
-    return [person_share([(int(on), int(judged)) for on, judged in views]) for views in counts]
-
-
-def _read_plate(path: Path) -> np.ndarray:
-    """(H, W, 4) uint8 RGBA."""
-    bgra = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if bgra is None or bgra.ndim != 3 or bgra.shape[2] != 4:
-        raise Refusal(f"plate {path} is not an RGBA picture; delete it and run again")
-    return cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA)
+        wanted = set(picked.tolist())
+        pictures = {t: picture for t, picture in enumerate(read_frames(videos[v], 0, int(picked[-1]) + 1)) if t in wanted}
+        for g, group in enumerate(groups):
+            tracks = [t for view, t in group.members if view == v]
+            which = np.flatnonzero(np.isin(found.track, tracks) & np.isin(found.frame, picked))
+            counts[g, v] = motion_support([pictures[int(found.frame[d])] for d in which], [found.keypoints[d] for d in which], limits)
+    return [person_share(views) for views in counts]
 
 
 def name_people(groups: Sequence[Group]) -> list[int]:
@@ -89,7 +74,6 @@ def run(
     manifest: Path,
     detections: list[Path],
     videos: list[Path],
-    plates: list[Path],
     people: Path,
     identities: Path,
 ) -> None:
@@ -108,8 +92,8 @@ def run(
             kept.append(group)
         else:
             say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
-    if kept and videos and plates and settings.evidence.frames:
-        kept = _confirmed(kept, supports(kept, given, videos, plates, settings.evidence), cameras, settings.evidence)
+    if kept and videos and settings.evidence.frames:
+        kept = _confirmed(kept, supports(kept, given, videos, settings.evidence), cameras, settings.evidence)
     kept = [kept[i] for i in name_people(kept)]
     table = {(d.camera, int(t)): "" for d in given for t in np.unique(d.track)}
     rows = []
@@ -133,16 +117,14 @@ def _confirmed(groups: list[Group], shares: list[float], cameras: Sequence[Camer
     for group, share, gone in zip(groups, shares, absent(shares, limits)):
         if gone:
             say(
-                f"not a person of this scene: {_tracks(group, cameras)}: the pictures show nobody there, {share:.0%} of "
-                "its keypoints lie on pixels that differ from the clean plate"
+                f"not a person of this scene: {_tracks(group, cameras)}: the pictures show nobody there, only {share:.0%} of the places "
+                "that its keypoints moved over changed"
             )
         else:
             kept.append(group)
-    if kept and not any(share >= limits.present_share for share in shares):
+    if np.isfinite(shares).any() and not any(share >= limits.present_share for share in shares):
         listed = ", ".join(f"{share:.0%}" for share in shares)
-        say(
-            f"whether the pictures show these people is undetermined: {listed} of their keypoints differ from the clean plates, which may hold them"
-        )
+        say(f"whether the pictures show these people is undetermined: only {listed} of the places that their keypoints moved over changed")
     return kept
 
 

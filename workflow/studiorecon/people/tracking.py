@@ -91,10 +91,12 @@ def tracks(frame: np.ndarray, keypoints: np.ndarray, limits: TrackingLimits) -> 
         shares = distance_shares(keypoints[[latest[k] for k in open_tracks]], keypoints[now]) / np.maximum(gaps[:, None], 1.0)
         for row, column in match(shares, limits.step_share):
             rivals = np.concatenate([np.delete(shares[row], column), np.delete(shares[:, column], row)])
-            if not (rivals < limits.clear_ratio * shares[row, column]).any():
+            if (rivals < min(limits.clear_ratio * shares[row, column], limits.step_share)).any():
+                # Ended for good: as an open track it would be a rival of its own continuation in every later frame.
+                del latest[open_tracks[row]]
+            else:
                 ids[now[column]] = open_tracks[row]
         for detection in now[ids[now] < 0]:
-            ids[detection] = max([*latest, -1]) + 1
-            latest[int(ids[detection])] = int(detection)
+            ids[detection] = ids.max() + 1
         latest.update({int(ids[d]): int(d) for d in now})
     return ids
