@@ -1,3 +1,6 @@
+# The result in formats that other tools read.
+
+
 rule deliver_export:
     input:
         manifest="results/{scene}/capture/manifest.json",

@@ -1,3 +1,6 @@
+# Films that do not flicker: every picture through the enhancer, earlier outputs injected.
+
+
 rule enhance_shot:
     input:
         render="results/{scene}/render/{shot}.mkv",

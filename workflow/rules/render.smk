@@ -1,3 +1,6 @@
+# Films of the 4D scene: one composite rasterisation per picture.
+
+
 rule render_shot:
     input:
         model="results/{scene}/cameras/images.txt",

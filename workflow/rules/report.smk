@@ -1,3 +1,6 @@
+# How good the result is, and one page that shows everything.
+
+
 rule report_score:
     input:
         manifest="results/{scene}/capture/manifest.json",

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.scene.provenance import INFERRED, INVENTED
 
-# Classes of the provenance files beside 0 = measured, and the grey level each has in a truth video.
-INFERRED, INVENTED = 1, 2
+# Grey level of each class (measured, inferred, invented) in a truth video.
 TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
 # This many solid Gaussians within reach are a surface, fewer are floaters.
 _SOLID_GROUP = 10
