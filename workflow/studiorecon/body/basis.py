@@ -43,7 +43,8 @@ class Linear:
 
     points: np.ndarray  # (F, K, 3)
     turned: np.ndarray  # (F, K, 24, 3): D
-    shaped: np.ndarray  # (F, K, 3, S): by betas, log scale and corrections
+    shaped: np.ndarray  # (F, K, 3, B + 1): by betas and log scale
+    carried: np.ndarray  # (F, K, 3, 3): each point by its own correction
     world: np.ndarray  # (F, 24, 3, 3)
 
 
@@ -89,8 +90,6 @@ class Basis:
         by_shape = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
         by_shape = by_shape + (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
         by_scale = (points - state.trans[:, None])[..., None]
-        by_correction = np.zeros((frames, count, 3, *state.corrections.shape))
-        if self.corrected:
-            by_correction[:, range(count), :, range(count)] = scale * np.swapaxes(world[:, self.carrier], 0, 1)
-        shaped = [scale * by_shape, by_scale, by_correction.reshape(frames, count, 3, -1)]
-        return Linear(points, turned, np.concatenate(shaped, axis=-1), world)
+        # Each correction moves its own point only, by its joint's rotation.
+        carried = scale * world[:, self.carrier] if self.corrected else np.zeros((frames, 0, 3, 3))
+        return Linear(points, turned, np.concatenate([scale * by_shape, by_scale], axis=-1), carried, world)

@@ -174,7 +174,7 @@ class _Problem:
         # Weight of the Huber bound by its value, not per coordinate (T11).
         bound = self.settings.huber_units
         w = self.weights * np.where(units < bound, 1.0, bound / np.maximum(units, bound))
-        frames, count, shared = len(w), w.shape[1], linear.shaped.shape[-1]
+        frames, count, shapes = len(w), w.shape[1], linear.shaped.shape[-1]
         turned = linear.turned.reshape(frames, count, 72)
         right = np.concatenate([turned, linear.shaped.reshape(frames, count, -1), residual, np.ones((frames, count, 1))], axis=-1)
         products = np.swapaxes(turned * w[..., None], 1, 2) @ right
@@ -190,17 +190,29 @@ class _Problem:
         matrix[:, :72, 72:] = np.swapaxes(matrix[:, 72:, :72], 1, 2)
         matrix[:, range(72, 75), range(72, 75)] = w.sum(1)[:, None]
         # Jᵀ v of a turn: D × v, from the antisymmetric part of Σ w D vᵀ.
-        shaped = products[..., 72 : 72 + 3 * shared].reshape(frames, 24, 3, 3, shared)
-        coupling = np.zeros((frames, 75, shared))
-        coupling[:, :72] = _antisymmetric(shaped).reshape(frames, 72, shared)
-        weighted_shape = linear.shaped * w[..., None, None]
-        coupling[:, 72:] = weighted_shape.sum(1)
+        shaped = products[..., 72 : 72 + 3 * shapes].reshape(frames, 24, 3, 3, shapes)
         side = np.zeros((frames, 75))
         side[:, :72] = _antisymmetric(products[..., -4:-1].reshape(frames, 24, 3, 3, 1)).reshape(frames, 72)
         side[:, 72:] = np.einsum("fk,fkx->fx", w, residual)
-        flat = weighted_shape.reshape(-1, shared)
-        shared_matrix = flat.T @ linear.shaped.reshape(-1, shared) + np.diag(self.shared_precision)
-        shared_side = flat.T @ residual.reshape(-1) + self.shared_precision * state.shared
+        weighted_shape = linear.shaped * w[..., None, None]
+        carried = linear.carried * w[..., None, None]
+        coupling = np.zeros((frames, 75, len(self.shared_precision)))
+        coupling[:, :72, :shapes] = _antisymmetric(shaped).reshape(frames, 72, shapes)
+        coupling[:, 72:, :shapes] = weighted_shape.sum(1)
+        # Corrections touch one point each: their products need no sum over points.
+        coupling[:, :72, shapes:] = _crossed(linear.turned, carried).reshape(frames, 72, -1)
+        coupling[:, 72:, shapes:] = np.swapaxes(carried, 1, 2).reshape(frames, 3, -1)
+        shared_matrix = np.diag(self.shared_precision)
+        flat = weighted_shape.reshape(-1, shapes)
+        shared_matrix[:shapes, :shapes] += flat.T @ linear.shaped.reshape(-1, shapes)
+        mixed = np.einsum("fkys,fkyx->skx", linear.shaped, carried, optimize=True).reshape(shapes, -1)
+        shared_matrix[:shapes, shapes:] += mixed
+        shared_matrix[shapes:, :shapes] += mixed.T
+        own = np.repeat(w.sum(0), 3) * np.exp(2 * state.log_scale)
+        shared_matrix[range(shapes, len(own) + shapes), range(shapes, len(own) + shapes)] += own
+        shared_side = self.shared_precision * state.shared
+        shared_side[:shapes] += flat.T @ residual.reshape(-1)
+        shared_side[shapes:] += np.einsum("fkyx,fky->kx", carried, residual).reshape(-1)
         self._add_prior(state, linear.world, matrix, side)
         return matrix, coupling, shared_matrix, side, shared_side, linear.world
 
@@ -239,7 +251,8 @@ class _Problem:
         rows[..., :72] = -np.moveaxis(rotations.cross_matrix(linear.turned), 2, 3).reshape(frames, 24, 3, 72)
         rows[..., range(3), range(72, 75)] = 1.0
         own = np.einsum("fkxp,fkxp->fk", rows @ inverse[:, None], rows)
-        through = linear.shaped - rows @ by_shared[:, None]
+        through = -rows @ by_shared[:, None]
+        through[..., : linear.shaped.shape[-1]] += linear.shaped
         shape = np.einsum("fkxs,fkxs->fk", through @ np.linalg.inv(reduced), through)
         return linear.points, np.sqrt((own + shape) / 3)
 
@@ -250,3 +263,10 @@ def _antisymmetric(products: np.ndarray) -> np.ndarray:
     y = products[:, :, 2, 0] - products[:, :, 0, 2]
     z = products[:, :, 0, 1] - products[:, :, 1, 0]
     return np.stack([x, y, z], axis=2)
+
+
+def _crossed(turned: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """(F, 24, 3, K, 3): D_ki × the columns of carried_k, from (F, K, 24, 3) and (F, K, 3, 3)."""
+    dx, dy, dz = np.moveaxis(np.swapaxes(turned, 1, 2), -1, 0)[..., None]  # (F, 24, K, 1) each
+    cx, cy, cz = np.moveaxis(carried, 2, 0)[:, :, None]  # (F, 1, K, 3) each
+    return np.stack([dy * cz - dz * cy, dz * cx - dx * cz, dx * cy - dy * cx], axis=2)
