@@ -92,6 +92,7 @@ def explain(
     """
     cost = np.empty((*picture.camera.hw, len(planes)), np.float32)
     judged = np.zeros(cost.shape, bool)
+    flat = ~picture.textured(settings.refine_window)
     for k, plane in enumerate(planes):
         total = np.zeros(picture.camera.hw, np.float32)
         weight = np.zeros(picture.camera.hw, np.float32)
@@ -102,7 +103,9 @@ def explain(
                 _judge(score[k], homography, depths[k], depth_m, total, weight)
         is_shell = k < 6
         default = settings.shell_default if is_shell else settings.other_default
-        value = np.where(weight > 0, total / np.maximum(weight, 1e-6), default) + (0.0 if is_shell else settings.other_extra)
+        value = np.where(weight > 0, total / np.maximum(weight, 1e-6), default)
+        # A flat window matches flat windows everywhere: that is worth no more than not being judged.
+        value = np.where(flat, np.maximum(value, settings.shell_default), value) + (0.0 if is_shell else settings.other_extra)
         cost[..., k] = np.where(depths[k] > 0, value, _OUTSIDE)
         judged[..., k] = weight > 0
     chosen = label(cost, picture.rgb, settings.refine_penalty)

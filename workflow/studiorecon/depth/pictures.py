@@ -23,6 +23,8 @@ _FLOOR_SEARCH_M = 0.12
 _FLOOR_STEP_M = 0.03
 _LEAST_PIXELS = 60
 _SAME_DEPTH = 0.02
+# Variance (summed over channels) of a window that is more than sensor noise: 8 grey levels of 255 in one channel.
+_LEAST_VARIANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,11 @@ class Picture:
         ahead = planes[..., 3] - planes[..., :3] @ origin
         depth_m = ahead / np.where(np.abs(along) < 1e-9, np.inf, along)
         return np.maximum(depth_m, 0.0)
+
+    def textured(self, window: int) -> np.ndarray:
+        """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
+        mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
+        return (square - mean * mean).sum(axis=-1) > _LEAST_VARIANCE
 
     def score(self, other: Picture, plane: np.ndarray, window: int, mean_weight: float, near_m: float, far_m: float) -> np.ndarray:
         """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they cannot be compared."""

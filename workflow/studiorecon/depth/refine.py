@@ -35,14 +35,16 @@ class Settings(PassSettings):
     default_confidence: float
 
 
-def confidence(labelled: Labelled, default_confidence: float) -> np.ndarray:
-    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; judged pixels stay above it, others below.
+def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float) -> np.ndarray:
+    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a default.
 
-    Where no other camera can judge, the value is half of ``default_confidence``.
+    A default is what no other camera can judge, and every pixel on a face of the shell that was not ``fitted`` (6,): the sky of an
+    open place looks the same from everywhere, which is no evidence for a wall.
     """
     quality = np.clip(1 - labelled.cost, 0, 1)
     measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
-    return np.where(labelled.judged, measured, default_confidence / 2).astype(np.float32)
+    stated = np.concatenate([fitted, np.ones(int(labelled.plane.max(initial=0)) + 1, bool)])[labelled.plane]
+    return np.where(labelled.judged & stated, measured, default_confidence / 2).astype(np.float32)
 
 
 def carry(values: np.ndarray, guide: np.ndarray, rgb: np.ndarray) -> np.ndarray:
@@ -128,7 +130,7 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
     rgb, _ = read_plate(plates[index])
     depth_m, source = at_full_size(cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes)
-    certainty = confidence(labelled, settings.default_confidence).ravel()[source]
+    certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
     say(f"{(labelled.plane >= 6).mean():.0%} of {camera} is furniture, the rest walls, floor and ceiling")
     write_depth(depth, depth_m, certainty)

@@ -142,20 +142,21 @@ def decide_face(
 
 
 def refine_yaw(
-    pictures: Sequence[Picture], votes: Votes, walls: Sequence[tuple[np.ndarray, float]], span_rad: float, step_rad: float, how: Matching
+    pictures: Sequence[Picture], walls: Sequence[tuple[np.ndarray, list[np.ndarray]]], span_rad: float, step_rad: float, how: Matching
 ) -> float:
-    """Turn (radians) of all fitted walls about their own voters' centre that makes the pictures agree best."""
+    """Turn (radians) of all walls, each a plane (4,) and per picture the (H, W) pixels that look at it, that matches best; 0 without walls.
+
+    Every wall turns about the middle of what is seen of it.
+    """
     turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
     value = np.zeros(len(turns))
-    for normal, offset in walls:
-        voters = votes.voters(normal, offset, 0.15)
-        if sum(int(v.sum()) for v in voters) < _LEAST_VOTERS:
+    for plane, pixels in walls:
+        if sum(int(p.sum()) for p in pixels) < _LEAST_VOTERS:
             continue
         for k, turn in enumerate(turns):
             c, s = np.cos(turn), np.sin(turn)
-            turned = np.array([c * normal[0] - s * normal[1], s * normal[0] + c * normal[1], 0.0])
-            begin = turned_offset(pictures, voters, np.array([*normal, offset]), turned, how)
-            mean, count = plane_support(pictures, voters, np.array([*turned, begin]), how)
+            turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
+            mean, count = plane_support(pictures, pixels, np.array([*turned, turned_offset(pictures, pixels, plane, turned, how)]), how)
             value[k] += mean * count
     return float(turns[int(value.argmax())]) if value.any() else 0.0
 

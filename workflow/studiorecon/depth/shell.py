@@ -14,7 +14,6 @@ import numpy as np
 from studiorecon.depth import room
 from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures, surface_gains
-from studiorecon.depth.sweep import CONFIDENT
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.colmap import read_model
@@ -24,8 +23,11 @@ from studiorecon.scene.shell import FACES, Shell, write_shell
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
 _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
 _VOTER_REACH_M = 0.15
+# A wall this far along on either side votes for offsets this much times sin(turn) apart when its yaw was off by the turn.
+_HALF_WALL_M = 4.0
 _OUTSIDE_MARGIN_M = 0.05
-_YAW_SPAN_RAD, _YAW_STEP_RAD = np.radians(0.8), np.radians(0.1)
+# Span and step of the walls' turn: first what the sweep may be off by without lines, then to a tenth of a degree.
+_YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radians(0.1)))
 
 
 @dataclass(frozen=True)
@@ -61,14 +63,24 @@ def fit_shell(pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_
         return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
 
     walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
-    turn = room.refine_yaw(pictures, votes, [(start.axes[f // 2], o) for f, o in walls.items()], _YAW_SPAN_RAD, _YAW_STEP_RAD, how)
+    turn = 0.0
+    for span_rad, step_rad in _YAW_SEARCH_RAD:
+        box = replace(start, yaw_rad=yaw_rad + turn, low_m=centres.min(0) - settings.far_m, high_m=centres.max(0) + settings.far_m)
+        for face, offset in walls.items():
+            (box.low_m, box.high_m)[face % 2][face // 2] = offset
+        # Every pixel that looks at a wall takes part, not only its voters: those were chosen by agreeing with the yaw that is in question.
+        looks = [p.textured(settings.window) & p.known for p in pictures]
+        faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
+        seen = [(np.array([*box.axes[f // 2], o]), [m & (at == f) for m, at in zip(looks, faces)]) for f, o in walls.items()]
+        turn += room.refine_yaw(pictures, seen, span_rad, step_rad, how)
     axes = replace(start, yaw_rad=yaw_rad + turn).axes
     low, high, fitted, score = np.zeros(3), np.zeros(3), np.zeros(6, bool), np.full(6, np.nan)
     for face in range(4):
         axis, side = face // 2, 2 * (face % 2) - 1
         offset = side * ((side * centres @ axes[axis]).max() + settings.far_m)
         if face in walls:
-            voters = votes.voters(start.axes[axis], walls[face], _VOTER_REACH_M)
+            reach_m = _VOTER_REACH_M + _HALF_WALL_M * abs(np.sin(turn))
+            voters = votes.voters(start.axes[axis], walls[face], reach_m)
             begin = room.turned_offset(pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how)
             offset, score[face] = room.place_plane(pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how)
             fitted[face] = True
@@ -129,9 +141,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         raise Refusal(f"{len(swept)} sweeps for {len(cameras)} cameras, or sweeps of different settings: run depth.sweep again for all")
     gains = swept[0]["gains"]
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), gains)
-    votes = room.Votes(
-        swept[0]["planes"], [s["chosen"].astype(int) for s in swept], [(s["cost"] < CONFIDENT) & p.known for s, p in zip(swept, pictures)]
-    )
+    votes = room.Votes(swept[0]["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
     fitted = fit_shell(pictures, votes, float(swept[0]["yaw_rad"]), float(swept[0]["floor_m"]), settings)
     for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
         say(f"{name} at {face[3]:.3f} m" + (f" (correlation {score:.2f})" if ok else ": a default, no such surface was found"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """First look of one camera: which plane of the whole catalogue explains each pixel best.
 
-Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, the votes (L,) of confident
-pixels, and what the scene shares: floor height, wall yaw, exposure gains.
+Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the pixel is
+confident, and what the scene shares: floor height, wall yaw, exposure gains.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from studiorecon.depth.labelling import label
 from studiorecon.depth.matching import UNKNOWN
 from studiorecon.depth.pictures import Picture, equalised, floor_and_gains, read_pictures
 from studiorecon.depth.planes import hypotheses, rig_centre, wall_yaw
+from studiorecon.depth.turning import matched_yaw
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.colmap import read_model
@@ -77,8 +78,8 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     say(f"exposure of {camera} is {gains[index].mean():.3f} of the rig's mean, from {pairs} views of the floor at z = {floor_m:.2f} m")
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _LEAST_YAW_SUPPORT:
-        yaw_rad = 0.0
-        say(f"no common direction of lines (support {support:.2f}): walls are tried along the world's x and y axes")
+        yaw_rad = matched_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
+        say(f"no common direction of lines (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and across match best")
     else:
         say(f"lines run at {np.degrees(yaw_rad):.1f}° and across (support {support:.2f})")
     planes = hypotheses(
@@ -94,11 +95,11 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     cost = best_costs(pictures, index, planes, settings)
     chosen = label(cost, pictures[index].rgb, settings.sweep_penalty)
     chosen_cost = np.take_along_axis(cost, chosen[..., None], axis=-1)[..., 0]
-    confident = (chosen_cost < CONFIDENT) & pictures[index].known
-    votes = np.bincount(chosen[confident], minlength=len(planes))
+    confident = (chosen_cost < CONFIDENT) & pictures[index].known & pictures[index].textured(settings.window)
     say(f"{confident.mean():.0%} of {camera} found a plane among {len(planes)}")
     write_npz(
         sweep,
-        {"planes": planes, "chosen": chosen.astype(np.int16), "cost": chosen_cost, "votes": votes, "floor_m": floor_m, "yaw_rad": yaw_rad,
+        {"planes": planes,
+         "chosen": chosen.astype(np.int16), "cost": chosen_cost, "confident": confident, "floor_m": floor_m, "yaw_rad": yaw_rad,
          "gains": gains},
     )  # fmt: skip
