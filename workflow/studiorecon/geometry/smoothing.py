@@ -48,7 +48,8 @@ def kernel(alpha: float, sigma_frames: float) -> np.ndarray:
         raise ValueError(f"alpha must be in (0, 1] and sigma ≥ 0, not {alpha} and {sigma_frames}")
     reach = 0 if alpha == 1 else int(np.ceil(np.log(_FADED) / np.log(1 - alpha)))
     passes = (1 - alpha) ** np.abs(np.arange(-reach, reach + 1)) if reach else np.ones(1)
-    wide = int(np.ceil(_GAUSS_REACH * sigma_frames))
+    # A Gaussian narrower than this leaves its neighbours nothing; dividing by it would only overflow.
+    wide = int(np.ceil(_GAUSS_REACH * sigma_frames)) if sigma_frames > 1e-3 else 0
     gauss = np.exp(-0.5 * (np.arange(-wide, wide + 1) / sigma_frames) ** 2) if wide else np.ones(1)
     both = np.convolve(passes, gauss)
     return both / both.sum()
