@@ -120,7 +120,10 @@ def train(
     """
     if initial.count == 0 or not targets:
         raise Refusal(f"{label}: there are {initial.count} Gaussians and {len(targets)} images; training needs some of both")
-    run = _Run(state.start(initial.with_sh_degree(settings.sh_degree)), targets, settings, rng, extent_m, threads)
+    initial = initial.with_sh_degree(settings.sh_degree)
+    if settings.largest_scale_m > 0:
+        initial = replace(initial, log_scales=np.minimum(initial.log_scales, np.float32(np.log(settings.largest_scale_m))))
+    run = _Run(state.start(initial), targets, settings, rng, extent_m, threads)
     first, last = span or (0, settings.iterations)
     say(f"{label}: {initial.count} Gaussians on {len(targets)} images, iterations {first} to {last}")
     began = told = time.perf_counter()

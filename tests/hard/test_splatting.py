@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hard cases of splatting: values that crashed, poisoned or misled other rasterisers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from studiorecon.errors import Refusal
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.splatting import rasterise as rasterise_module
+from studiorecon.splatting import state, training
+from studiorecon.splatting.adam import Adam
+from studiorecon.splatting.losses import coverage, photometric
+from studiorecon.splatting.rasterise import GaussianGradients, Rasteriser, Rendering
+from studiorecon.splatting.training import exponential
+
+from tests.foundations.splatting_scenes import camera, room
+from tests.foundations.test_splatting_training import SETTINGS
+
+NEAR_M = 0.01
+BASE: dict[str, np.ndarray] = {
+    "means_m": np.array([0.0, 0.0, 3.0]), "quaternions": np.array([1.0, 0, 0, 0]), "log_scales": np.full(3, np.log(0.1)),
+    "logit_opacities": np.array(1.0), "sh": np.full((16, 3), 0.1),
+}  # fmt: skip
+
+
+def one(**changes: object) -> Gaussians:
+    """One ordinary Gaussian in view, with some values replaced."""
+    values = {name: np.array(value, np.float64) for name, value in BASE.items()}
+    for name, value in changes.items():
+        values[name] = np.broadcast_to(np.asarray(value, np.float64), values[name].shape)
+    return Gaussians(*(values[name][None] for name in BASE))
+
+
+def run(gaussians: Gaussians, view: Camera) -> tuple[Rendering, GaussianGradients, Rasteriser]:
+    rasteriser = Rasteriser(near_m=NEAR_M, threads=2)
+    rendering = rasteriser.forward(gaussians, view, (0.1, 0.2, 0.3))
+    by = np.random.default_rng(0).normal(size=(*view.hw, 5)).astype(np.float32)
+    return rendering, rasteriser.backward(by[..., :3], by[..., 3], by[..., 4]), rasteriser
+
+
+def assert_finite(rendering: Rendering, gradients: GaussianGradients) -> None:
+    for name, value in {**vars(rendering), **vars(gradients)}.items():
+        assert np.isfinite(value).all(), name
+
+
+POISON = {
+    "G12 NaN mean": {"means_m": [np.nan, 0, 3]},
+    "infinite mean": {"means_m": [0, 0, np.inf]},
+    "mean at 1e18": {"means_m": [0, 0, 1e18]},
+    "mean at 1e9": {"means_m": [1e9, 0, 3]},
+    "inria 781 infinite scale": {"log_scales": [np.inf, 0, 0]},
+    "scale 1e18": {"log_scales": np.log(1e18)},
+    "NaN scale": {"log_scales": [np.nan, 0, 0]},
+    "NaN quaternion": {"quaternions": [np.nan, 0, 0, 1]},
+    "infinite quaternion": {"quaternions": [np.inf, 0, 0, 1]},
+    "NaN opacity": {"logit_opacities": np.nan},
+    "G12 NaN colour": {"sh": np.nan},
+    "infinite colour": {"sh": np.inf},
+    "colour 1e18": {"sh": 1e18},
+}
+
+
+@pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in POISON.items()])
+def test_a_poisoned_gaussian_is_left_out_and_counted(changes: dict) -> None:
+    clean, view = room(300, 2), camera(97, 53)
+    poisoned = concatenate([clean.take(np.arange(100)), one(**changes), clean.take(np.arange(100, 300))])
+    rendering, gradients, rasteriser = run(poisoned, view)
+    assert rasteriser.refused == 1
+    assert_finite(rendering, gradients)
+    np.testing.assert_array_equal(rendering.rgb, run(clean, view)[0].rgb)
+    assert not gradients.means_m[100].any()
+    assert not gradients.sh[100].any()
+
+
+DEGENERATE = {
+    "G07 zero quaternion": {"quaternions": 0.0},
+    "quaternion 1e-20": {"quaternions": 1e-20},
+    "quaternion 1e18": {"quaternions": 1e18},
+    "G05 scale exp(-60)": {"log_scales": -60.0},
+    "scale 0": {"log_scales": -np.inf},
+    "scale 1e-20": {"log_scales": np.log(1e-20)},
+    "scale 1e6": {"log_scales": np.log(1e6)},
+    "opacity 0": {"logit_opacities": -np.inf},
+    "G08 opacity 1": {"logit_opacities": np.inf},
+    "G13 logit 17": {"logit_opacities": 17.0},
+    "G16 at the camera centre": {"means_m": camera(8, 8).centre_m},
+    "G01 at the near plane": {"means_m": camera(8, 8).centre_m + camera(8, 8).forward * NEAR_M},
+    "G01 just before the near plane": {"means_m": camera(8, 8).centre_m + camera(8, 8).forward * NEAR_M * 1.0001},
+    "behind": {"means_m": [0, 0, -3.0]},
+    "colour 1e6": {"sh": 1e6},
+    "one flat axis": {"log_scales": [-np.inf, -2, -2]},
+    "msplat 6 needle 1e6:1": {"log_scales": [np.log(5.0), np.log(5e-6), np.log(5e-6)]},
+}
+
+
+@pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in DEGENERATE.items()])
+def test_a_degenerate_gaussian_gives_finite_images_and_gradients(changes: dict) -> None:
+    rendering, gradients, _ = run(concatenate([room(300, 2), one(**changes)]), camera(97, 53))
+    assert_finite(rendering, gradients)
+
+
+def test_g01_nothing_nearer_than_the_near_plane_is_drawn() -> None:
+    view = camera(64, 48)
+    for depth_m, drawn in ((1e-3, False), (0.0, False), (-0.5, False), (0.5, True)):
+        blob = one(means_m=view.centre_m + view.forward * depth_m, log_scales=np.log(0.05))
+        assert run(blob, view)[0].alpha.any() == drawn, depth_m
+
+
+def test_g02_a_blob_far_outside_the_frame_does_not_reach_it() -> None:
+    view = camera(64, 48)
+    for degrees in (60, 70, 80):
+        direction = view.rotation_camera_from_world.T @ [np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))]
+        blob = one(means_m=view.centre_m + 3 * direction, log_scales=np.log([0.01, 0.01, 0.3]), logit_opacities=3.0)
+        assert not run(blob, view)[0].alpha.any()
+
+
+def test_g03_a_needle_of_ten_metres_by_a_millimetre_keeps_its_width() -> None:
+    from studiorecon.splatting.reference import leaves, render
+
+    view = camera(96, 56)
+    turn = [np.cos(0.2), 0, 0, np.sin(0.2)]
+    needle = one(means_m=[0, 0, 2.0], log_scales=np.log([10.0, 1e-3, 1e-3]), quaternions=turn, logit_opacities=2.0)
+    exact = render(leaves(needle), view, (0.1, 0.2, 0.3), NEAR_M)[0].detach().numpy()
+    np.testing.assert_allclose(run(needle, view)[0].rgb, exact, atol=2e-3)
+
+
+def test_g09_two_thousand_layers_do_not_underflow() -> None:
+    stack = concatenate([one(means_m=[0, 0, 2 + 0.001 * i], logit_opacities=4.6) for i in range(2000)])
+    rendering, gradients, _ = run(stack, camera(64, 48))
+    assert_finite(rendering, gradients)
+    assert rendering.alpha.max() <= 1
+    assert rendering.alpha.max() > 1 - 2e-3
+
+
+def test_g11_equal_depths_are_drawn_in_order_of_index() -> None:
+    red, blue = (one(sh=np.concatenate([[colour], np.zeros((15, 3))]), logit_opacities=0.0) for colour in ([1.5, -2, -2], [-2, -2, 1.5]))
+    view = Camera("straight", (33, 33), np.array([[40, 0, 16.5], [0, 40, 16.5], [0, 0, 1.0]]), np.eye(4))
+    first = run(concatenate([red, blue]), view)[0].rgb[16, 16]
+    second = run(concatenate([blue, red]), view)[0].rgb[16, 16]
+    np.testing.assert_allclose(first - [0.025, 0.05, 0.075], (second - [0.025, 0.05, 0.075])[[2, 1, 0]], atol=1e-6)
+    assert first[0] > 1.5 * first[2]
+    seventeen = concatenate([red] * 8 + [blue] * 9)
+    np.testing.assert_array_equal(run(seventeen, view)[0].rgb, run(seventeen, view)[0].rgb)
+
+
+def test_too_many_pairs_are_a_sentence_not_a_crash(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rasterise_module, "PAIRS_MAX", 100)
+    with pytest.raises(Refusal, match=r"camera test: .* cover .* tiles"):
+        Rasteriser(near_m=NEAR_M, threads=1).forward(room(500, 1), camera(97, 53))
+
+
+def test_i07_a_frame_with_everything_masked_weighs_nothing() -> None:
+    rng = np.random.default_rng(0)
+    loss, gradient = photometric(rng.random((20, 30, 3)), rng.random((20, 30, 3)), np.zeros((20, 30)), 0.7, 0.3)
+    assert loss == 0
+    assert not gradient.any()
+    loss, gradient = coverage(np.full((20, 30), 0.5, np.float32), None, np.zeros((20, 30), np.float32), 0.0, 0.1)
+    assert loss == 0
+    assert not gradient.any()
+
+
+@pytest.mark.parametrize(("alpha", "prior"), [(0.0, 0.0), (1.0, 0.0), (0.5, 0.1201)])
+def test_i14_the_density_prior_is_finite_everywhere(alpha: float, prior: float) -> None:
+    loss, gradient = coverage(np.full((4, 4), alpha, np.float32), None, None, 0.0, 1.0)
+    assert loss == pytest.approx(prior, abs=1e-4)
+    np.testing.assert_allclose(gradient * 16, np.tanh(0.5 - alpha), atol=1e-6)
+
+
+def test_o04_what_was_not_visible_does_not_move() -> None:
+    position = np.zeros((2, 1), np.float32)
+    adam = Adam({"x": position}, (0.9, 0.999), 1e-15)
+    for step in range(100):
+        seen = np.array([True, step < 10])
+        adam.step({"x": np.where(seen, 1.0, 0.0).astype(np.float32)[:, None]}, {"x": 0.01}, rows=seen)
+    assert position[1, 0] == pytest.approx(-0.1, abs=1e-3)
+    assert position[0, 0] == pytest.approx(-1.0, abs=1e-2)
+
+
+def test_o05_rounding_noise_is_not_a_full_step() -> None:
+    gaussians = room(64, 3)
+    run = training._Run(state.start(gaussians), [], SETTINGS, np.random.default_rng(0), 1.0, 1)
+    rasteriser = run._rasteriser
+    rasteriser.draw(run.state.blocked, camera(97, 53), (0, 0, 0))
+    # Every visible Gaussian has a position gradient of 1e-3, except one whose gradient is rounding noise of that.
+    noisy = int(np.flatnonzero(rasteriser.visible)[0])
+    gradient = np.zeros_like(run.state.blocked.parameters).reshape(-1, 59, 16)
+    gradient[:, :3] = 1e-3
+    gradient[noisy // 16, :3, noisy % 16] = 1e-12
+    before = state.gaussians_of(run.state).means_m
+    run._adam(0, 3, gradient.reshape(-1))
+    steps = np.abs(state.gaussians_of(run.state).means_m - before).max(axis=1)
+    others = np.flatnonzero(rasteriser.visible)[1:]
+    rate = SETTINGS.position_lr_start
+    np.testing.assert_allclose(steps[others], rate, rtol=0.05)
+    assert steps[noisy] < 0.01 * rate
+
+
+def test_o06_one_nan_gradient_is_skipped_and_counted() -> None:
+    position = np.zeros((3, 2), np.float32)
+    adam = Adam({"x": position}, (0.9, 0.999), 1e-8)
+    gradient = np.ones((3, 2), np.float32)
+    gradient[1, 1], gradient[2, 0] = np.nan, np.inf
+    adam.step({"x": gradient}, {"x": 0.1})
+    adam.step({"x": np.ones((3, 2), np.float32)}, {"x": 0.1})
+    assert adam.refused == 2
+    assert np.isfinite(position).all()
+    assert (position < 0).all()
+
+
+def test_o07_a_schedule_may_end_at_zero() -> None:
+    rates = [exponential(1e-3, 0.0, done) for done in np.linspace(0, 1, 11)]
+    assert np.all(np.diff(rates) < 0)
+    assert rates[-1] == pytest.approx(1e-12)
