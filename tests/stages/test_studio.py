@@ -465,6 +465,16 @@ def test_a_folder_the_studio_did_not_fill_is_left_alone(tmp_path: Path):
     assert keep.read_bytes() == b"mine"
 
 
+def test_a_new_description_leaves_nothing_of_the_old_capture(tmp_path: Path):
+    folder = film(tmp_path, frames=1, supersampling=1, people=1, calibration={"format": "colmap"})
+    # As a workflow does before it runs a step again: what it knows of is gone, the rest is not.
+    (folder / "dataset" / "capture.yaml").unlink()
+    (folder / "truth" / "truth.json").unlink()
+    film(tmp_path, frames=1, people=0, cameras={"held_out": 0})
+    left = {str(p.relative_to(folder / "dataset")) for p in (folder / "dataset").rglob("*") if p.is_file()}
+    assert left == {".made-studio", "capture.yaml", "intri.yml", "extri.yml", *(f"videos/cam{k}.mp4" for k in (1, 2, 3))}
+
+
 def test_planning_a_capture_needs_no_array_library(root: Path):
     import subprocess
 

@@ -38,6 +38,7 @@ from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames, write_picture
 
 FACTS = "truth.json"
+_MARK = ".made-studio"
 _LAYOUT = "body_25"
 
 
@@ -81,11 +82,12 @@ def run(description: Path, dataset: Path, truth: Path, body: Path | None = None,
 def _clear(dataset: Path, truth: Path) -> None:
     """Remove an older capture, which may hold cameras that are gone; refuses to touch a folder that no studio filled."""
     files = [p for folder in (dataset, truth) for p in folder.rglob("*") if not p.is_dir()]
-    if files and not (truth / FACTS).is_file():
+    if files and not (dataset / _MARK).is_file():
         raise Refusal(f"{files[0].parent} holds files that the studio did not make; give --dataset and --truth folders of their own")
     for folder in (dataset, truth):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
+    write_text(dataset / _MARK, "made by studio.capture, which may replace everything here\n")
 
 
 def film_camera(job: Job) -> None:
