@@ -70,7 +70,7 @@ rule people_fit:
             allow_missing=True,
         ),
         identities="results/{scene}/people/identities.tsv",
-        body="resources/body.npz",
+        body=BODY,
     output:
         fit="results/{scene}/people/{person}.npz",
     log:
