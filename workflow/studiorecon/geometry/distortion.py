@@ -126,7 +126,9 @@ def _newton_step(answer: np.ndarray, target: np.ndarray, model: str, coefficient
 
 
 def _smallest_positive_root(polynomial: np.ndarray | list[float]) -> float:
-    trimmed = np.trim_zeros(np.asarray(polynomial, dtype=np.float64), "f")
+    given = np.asarray(polynomial, dtype=np.float64)
+    # A coefficient this small has its root further out than any lens sees, and would overflow the companion matrix.
+    trimmed = np.trim_zeros(np.where(np.abs(given) < 1e-13, 0.0, given), "f")
     if len(trimmed) < 2:
         return np.inf
     roots = np.roots(trimmed)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hard cases T01 to T16 of triangulation: four cameras on a ring of 4 m, f = 1000."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon.geometry.triangulation import Triangulated, triangulate
+
+from tests.foundations.camera_ring import LIMITS, arc, look_at, ring, seen
+
+CENTRE = np.array([[0.0, 0.0, 1.0]])
+
+
+def solve(pixels: np.ndarray, cameras: list, **changed: float) -> Triangulated:
+    return triangulate(pixels, np.ones(pixels.shape[:2]), cameras, replace(LIMITS, **changed), noise_px=1.0)
+
+
+def with_outliers(views: int, outliers: int, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, list]:
+    """Truth (N, 3), pixels (V, N, 2) with 1 px noise and ``outliers`` views off by 200 px in a random direction, cameras."""
+    rng = np.random.default_rng(seed)
+    cameras = ring(views)
+    points = rng.uniform(-0.5, 0.5, (count, 3)) + np.array([0, 0, 1])
+    pixels = seen(cameras, points, 1.0, rng)
+    for n in range(count):
+        which = rng.choice(views, outliers, replace=False)
+        angles = rng.uniform(0, 2 * np.pi, outliers)
+        pixels[which, n] += 200 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return points, pixels, cameras
+
+
+# T01 naive: parallel rays give (NaN, NaN, -inf), disparities of 1e-6 px a point 1e9 m away.
+@pytest.mark.parametrize("disparity_px", [0.0, 1e-6, -1e-6], ids=["T01-parallel", "T01-just-before", "T01-just-behind"])
+def test_parallel_rays_are_undetermined(disparity_px):
+    cameras = [look_at(f"c{i}", np.array([-4.0, y, 1.0]), [0, y, 1]) for i, y in enumerate((-0.5, 0.5))]
+    assert not solve(np.array([[[640.0, 352.0]], [[640.0 + disparity_px, 352.0]]]), cameras).valid[0]
+
+
+# T02 naive: 1 px noise on the baseline of opposite cameras: median 6 m, p90 34 m.
+@pytest.mark.parametrize("off_m", [pytest.param(0.0, id="T02-on-baseline"), pytest.param(0.3, id="T02-beside")])
+def test_opposite_cameras_say_when_they_cannot_know(off_m):
+    cameras = [look_at("a", np.array([4.0, 0, 1]), [0, 0, 1]), look_at("b", np.array([-4.0, 0, 1]), [0, 0, 1])]
+    truth = np.tile([0.0, off_m, 1.0], (300, 1))
+    found = solve(seen(cameras, truth, 1.0, np.random.default_rng(0)), cameras)
+    error = np.linalg.norm(found.points_m - truth, axis=-1)
+    if off_m == 0:
+        assert not found.valid.any()
+    else:
+        assert found.valid.mean() > 0.95
+        assert np.nanmedian(error) < 0.04
+        assert np.sqrt(np.nanmean(error**2)) == pytest.approx(float(np.nanmedian(found.sigma_m[found.valid])), rel=0.35)
+
+
+# T03 naive: two singular values near 1e-13, answer 5 m away.
+@pytest.mark.parametrize("noise_px", [pytest.param(0.0, id="T03-exact"), pytest.param(3.0, id="T03-noisy")])
+def test_three_views_from_one_place_are_undetermined(noise_px):
+    place = np.array([4.0, 0.0, 1.5])
+    cameras = [look_at(f"c{i}", place, [0, 0.2 * i, 1]) for i in range(3)]
+    assert not solve(seen(cameras, np.tile(CENTRE, (50, 1)), noise_px, np.random.default_rng(0)), cameras).valid.any()
+
+
+# T04 naive: "SVD did not converge", for the whole batch.
+@pytest.mark.parametrize("poison", [np.nan, np.inf], ids=["T04-nan", "T04-inf"])
+def test_one_view_that_is_not_a_number_leaves_the_other_three(poison):
+    _, pixels, cameras = with_outliers(4, 0, 20, 0)
+    clean = solve(pixels[1:], cameras[1:])
+    pixels[0, :10] = poison
+    found = solve(pixels, cameras)
+    assert found.valid.all()
+    assert np.abs(found.points_m[:10] - clean.points_m[:10]).max() < 1e-9
+
+
+# T05 naive: all weights 0 give the world's origin, one view a point 18 m away with positive depth.
+@pytest.mark.parametrize("views", [0, 1], ids=["T05-no-view", "T05-one-view"])
+def test_fewer_than_two_views_are_undetermined(views):
+    pixels, confidence = seen(ring(), CENTRE), np.zeros((4, 1))
+    confidence[:views] = 1.0
+    found = triangulate(pixels, confidence, ring(), LIMITS)
+    assert not found.valid[0]
+    assert np.isnan(found.points_m).all()
+    assert np.isinf(found.sigma_m).all()
+
+
+def test_diverging_rays_are_undetermined():  # T06 naive: residual 3e-13 px, depth -10 m in both cameras
+    cameras = arc(20.0)
+    behind = np.array([[14.0, 0.0, 1.0]])  # the rays' backward extensions meet there
+    pixels = np.stack([(c.intrinsics @ (c.camera_from_world[:3] @ np.append(behind[0], 1)))[None] for c in cameras])
+    pixels = pixels[..., :2] / pixels[..., 2:]
+    assert not solve(pixels, cameras).valid[0]
+
+
+def test_one_wrong_view_of_four_is_left_out():  # T07 naive: DLT 37 cm, Huber x10 1.4 cm with p95 24
+    truth, pixels, cameras = with_outliers(4, 1, 1000, 1)
+    found = solve(pixels, cameras)
+    error = np.linalg.norm(found.points_m - truth, axis=-1)
+    assert found.verified.mean() > 0.98
+    assert np.nanmedian(error) < 0.005
+    assert np.nanquantile(error, 0.95) < 0.0095
+
+
+def test_two_wrong_views_of_four_are_mostly_left_out_and_said_to_be_unverified():  # T08 naive: 17 cm, p95 1.15 m
+    truth, pixels, cameras = with_outliers(4, 2, 1000, 2)
+    found = solve(pixels, cameras)
+    error = np.linalg.norm(found.points_m - truth, axis=-1)
+    assert np.nanmedian(error) < 0.008
+    assert (error[found.valid] < 0.03).mean() > 0.9
+    assert (~found.verified).mean() > 0.9
+
+
+def test_nine_wrong_views_of_ten_are_undetermined():  # T09 naive: Huber 48 cm, pair search 1.19 m
+    _, pixels, cameras = with_outliers(10, 9, 200, 3)
+    found = solve(pixels, cameras)
+    assert found.valid.mean() < 0.25
+
+
+@pytest.mark.parametrize("outliers", [1, 2], ids=["T10-one", "T10-two"])
+def test_outliers_do_not_pull_on_a_good_start(outliers):  # T10 naive: Huber with outliers kept 0.55 -> 1.34 and 0.66 -> 4.3 cm
+    truth, pixels, cameras = with_outliers(4, outliers, 600, 4)
+    found = solve(pixels, cameras)
+    good = found.valid & (np.linalg.norm(np.nan_to_num(found.points_m) - truth, axis=-1) < 0.03)
+    alone = np.stack(
+        [
+            solve(np.where(found.inliers[:, n : n + 1, None], pixels[:, n : n + 1], np.nan), cameras).points_m[0]
+            for n in np.flatnonzero(good)[:100]
+        ]
+    )
+    assert np.abs(alone - found.points_m[good][:100]).max() < 1e-4
+
+
+def test_refinement_starts_from_a_pair_and_never_runs_away():  # T12 naive: a start behind both cameras ends at 2.7e26 m
+    truth, pixels, cameras = with_outliers(4, 0, 500, 5)
+    wild = pixels + np.random.default_rng(0).normal(0, 60, pixels.shape)
+    found = solve(wild, cameras, outlier_units=40.0)
+    assert (np.linalg.norm(found.points_m[found.valid] - truth[found.valid], axis=-1) < 2.0).all()
+
+
+def test_a_keypoint_moved_along_the_epipolar_line_of_two_views_is_said_to_be_unverified():  # T13 naive: 3.1 m wrong at 2e-13 px
+    cameras = arc(60.0)
+    truth = np.array([[0.3, 0.2, 1.2]])
+    away = truth + 1.5 * (truth - cameras[0].centre_m) / np.linalg.norm(truth - cameras[0].centre_m)
+    pixels = np.stack([cameras[0].project(truth)[0], cameras[1].project(away)[0]])
+    found = solve(pixels, cameras)
+    assert np.nanmax(found.error_px) < 1e-6
+    assert not found.verified[0]
+
+
+@pytest.mark.parametrize("degrees", [0.2, 0.05], ids=["T14-0.2deg", "T14-0.05deg"])
+def test_narrow_rays_keep_their_digits(degrees):  # T14 naive, f32 eigenvalues: 1.3 mm and 5.5 cm
+    cameras = arc(degrees)
+    found = solve(seen(cameras, CENTRE), cameras, min_angle_deg=0.01)
+    assert found.valid[0]
+    assert np.abs(found.points_m - CENTRE).max() < 1e-6
+
+
+def test_a_world_far_from_its_origin_costs_nothing():  # T15 naive, f32: 0.1-0.3 % of the scene
+    shift = np.array([1e5, -1e5, 0])
+    cameras = [look_at(c.name, c.centre_m + shift, np.array([0, 0, 1]) + shift) for c in ring()]
+    truth = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3)) + np.array([0, 0, 1]) + shift
+    assert np.abs(solve(seen(cameras, truth), cameras).points_m - truth).max() < 1e-6
+
+
+# T16, not a failure: 20 / 9.7 / 3.8 / 1.8 / 0.75 / 0.5 cm in the median; the root mean square has a closed form.
+@pytest.mark.parametrize("degrees", [1, 2, 5, 10, 30, 90], ids=lambda d: f"T16-{d}deg")
+def test_accuracy_follows_the_ray_angle(degrees):
+    cameras = arc(degrees)
+    truth = np.tile(CENTRE, (4000, 1))
+    found = solve(seen(cameras, truth, 1.0, np.random.default_rng(degrees)), cameras, min_angle_deg=0.3)
+    error = np.linalg.norm(found.points_m[found.valid] - truth[found.valid], axis=-1)
+    half = np.radians(degrees / 2)
+    expected_m = 0.004 * np.sqrt(0.5 / np.sin(half) ** 2 + 0.5 / np.cos(half) ** 2 + 0.5)  # 1 px is 4 mm at 4 m
+    assert np.sqrt((error**2).mean()) == pytest.approx(expected_m, rel=0.1)
+    assert np.median(found.sigma_m[found.valid]) == pytest.approx(expected_m, rel=0.2)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The front end of the pipeline (capture, cameras, people) on one of the real takes, without the workflow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from studiorecon import settings as settings_module
+from studiorecon.cameras import calibration, refine
+from studiorecon.capture import frames, manifest
+from studiorecon.people import associate, detections
+from studiorecon.scene.dataset import open_dataset
+from studiorecon.scene.files import read_json
+from studiorecon.scene.people import read_identities, read_people
+
+
+def front_end(
+    real_data: Path, root: Path, folder: Path, take: str, default_settings: Callable[..., dict[str, Any]]
+) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
+    """People, identities and the doctor's report of ``pose2sim_balancing/<take>``; files under ``folder/<take>``."""
+    out = folder / take
+    data = open_dataset(real_data / "pose2sim_balancing" / take, root / "tests" / "captures" / f"pose2sim_{take}.yaml")
+
+    def load(module: Any, **changed: Any) -> Any:
+        stage = module.__name__.split(".")[1]
+        return settings_module.load(module.Settings, default_settings(stage, **changed), stage)
+
+    lenses, names = out / "calibration.json", list(data.cameras)
+    calibration.run(load(calibration), list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
+    for name in names:
+        frames.run(load(frames), data.footage[name], lenses, name, 0, 0, 0, out / f"{name}.mkv", out / f"{name}.json")
+    videos = [out / f"{n}.mkv" for n in names]
+    manifest.run(load(manifest), take, [out / f"{n}.json" for n in names], [], out / "manifest.json")
+    found = [out / f"{n}.npz" for n in names]
+    options = load(detections, first_keypoint_frame=-1 if take == "multi" else 0)
+    for name, path in zip(names, found):
+        detections.run(options, name, data.keypoints[name], data.keypoint_layout, out / f"{name}.json", lenses, path)
+    model = out / "model" / "images.txt"
+    refine.run(
+        load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", out / "doctor.json", out / "doctor.png"
+    )  # fmt: skip
+    associate.run(load(associate), model, out / "manifest.json", found, videos, out / "people.tsv", out / "identities.tsv")
+    return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "doctor.json")
