@@ -39,8 +39,7 @@ def front_end(
     for name, path in zip(names, found):
         detections.run(options, name, data.keypoints[name], data.keypoint_layout, out / f"{name}.json", lenses, path)
     model = out / "model" / "images.txt"
-    refine.run(
-        load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", out / "doctor.json", out / "doctor.png"
-    )  # fmt: skip
+    doctor = [out / "doctor.json", out / "doctor.png"]
+    refine.run(load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", *doctor)
     associate.run(load(associate), model, out / "manifest.json", found, videos, out / "people.tsv", out / "identities.tsv")
     return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "doctor.json")
