@@ -4,6 +4,7 @@
 import json
 from pathlib import Path
 
+import jsonschema
 import yaml
 from snakemake.exceptions import WorkflowError
 
@@ -14,6 +15,17 @@ from studiorecon.studio.description import planned_dataset, read_description
 
 IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text())
 DEVICE_STAGES = ("background", "humans", "render")
+
+
+def check_settings():
+    """Refuse a configuration that breaks the schema, in one sentence that names the setting."""
+    schema = yaml.safe_load((Path(workflow.basedir) / "workflow/schemas/config.schema.yaml").read_text())
+    for error in jsonschema.Draft202012Validator(schema).iter_errors(config):
+        where = ".".join(map(str, error.absolute_path)) or "the configuration"
+        raise WorkflowError(f"setting {where}: {error.message} (config/README.md explains every setting)")
+
+
+check_settings()
 
 
 def beside_workflow(path):
