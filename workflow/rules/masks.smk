@@ -1,0 +1,29 @@
+rule masks_segment:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        video="results/{scene}/capture/{camera}.mkv",
+        plate="results/{scene}/capture/{camera}.plate.png",
+        footage="results/{scene}/capture/{camera}.json",
+        calibration="results/{scene}/cameras/calibration.json",
+        people=fits,
+        body=BODY,
+        given=given_masks,
+    output:
+        masks="results/{scene}/masks/{camera}.mkv",
+    log:
+        "logs/{scene}/masks/segment/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/masks/segment/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("masks"),
+        code=code("masks.segment"),
+    shell:
+        "python -m studiorecon masks.segment --settings {params.settings:q} --log {log:q}"
+        " --camera {wildcards.camera:q} --model {input.model:q} --video {input.video:q} --plate {input.plate:q}"
+        " --footage {input.footage:q} --calibration {input.calibration:q} --people {input.people:q} --body {input.body:q}"
+        " --given {input.given:q} --masks {output.masks:q}"

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Operations on binary pictures: growing, distances, small islands and holes, agreement."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+
+def dilated(region: np.ndarray, size_px: int) -> np.ndarray:
+    """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, numerics U24; 0 or 1 = unchanged).
+
+    Raises ValueError for an even size, which would shift the region by half a pixel.
+    """
+    if size_px <= 1:
+        return region.astype(bool)
+    if size_px % 2 == 0:
+        raise ValueError(f"the size of a dilation must be odd, not {size_px}")
+    return cv2.dilate(region.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0
+
+
+def signed_distance_px(region: np.ndarray) -> np.ndarray:
+    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is empty."""
+    inside = region.astype(np.uint8)
+    if not inside.any():
+        return np.full(region.shape, -np.inf, np.float32)
+    if inside.all():
+        return np.full(region.shape, np.inf, np.float32)
+    # Each transform measures to the nearest pixel centre of the other side; the outline runs half a pixel before it.
+    within = cv2.distanceTransform(inside, cv2.DIST_L2, 5)
+    outside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, 5)
+    return np.where(inside > 0, within - 0.5, 0.5 - outside).astype(np.float32)
+
+
+def without_islands(region: np.ndarray, least_px: float) -> np.ndarray:
+    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels."""
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
+    if count <= 1:
+        return region.astype(bool)
+    keep = statistics[:, cv2.CC_STAT_AREA] >= least_px
+    keep[0] = False
+    return keep[labels]
+
+
+def without_holes(region: np.ndarray, largest_px: float) -> np.ndarray:
+    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled."""
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats((~region.astype(bool)).astype(np.uint8), connectivity=4)
+    if count <= 1:
+        return region.astype(bool)
+    touches = np.zeros(count, bool)
+    for edge in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        touches[edge] = True
+    fill = (statistics[:, cv2.CC_STAT_AREA] <= largest_px) & ~touches
+    fill[0] = False
+    return region.astype(bool) | fill[labels]
+
+
+def iou(first: np.ndarray, second: np.ndarray) -> float:
+    """Intersection over union of two regions; NaN when both are empty."""
+    union = int((first | second).sum())
+    return float((first & second).sum() / union) if union else float("nan")

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What speaks for a person at a pixel, as log-odds: how the picture differs from the clean plate, and where the fitted bodies are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+# Log-odds of one pixel's difference never go beyond this: a single pixel is never certain.
+_MOST = 4.0
+# Width of the neighbourhood that knows how much a person differs just inside the outline: two pixels each way.
+_EDGE_PX = 5
+
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """How a colour difference becomes evidence. Differences are in CIELAB units (1 = just visible).
+
+    Attributes:
+        threshold: difference that speaks neither for nor against a person.
+        softness: further difference that adds one to the log-odds.
+        edge: an outline lies where the difference has fallen to this share of what it is next to it.
+        chroma_weight: colour differences count this much more than lightness.
+        shadow: darkest shadow, as a share of the unshadowed light; 1 = no shadow is expected.
+        shadow_weight: how much a difference that a shadow would explain still counts.
+    """
+
+    threshold: float
+    softness: float
+    edge: float
+    chroma_weight: float
+    shadow: float
+    shadow_weight: float
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A clean plate prepared for comparison.
+
+    Attributes:
+        rgb: (H, W, 3) float32 in [0, 1].
+        measured: (H, W) bool.
+        unrest: (H, W) float32 difference that its pixels show without anybody there (noise, compression at edges).
+    """
+
+    rgb: np.ndarray
+    measured: np.ndarray
+    unrest: np.ndarray
+
+
+def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: DifferenceSettings) -> np.ndarray:
+    """(H, W) float32 difference between a picture and the plate, both (H, W, 3) float32 in [0, 1], in CIELAB units.
+
+    A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out first and
+    counts only by ``shadow_weight``: what is left is what a shadow cannot explain.
+    """
+    dot = (rgb * plate_rgb).sum(axis=2)
+    factor = np.clip(dot / np.maximum((plate_rgb * plate_rgb).sum(axis=2), 1e-4), settings.shadow, 1.0)
+    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab)
+    shadowed = cv2.cvtColor(plate_rgb * factor[..., None], cv2.COLOR_RGB2Lab)
+    lightness = np.square(lab[..., 0] - shadowed[..., 0])
+    chroma = np.square(lab[..., 1:] - shadowed[..., 1:]).sum(axis=2)
+    darkening = settings.shadow_weight * 100 * (1 - factor)
+    return np.sqrt(lightness + settings.chroma_weight**2 * chroma + np.square(darkening))
+
+
+def difference_evidence(difference: np.ndarray, plate: Plate, settings: DifferenceSettings) -> np.ndarray:
+    """(H, W) float32 log-odds from the difference to the plate; 0 where the plate is not measured.
+
+    An outline runs where the difference has fallen to a share ``edge`` of what it is just inside: optics and chroma subsampling
+    carry a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative evidence needs the whole
+    neighbourhood to look like the plate: then the room is seen there, even where a body should be (it stands behind furniture),
+    while a single matching pixel inside a shirt is chance.
+    """
+    quiet = difference - plate.unrest
+    own = cv2.GaussianBlur(quiet, (3, 3), 0)
+    strongest = cv2.dilate(own, np.ones((_EDGE_PX, _EDGE_PX), np.uint8))
+    threshold = np.maximum(settings.threshold, settings.edge * strongest)
+    around = cv2.boxFilter(np.maximum(quiet, 0), -1, (7, 7))
+    score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))
+    evidence = np.clip((score - threshold) / settings.softness, -_MOST, _MOST)
+    return np.where(plate.measured, evidence, 0).astype(np.float32)
+
+
+def unrest_of(differences: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """(H, W) float32 80th percentile of differences (T, H, W) over the pictures in which a pixel is ``free`` (T, H, W).
+
+    Pixels that are never free get the median of the others.
+    """
+    sorted_differences = np.sort(np.where(free, differences, np.inf), axis=0)
+    count = free.sum(axis=0)
+    rank = np.clip(np.ceil(0.8 * count).astype(int) - 1, 0, None)
+    unrest = np.take_along_axis(sorted_differences, rank[None], axis=0)[0]
+    known = count > 0
+    fallback = float(np.median(unrest[known])) if known.any() else 0.0
+    return np.where(known, unrest, fallback).astype(np.float32)
+
+
+def body_evidence(signed_distance_m: np.ndarray, sigma_m: float, gate_m: float, inside: float, outside: float) -> np.ndarray:
+    """(...) float32 log-odds from the signed distance to a fitted body's outline, metres at the body's depth.
+
+    One per ``sigma_m``, the typical error of outline and clothes, at most ``inside`` and at least −``outside``; −inf beyond
+    ``gate_m``, where whatever differs is not this person.
+    """
+    evidence = np.clip(signed_distance_m / sigma_m, -outside, inside)
+    return np.where(signed_distance_m < -gate_m, -np.inf, evidence).astype(np.float32)

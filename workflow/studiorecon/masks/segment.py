@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One camera's person masks: 0 background, k + 1 person k, 255 foreground that belongs to no fitted person.
+
+Two witnesses, added as log-odds: how a pixel differs from the clean plate, and how far it lies inside a fitted body's outline. Where
+the plate is unknown GrabCut, seeded by the body, takes the plate's place. Bodies in front hide those behind, by their depth at the
+pixel. Masks that the user brings are taken as they are; only their identities are matched to the fitted people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import Refusal
+from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
+from studiorecon.images.silhouette import front_person, mesh_depth
+from studiorecon.images.stills import read_plate
+from studiorecon.images.video import read_stack, to_float, write_lossless
+from studiorecon.masks.cut import CutSettings, cut_unknown
+from studiorecon.masks.evidence import DifferenceSettings, Plate, body_evidence, colour_difference, difference_evidence, unrest_of
+from studiorecon.masks.given import identified, read_given
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.people import Person, read_person
+
+UNASSIGNED = 255
+# Pictures from which the plate's unrest is learnt.
+_UNREST_FRAMES = 12
+
+
+@dataclass(frozen=True)
+class OutlineSettings:
+    """How much a fitted body says.
+
+    Attributes:
+        sigma_m: distance from its outline that adds one to the log-odds: error of the fit plus thickness of clothes.
+        gate_m: whatever is farther from a body than this is not that person.
+        inside, outside: most log-odds that the body alone gives for, and against, a person.
+    """
+
+    sigma_m: float
+    gate_m: float
+    inside: float
+    outside: float
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How pictures, plates and bodies become masks.
+
+    Attributes:
+        difference: see ``DifferenceSettings``.
+        outline: see ``OutlineSettings``.
+        smooth_px: radius over which evidence is averaged along the picture's edges; 0 = not at all.
+        cut: GrabCut where the plate is unknown, see ``CutSettings``.
+        island_share, hole_share: parts of a person, and gaps in one, smaller than this share of the person are removed, filled.
+        unassigned_share: foreground away from all bodies counts from this share of the picture on.
+    """
+
+    difference: DifferenceSettings
+    outline: OutlineSettings
+    smooth_px: int
+    cut: CutSettings
+    island_share: float
+    hole_share: float
+    unassigned_share: float
+
+
+def person_evidence(
+    depths_m: np.ndarray, camera: Camera, valid: Sequence[bool], settings: OutlineSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K, H, W) log-odds from each body's depth picture (0 = absent), and (K, H, W) its signed distance in metres.
+
+    A body that was only filled in between measured frames (not ``valid``) never speaks for a person, and is twice as vague.
+    """
+    evidence, distance = np.full(depths_m.shape, -np.inf, np.float32), np.full(depths_m.shape, -np.inf, np.float32)
+    for k, depth_m in enumerate(depths_m):
+        covered = depth_m > 0
+        if not covered.any():
+            continue
+        metres_per_pixel = float(np.median(depth_m[covered])) / camera.focal_px[0]
+        distance[k] = signed_distance_px(covered) * metres_per_pixel
+        sigma_m = settings.sigma_m if valid[k] else 2 * settings.sigma_m
+        evidence[k] = body_evidence(distance[k], sigma_m, settings.gate_m, settings.inside if valid[k] else 0.0, settings.outside)
+    return evidence, distance
+
+
+def segment_frame(
+    rgb: np.ndarray, difference: np.ndarray, plate: Plate, depths_m: np.ndarray, camera: Camera, valid: Sequence[bool], settings: Settings
+) -> np.ndarray:
+    """(H, W) uint8 labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate."""
+    seen = difference_evidence(difference, plate, settings.difference)
+    bodies, distance_m = person_evidence(depths_m, camera, valid, settings.outline)
+    labels = np.zeros(seen.shape, np.uint8)
+    near_somebody = np.zeros(seen.shape, bool)
+    if len(bodies):
+        best = bodies.max(axis=0)
+        near_somebody = np.isfinite(best)
+        total = seen + best
+        total = cut_unknown(rgb, total, near_somebody & ~plate.measured, settings.cut)
+        person = along_edges(total, rgb, settings.smooth_px) > 0
+        front = front_person(depths_m)
+        owner = np.where(front > 0, front, distance_m.argmax(axis=0) + 1)
+        for k in range(len(bodies)):
+            own = person & (owner == k + 1)
+            size = int(own.sum())
+            labels[without_islands(without_holes(own, settings.hole_share * size), settings.island_share * size) & (labels == 0)] = k + 1
+    stranger = (seen > 2) & ~near_somebody
+    stranger = cv2.morphologyEx(stranger.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    labels[without_islands(stranger, settings.unassigned_share * stranger.size) & (labels == 0)] = UNASSIGNED
+    return labels
+
+
+def along_edges(evidence: np.ndarray, rgb: np.ndarray, radius_px: int) -> np.ndarray:
+    """(H, W) evidence averaged over ``radius_px`` without crossing edges of the picture; −inf stays −inf."""
+    possible = np.isfinite(evidence)
+    if radius_px <= 0 or not possible.any():
+        return evidence
+    bounded = np.where(possible, evidence, np.float32(-6))
+    smooth = cv2.ximgproc.guidedFilter(rgb, bounded.astype(np.float32), radius_px, 0.02 * 255**2 / 100)
+    return np.where(possible, smooth, -np.inf)
+
+
+def segment(
+    frames: np.ndarray,
+    plate_rgb: np.ndarray,
+    measured: np.ndarray,
+    people: Sequence[Person],
+    body: BodyModel,
+    camera: Camera,
+    settings: Settings,
+) -> Iterator[np.ndarray]:
+    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8."""
+    plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _UNREST_FRAMES).round().astype(int))
+    free = []
+    for t in chosen:
+        distances = person_evidence(body_depths(people, body, camera, t), camera, [True] * len(people), settings.outline)[1]
+        free.append(measured & (distances.max(axis=0, initial=-np.inf) < -settings.outline.gate_m))
+    differences = np.stack([colour_difference(to_float(frames[t]), plate_rgb, settings.difference) for t in chosen])
+    plate = Plate(plate_rgb, measured, unrest_of(differences, np.stack(free)))
+    for t, frame in enumerate(progress(frames, "masks")):
+        difference = colour_difference(to_float(frame), plate_rgb, settings.difference)
+        depths_m = body_depths(people, body, camera, t)
+        yield segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings)
+
+
+def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> np.ndarray:
+    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 where it is not."""
+    depths = np.zeros((len(people), *camera.hw), np.float32)
+    for k, person in enumerate(people):
+        vertices_m = body.vertices(person.poses[frame : frame + 1], person.betas, person.trans[frame : frame + 1])[0]
+        depths[k] = mesh_depth(vertices_m, body.faces, camera)
+    return depths
+
+
+def run(
+    settings: Settings,
+    camera: str,
+    model: Path,
+    video: Path,
+    plate: Path,
+    footage: Path,
+    calibration: Path,
+    people: list[Path],
+    body: Path,
+    given: list[Path],
+    masks: Path,
+) -> None:
+    """Masks of ``camera`` for the fitted ``people``; ``given`` (none or one path) are masks that the user brings, which are kept."""
+    own = next((c for c in read_model(model.parent) if c.name == camera), None)
+    if own is None:
+        raise Refusal(f"{model} has no camera {camera}; run cameras.refine again")
+    fits = [read_person(path) for path in people]
+    body_model = BodyModel.load(body)
+    frames = read_stack(video)
+    for path, fit in zip(people, fits):
+        if fit.body != body_model.identity or len(fit.poses) != len(frames):
+            raise Refusal(
+                f"{path} holds {len(fit.poses)} frames of body {fit.body}, but the video has {len(frames)} frames and {body} is "
+                f"{body_model.identity}; run people.fit again"
+            )
+    if given:
+        brought = read_given(given[0], footage, calibration, len(frames))
+        depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))
+        labels, told = identified(brought, depths, len(fits), settings.outline.gate_m, own)
+        say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
+    else:
+        plate_rgb, measured = read_plate(plate)
+        labels = np.stack(list(segment(frames, plate_rgb, measured, fits, body_model, own, settings)))
+        say(describe(camera, labels, [f.name for f in fits], float(measured.mean())))
+    write_lossless(masks, iter(labels), fits[0].fps if fits else 30.0)
+
+
+def describe(camera: str, labels: np.ndarray, names: Sequence[str], measured: float) -> str:
+    """One sentence: what the masks hold."""
+    shares = [f"{name} {np.mean(labels == k + 1):.1%}" for k, name in enumerate(names)]
+    how = "against the clean plate" if measured > 0.999 else f"against the plate where known ({measured:.0%}), GrabCut elsewhere"
+    return f"{camera}: {', '.join(shares) or 'nobody'}, unassigned {np.mean(labels == UNASSIGNED):.2%} of the picture; {how}"

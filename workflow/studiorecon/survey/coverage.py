@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of the room the cameras see, and from how far apart they look."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from studiorecon.images.warp import sample
+from studiorecon.scene.camera import Camera
+
+
+def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> np.ndarray:
+    """(N, 3) grid points between the cameras: their horizontal surroundings of the point they look at, from the floor to ``height_m``.
+
+    The stage is a disc about the point nearest to all optical axes, with the distance of the nearest camera as its radius.
+    """
+    centre, radius_m = stage(cameras)
+    along = np.arange(-radius_m, radius_m + 1e-9, step_m)
+    x, y, z = np.meshgrid(along, along, np.arange(step_m / 2, height_m, step_m), indexing="ij")
+    points = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    return points[np.hypot(points[:, 0], points[:, 1]) <= radius_m] + np.array([centre[0], centre[1], 0.0])
+
+
+def stage(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
+    """Horizontal centre (2,) of what the cameras look at, and the distance of the nearest of them."""
+    positions = np.array([c.centre_m[:2] for c in cameras])
+    directions = np.array([c.forward[:2] for c in cameras])
+    lengths = np.linalg.norm(directions, axis=1)
+    # A camera that looks straight down has no horizontal direction; its own place is what it looks at.
+    normals = np.eye(2) - np.einsum("ci,cj->cij", directions, directions) / np.maximum(lengths, 1e-9)[:, None, None] ** 2
+    # Parallel axes meet nowhere: a little pull towards the mean position keeps the answer finite.
+    system = normals.sum(axis=0) + 1e-3 * np.eye(2)
+    centre = np.linalg.solve(system, np.einsum("cij,cj->i", normals, positions) + 1e-3 * positions.mean(axis=0))
+    return centre, float(np.linalg.norm(positions - centre, axis=1).min())
+
+
+def seen_by(points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float) -> np.ndarray:
+    """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind what its depth map shows.
+
+    Unknown depth (0) hides nothing. ``tolerance`` is the share of depth by which a point may lie behind the surface.
+    """
+    seen = np.zeros((len(cameras), len(points_m)), bool)
+    for index, (camera, depth_m) in enumerate(zip(cameras, depths_m)):
+        pixels, z = camera.project(points_m)
+        surface, inside = sample(depth_m, pixels[None], "nearest")
+        seen[index] = inside[0] & (z > 0) & ((surface[0] <= 0) | (z <= surface[0] * (1 + tolerance)))
+    return seen
+
+
+def from_two_sides(points_m: np.ndarray, cameras: Sequence[Camera], seen: np.ndarray, least_deg: float) -> np.ndarray:
+    """(N,) bool: two cameras that see the point do so from directions at least ``least_deg`` apart (numerics T01)."""
+    rays = np.stack([points_m - c.centre_m for c in cameras])
+    rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-12)
+    apart = np.zeros(len(points_m), bool)
+    for i in range(len(cameras)):
+        for j in range(i + 1, len(cameras)):
+            apart |= seen[i] & seen[j] & ((rays[i] * rays[j]).sum(axis=-1) < np.cos(np.radians(least_deg)))
+    return apart
+
+
+def largest_gap_deg(cameras: Sequence[Camera]) -> float:
+    """Largest azimuth between neighbouring cameras about what they look at, degrees; 360 for a single one."""
+    centre, _ = stage(cameras)
+    offsets = np.array([c.centre_m[:2] - centre for c in cameras])
+    azimuths = np.sort(np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])))
+    return float(np.diff(azimuths, append=azimuths[0] + 360).max())

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do the cameras agree on the colour of the surfaces they share?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.images.exposure import Overlap, compare, solve_gains
+from studiorecon.images.warp import sample
+from studiorecon.scene.camera import Camera
+
+# Every so many pixels a surface point is compared: neighbours share their errors, and count as one.
+_STRIDE = 4
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera's clean plate: rgb (H, W, 3) in [0, 1], measured (H, W), depth_m (H, W) of the empty room, 0 = unknown."""
+
+    camera: Camera
+    rgb: np.ndarray
+    measured: np.ndarray
+    depth_m: np.ndarray
+
+
+def overlaps(views: Sequence[View], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
+    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and each one's standard error."""
+    found, errors = [], []
+    for i, first in enumerate(views):
+        pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
+        depth_m = first.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
+        known = (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
+        colours = first.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
+        points = first.camera.unproject(pixels[known], depth_m[known])
+        for j, second in enumerate(views):
+            if i == j or not len(points):
+                continue
+            there, z = second.camera.project(points)
+            surface, inside = sample(second.depth_m, there[None], "nearest")
+            rgb, within = sample(second.rgb, there[None])
+            measured, _ = sample(second.measured, there[None], "nearest")
+            same = inside[0] & within[0] & measured[0] & (z > 0) & (np.abs(surface[0] - z) <= tolerance * z)
+            overlap = compare(i, j, colours[same], rgb[0][same], least_pixels)
+            if overlap is not None:
+                found.append(overlap)
+                errors.append(_standard_error(colours[same], rgb[0][same], overlap))
+    return found, errors
+
+
+def disagreement(cameras: int, found: Sequence[Overlap], errors: Sequence[float]) -> tuple[float, float, np.ndarray]:
+    """Largest |gain − 1| over cameras and channels, its standard error, and the gains (cameras, 3)."""
+    gains = solve_gains(cameras, found)
+    pairs = max(len(found) / max(cameras, 1), 1.0)
+    return float(np.abs(gains - 1).max()), float(np.median(errors) / np.sqrt(pairs)), gains
+
+
+def _standard_error(first: np.ndarray, second: np.ndarray, overlap: Overlap) -> float:
+    """Standard error of the median log ratio: 1.25 robust deviations over the root of the count."""
+    ratio = np.log(np.maximum(first, 1e-3)) - np.log(np.maximum(second, 1e-3)) - overlap.log_ratio
+    deviation = 1.4826 * float(np.median(np.abs(ratio)))
+    return 1.25 * deviation / np.sqrt(overlap.pixels)
