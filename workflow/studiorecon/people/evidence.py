@@ -53,9 +53,10 @@ def motion_support(pictures: Sequence[np.ndarray], keypoints: Sequence[np.ndarra
     """(2,) how many places that a keypoint left or reached show a change, and how many places there are.
 
     ``pictures`` are (H, W, 3) uint8 of one camera, ``keypoints`` one person's (K, 3) in each of them. Every two pictures are
-    compared, after a little blur and without their median difference (exposure).
+    compared, after a little blur and without their median colour (exposure).
     """
-    smooth = [cv2.GaussianBlur(p, (0, 0), _BLUR_PX).astype(np.float32) for p in pictures]
+    blurred = [cv2.GaussianBlur(p, (0, 0), _BLUR_PX).astype(np.float32) for p in pictures]
+    smooth = [b - np.median(b[::4, ::4], axis=(0, 1)) for b in blurred]
     counts = np.zeros(2, dtype=int)
     for a, b in combinations(range(len(pictures)), 2):
         sure = (keypoints[a][:, 2] >= limits.confidence) & (keypoints[b][:, 2] >= limits.confidence)
@@ -63,8 +64,7 @@ def motion_support(pictures: Sequence[np.ndarray], keypoints: Sequence[np.ndarra
         moved = np.linalg.norm(first - second, axis=-1) > limits.step_share * max(pictures[a].shape[:2])
         if not moved.any():
             continue
-        difference = smooth[a] - smooth[b]
-        changed = np.abs(difference - np.median(difference, axis=(0, 1))).max(-1) > limits.difference
+        changed = np.abs(smooth[a] - smooth[b]).max(-1) > limits.difference
         radius = max(1, round(_RADIUS_SHARE * max(changed.shape)))
         near = cv2.dilate(changed.astype(np.uint8), np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
         columns, rows = np.floor(np.concatenate([first[moved], second[moved]])).astype(int).T
