@@ -17,7 +17,7 @@ rule humans_train:
             allow_missing=True,
         ),
         fit="results/{scene}/people/{person}.npz",
-        body=config["people"]["fit"]["body"],
+        body=BODY,
     output:
         gaussians="results/{scene}/humans/{person}.ply",
         avatar="results/{scene}/humans/{person}.npz",

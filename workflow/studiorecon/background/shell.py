@@ -90,8 +90,8 @@ class Painted:
 
 
 def paint(
-    faces: Sequence[Face], cameras: Sequence[Camera], plates: Sequence[np.ndarray], known: Sequence[np.ndarray], depths_m: Sequence[np.ndarray],
-    step_m: float,
+    faces: Sequence[Face], cameras: Sequence[Camera], plates: Sequence[np.ndarray], known: Sequence[np.ndarray],
+    depths_m: Sequence[np.ndarray], step_m: float,
 ) -> list[Painted]:  # fmt: skip
     """The atlas of every face: photographed where a camera sees it, inpainted beside that, borrowed where nothing of it was seen.
 

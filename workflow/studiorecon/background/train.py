@@ -192,9 +192,8 @@ def run(
         marks = np.full(start.count, MEASURED, np.uint8)
         say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
     real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
-    say(
-        f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {settings.views_share if synthesized else 0:.0%} of the steps"
-    )
+    drawn = settings.views_share if synthesized else 0.0
+    say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
     shares = draw_shares(len(real), len(synthesized), settings.views_share)
     targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
     trained = train(start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background")

@@ -20,10 +20,10 @@ from studiorecon.body.posing import MAX_SH_DEGREE, Posing
 from studiorecon.body.weight_grid import build_weight_grid, strongest
 from studiorecon.errors import Refusal
 from studiorecon.humans.colouring import look, nearest_surface
-from studiorecon.humans.training import Limits, Losses, Rates, train_gaussians
 from studiorecon.humans.footage import Crop, crops_of
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
+from studiorecon.humans.training import Limits, Losses, Rates, train_gaussians
 from studiorecon.images.video import read_frames
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -143,9 +143,8 @@ def run(
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
-    say(
-        f"{person}: Gaussians moved {np.median(moved_mm):.1f} mm from the body's surface in the median, {np.quantile(moved_mm, 0.99):.0f} mm at most (99 %)"
-    )
+    far_mm = np.quantile(moved_mm, 0.99)
+    say(f"{person}: Gaussians moved {np.median(moved_mm):.1f} mm from the body's surface in the median, 99 % less than {far_mm:.0f} mm")
     write_avatar(gaussians, avatar, Avatar(
         person=person, model=body_model, gaussians=trained, bones=bones, weights=weights,
         provenance=np.where(seen, MEASURED, INFERRED).astype(np.uint8), poses=motion.poses, trans=motion.trans_m, betas=fitted.betas,

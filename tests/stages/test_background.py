@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""background: first Gaussians, painted walls, view weights, and a whole training on a small box room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.background import shell as room
+from studiorecon.background import train
+from studiorecon.background.seeding import random_volume, seeds_from_depth
+from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
+from studiorecon.errors import Refusal
+from studiorecon.images.exr import write_depth
+from studiorecon.images.metrics import psnr
+from studiorecon.images.video import to_bytes, write_lossless
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.colmap import write_model
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.path import Step, write_path
+from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
+from studiorecon.scene.shell import Shell, write_shell
+from studiorecon.splatting.rasterise import rasterise
+
+from tests.stages.made_scene import ring
+
+BOX = Shell(0.2, np.array([-3.0, -2.6, 0.0]), np.array([3.1, 2.7, 2.6]), np.array([1, 1, 1, 1, 1, 0], bool), np.ones(6))
+WH = (96, 56)
+
+
+def look(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Picture (H, W, 3) float32 and depth (H, W) of the box room from inside; every face has its own pattern and colour."""
+    origin, directions = camera.rays()
+    depth_m, face = BOX.intersect(origin, directions)
+    at = (origin + directions * depth_m[..., None]) @ BOX.axes.T
+    tint = np.array([[0.8, 0.4, 0.3], [0.3, 0.6, 0.8], [0.4, 0.8, 0.4], [0.8, 0.8, 0.4], [0.6, 0.5, 0.4], [0.9, 0.9, 0.9]])[face]
+    waves = np.sin(2.5 * at[..., :1]) * np.sin(2.5 * at[..., 1:2] + 1) + np.sin(3 * at[..., 2:])
+    return np.clip(tint * (1 + 0.25 * waves), 0, 1).astype(np.float32), depth_m.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def cameras() -> list[Camera]:
+    return ring([0, 90, 180, 270], "cam", wh=WH)
+
+
+@pytest.fixture(scope="module")
+def between() -> list[Camera]:
+    return ring([45, 135, 225, 315], "view", radius_m=1.9, wh=WH)
+
+
+@pytest.fixture
+def settings(default_settings: Callable) -> Callable[..., train.Settings]:
+    def made(iterations: int = 250, **replaced: object) -> train.Settings:
+        section = default_settings("background", **replaced)
+        section["training"] = {**section["training"], "iterations": iterations, "warmup_half_resolution": 0.0}
+        return settings_module.load(train.Settings, section, "background")
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> dict:
+    """Files of the box room; the plate of cam0 has a hole, the depth of cam1 is half default, views repeat the true room."""
+    folder = tmp_path_factory.mktemp("background")
+    write_model(folder / "cameras", cameras)
+    write_shell(folder / "shell.json", BOX)
+    options = {
+        "model": folder / "cameras/images.txt",
+        "shell": folder / "shell.json",
+        "plates": [],
+        "depth": [],
+        "views": [],
+        "supports": [],
+    }
+    for index, camera in enumerate(cameras):
+        rgb, depth_m = look(camera)
+        alpha = np.full(camera.hw, 255, np.uint8)
+        confidence = np.ones(camera.hw)
+        if index == 0:
+            alpha[20:40, 30:50] = 0
+            rgb = np.where(alpha[..., None] == 0, np.float32([1, 0, 1]), rgb)
+        if index == 1:
+            confidence[:, :48] = 0.1
+        options["plates"].append(folder / f"{camera.name}.plate.png")
+        cv2.imwrite(str(options["plates"][-1]), np.dstack([to_bytes(rgb)[..., ::-1], alpha]))
+        options["depth"].append(folder / f"{camera.name}.exr")
+        write_depth(options["depth"][-1], depth_m, confidence)
+    steps = []
+    for segment, start in enumerate((0, 90, 180, 270)):
+        own = [Step(c, 0.0, f"{segment:02d}") for c in ring([start, start + 30, start + 60], "v", radius_m=2.1, wh=WH)]
+        pictures = [to_bytes(look(s.camera)[0]) for s in own]
+        for kind, frames in (("views", pictures), ("supports", [np.full(WH[::-1], 255, np.uint8) for _ in own])):
+            options[kind].append(folder / f"{segment:02d}.{kind}.mkv")
+            write_lossless(options[kind][-1], frames, 30.0)
+        steps += own
+    options["path"] = folder / "path.json"
+    write_path(options["path"], steps, 30.0)
+    return options
+
+
+def score(folder: Path, cameras: list[Camera]) -> float:
+    gaussians = read_ply(folder / "scene.ply")
+    return float(np.mean([psnr(rasterise(gaussians, c, near_m=0.1).rgb, look(c)[0]) for c in cameras]))
+
+
+def run(settings: train.Settings, capture: dict, folder: Path, **replaced: object) -> np.ndarray:
+    train.run(settings, **(capture | replaced), background=folder / "scene.ply", provenance=folder / "provenance.npz")
+    with np.load(folder / "provenance.npz") as data:
+        return data["provenance"]
+
+
+def test_the_full_path_beats_four_photos_from_views_between_them(
+    settings: Callable, capture: dict, between: list[Camera], tmp_path: Path
+) -> None:
+    marks = run(settings(), capture, tmp_path / "full")
+    run(settings(start="random", random_count=4000, fill=False, equalise=False, views_share=0.0), capture, tmp_path / "fourview")
+    full, fourview = score(tmp_path / "full", between), score(tmp_path / "fourview", between)
+    assert full > 24
+    assert full - fourview > 3.5
+    assert len(marks) == read_ply(tmp_path / "full/scene.ply").count
+    assert set(np.unique(marks)) == {MEASURED, INFERRED, INVENTED}
+
+
+def test_the_same_inputs_give_the_same_bytes(settings: Callable, capture: dict, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        run(settings(iterations=20), capture, tmp_path / name)
+    assert (tmp_path / "a/scene.ply").read_bytes() == (tmp_path / "b/scene.ply").read_bytes()
+
+
+def test_exposure_factors_are_divided_out(settings: Callable, capture: dict, cameras: list[Camera], tmp_path: Path) -> None:
+    gains = {c.name: np.full(3, 0.8 if c.name == "cam2" else 1.0) for c in cameras}
+    write_shell(tmp_path / "shell.json", Shell(BOX.yaw_rad, BOX.low_m, BOX.high_m, BOX.fitted, BOX.score, gains))
+    darker = [tmp_path / "dark.png" if "cam2" in p.name else p for p in capture["plates"]]
+    stored = cv2.imread(str(capture["plates"][2]), cv2.IMREAD_UNCHANGED)
+    stored[..., :3] = np.rint(stored[..., :3] * 0.8)
+    cv2.imwrite(str(tmp_path / "dark.png"), stored)
+    errors = {}
+    for equalise in (True, False):
+        run(settings(iterations=150, equalise=equalise), capture, tmp_path, plates=darker, shell=tmp_path / "shell.json")
+        errors[equalise] = score(tmp_path, [cameras[2]])
+    assert errors[True] > errors[False] + 2
+
+
+def test_wrong_sizes_and_counts_are_refused_by_name(settings: Callable, capture: dict, cameras: list[Camera], tmp_path: Path) -> None:
+    write_depth(tmp_path / "small.exr", np.ones((10, 10)), np.ones((10, 10)))
+    with pytest.raises(Refusal, match=r"small\.exr is 10×10 pixels, but camera cam0 works at 96×56"):
+        run(settings(), capture, tmp_path, depth=[tmp_path / "small.exr", *capture["depth"][1:]])
+    with pytest.raises(Refusal, match="3 plates and 4 depth maps for 4 training cameras"):
+        run(settings(), capture, tmp_path, plates=capture["plates"][:3])
+    with pytest.raises(Refusal, match="4 segments, but there are 1 view videos"):
+        run(settings(), capture, tmp_path, views=capture["views"][:1])
+    cv2.imwrite(str(tmp_path / "blank.png"), np.zeros((*cameras[0].hw, 4), np.uint8))
+    with pytest.raises(Refusal, match=r"blank\.png has no measured pixel"):
+        run(settings(), capture, tmp_path, plates=[tmp_path / "blank.png", *capture["plates"][1:]])
+
+
+def test_seeds_lie_on_the_walls_in_the_plates_colours(cameras: list[Camera]) -> None:
+    rgb, depth_m = look(cameras[0])
+    wanted = np.ones(cameras[0].hw, bool)
+    wanted[:, :10] = False
+    made, at = seeds_from_depth(cameras[0], rgb, wanted, depth_m, 2, 0.6, 0.7, 1)
+    inside = made.means_m @ BOX.axes.T
+    distance = np.minimum(np.abs(inside - BOX.low_m), np.abs(inside - BOX.high_m)).min(axis=1)
+    assert distance.max() < 1e-3
+    assert at[:, 1].min() >= 10
+    assert np.allclose(made.sh[:, 0] * 0.28209479 + 0.5, rgb[at[:, 0], at[:, 1]], atol=1e-5)
+    # Thin across the wall: the shortest axis is a third or less of the others.
+    assert np.all(made.log_scales[:, 2] < made.log_scales[:, 0] - 1)
+
+
+def test_unknown_depth_seeds_nothing(cameras: list[Camera]) -> None:
+    rgb, depth_m = look(cameras[0])
+    depth_m[:28] = 0
+    _, at = seeds_from_depth(cameras[0], rgb, np.ones(cameras[0].hw, bool), depth_m, 1, 0.6, 0.7, 0)
+    assert at[:, 0].min() >= 28
+
+
+def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -> None:
+    pictures, depths = zip(*(look(c) for c in cameras))
+    known = [np.ones(c.hw, bool) for c in cameras]
+    faces = room.faces_of(BOX)
+    painted = {p.face.name: p for p in room.paint(faces, cameras[:1], pictures, known, depths, 0.1)}
+    floor = painted["floor"]
+    assert 0.2 < floor.seen.mean() < 0.9
+    assert np.abs(floor.rgb[~floor.seen].mean(axis=0) - floor.rgb[floor.seen].mean(axis=0)).max() < 0.2
+    assert np.allclose(floor.points_m[..., 2], 0)
+    # This camera sees nothing of the ceiling: it borrows, and stays a colour.
+    assert not painted["ceiling"].seen.any()
+    assert np.all((painted["ceiling"].rgb >= 0) & (painted["ceiling"].rgb <= 1))
+
+
+def test_the_grid_of_a_far_away_shell_stays_within_its_limit() -> None:
+    faces = room.faces_of(Shell(0.0, np.full(3, -40.0), np.full(3, 40.0), np.zeros(6, bool), np.ones(6)))
+    step_m = room.node_step(faces, 0.04, 5000)
+    assert sum(f.nodes(step_m)[..., 0].size for f in faces) < 5500
+
+
+@pytest.mark.parametrize(
+    ("angle", "cutoff", "expected"),
+    [
+        pytest.param(0.0, 0.0, 3.0, id="I11-at-a-photo"),
+        pytest.param(0.1, 0.0, 1.0, id="I11-beside-it"),
+        pytest.param(np.pi / 2, np.pi / 4, 1.0, id="I12-beyond-the-cut-off"),  # without the clamp: 3.0, as for a photo
+        pytest.param(np.pi / 8, np.pi / 4, 2.0, id="half-way"),
+    ],
+)
+def test_view_weight(angle: float, cutoff: float, expected: float) -> None:
+    assert view_weight(angle, cutoff, 2.0) == pytest.approx(expected)
+
+
+def test_angles_between_equal_axes_are_zero_not_nan(cameras: list[Camera]) -> None:
+    """I13: arccos(1.0000001) is NaN."""
+    assert angle_between_axes(cameras[0], cameras[0]) == 0
+    assert cutoff_angle(cameras) == pytest.approx(0.5 * angle_between_axes(cameras[0], cameras[1]))
+    assert cutoff_angle(cameras[:1]) == 0
+
+
+def test_views_get_their_share_of_the_draws() -> None:
+    shares = draw_shares(4, 90, 0.5)
+    assert shares[4:].sum() == pytest.approx(0.5)
+    assert shares.sum() == pytest.approx(1)
+    assert draw_shares(4, 0, 0.5).tolist() == [0.25] * 4
+    assert support_weight(np.array([[0, 255]], np.uint8), 0.3) == pytest.approx(np.array([[0.3, 1.0]]))
+
+
+def test_the_random_start_knows_nothing_but_the_cameras(cameras: list[Camera]) -> None:
+    made = random_volume(cameras, 1000, 0.06, 1, np.random.default_rng(0))
+    assert (made.means_m[:, 2] == 0).sum() == 250
+    assert np.ptp(made.means_m[:, 0]) > 2 * 2.4
+    assert np.all(made.sh == 0)

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""humans: verdicts on pixels, colours, refined motion, and a whole training of a made person."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.body.avatar import read_avatar
+from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.body.posing import Posing
+from studiorecon.body.weight_grid import strongest
+from studiorecon.errors import Refusal
+from studiorecon.geometry import rotations
+from studiorecon.humans import train
+from studiorecon.humans.footage import IGNORED, OUTSIDE, PERSON, box_around, cut, judge, silhouette
+from studiorecon.humans.motion import Motion
+from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
+from studiorecon.images.metrics import psnr
+from studiorecon.images.video import to_bytes, write_lossless
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import Footage, Manifest, write_manifest
+from studiorecon.scene.colmap import write_model
+from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
+from studiorecon.scene.people import Person, write_people, write_person
+from studiorecon.scene.provenance import INFERRED, MEASURED
+from studiorecon.splatting.rasterise import rasterise
+
+from tests.stages.made_scene import ring
+
+WH = (112, 96)
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def body(root: Path) -> BodyModel:
+    return BodyModel.load(root / "resources" / "body.npz")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A made person, dressed in coloured bands, filmed before a checkered wall by four cameras."""
+
+    folder: Path
+    options: dict
+    person: Person
+    posed: Callable[[int], Gaussians]
+
+
+def motion_of(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (T, 72) and pelvis positions (T, 3): turning on the spot, arms swinging."""
+    swing = np.sin(np.linspace(0, 2 * np.pi, FRAMES))
+    poses = np.zeros((FRAMES, 72))
+    for frame, s in enumerate(swing):
+        poses[frame, :3] = upright_global_orientation(0.4 + 0.5 * s)
+    poses[:, 16 * 3 + 2], poses[:, 17 * 3 + 2] = -0.9 + 0.4 * swing, 0.9 + 0.4 * swing
+    poses[:, 1 * 3], poses[:, 2 * 3] = -0.4 * swing, 0.4 * swing
+    return poses, np.stack([0.1 * swing, 0 * swing, np.full(FRAMES, 0.95)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) -> Made:
+    folder = tmp_path_factory.mktemp("humans")
+    cameras = ring([0, 90, 180, 270], "cam", wh=WH)
+    write_model(folder / "cameras", cameras)
+    poses, trans = motion_of(body)
+    samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 9000, np.random.default_rng(1))
+    height = samples.points_m[:, 1]
+    rgb = np.stack([0.5 + 0.4 * np.sin(9 * height), 0.5 + 0.4 * np.sin(7 * height + 2), 0.4 + 0.3 * np.cos(11 * height)], axis=1)
+    dressed = gaussians_on(samples, 0)
+    dressed.sh[:, 0] = sh_from_rgb(rgb)
+    posing = Posing(*strongest(samples.weights, 4))
+    transforms = body.joint_transforms(poses, np.zeros(10), trans)
+
+    def posed(frame: int) -> Gaussians:
+        carried = posing.out(dressed.means_m, dressed.quaternions, dressed.sh, transforms[frame])
+        return Gaussians(*carried[:2], dressed.log_scales, dressed.logit_opacities, carried[2])
+
+    wall = np.where((np.add.outer(np.arange(WH[1]) // 6, np.arange(WH[0]) // 6) % 2)[..., None], [0.9, 0.9, 0.2], [0.1, 0.3, 0.1])
+    footage, options = [], {"videos": [], "masks": []}
+    for camera in cameras:
+        pictures, masks = [], []
+        for frame in range(FRAMES):
+            seen = rasterise(posed(frame), camera, near_m=0.05)
+            pictures.append(to_bytes(seen.rgb + wall * (1 - seen.alpha[..., None])))
+            masks.append(np.where(seen.alpha > 0.5, 2, 0).astype(np.uint8))
+        for kind, frames in (("videos", pictures), ("masks", masks)):
+            options[kind].append(folder / f"{camera.name}.{kind}.mkv")
+            write_lossless(options[kind][-1], frames, 30.0)
+        footage.append(Footage(camera.name, False, WH, camera.intrinsics.tolist(), 30.0, FRAMES, 0, "made", "", WH, 0.0, 0.0, []))
+    write_manifest(folder / "manifest.json", Manifest("made", 30.0, FRAMES, tuple(footage)))
+    # The person is the second in the table: masks label them 2.
+    write_people(folder / "people.tsv", [("p0", FRAMES, "cam0", 1.0), ("p3", FRAMES, "cam0", 1.0)])
+    joints = body.joints(poses, np.zeros(10), trans)
+    person = Person("p3", body.identity, 30.0, poses, trans, np.zeros(10), joints, np.ones(FRAMES, bool), np.full((FRAMES, 24), 0.01), True)
+    write_person(folder / "p3.npz", person)
+    options |= {
+        "person": "p3", "model": folder / "cameras/images.txt", "manifest": folder / "manifest.json", "people": folder / "people.tsv",
+        "fit": folder / "p3.npz", "body": root / "resources/body.npz",
+    }  # fmt: skip
+    return Made(folder, options, person, posed)
+
+
+@pytest.fixture
+def settings(default_settings: Callable) -> Callable[..., train.Settings]:
+    def load(pose_rad: float = 0.0, **replaced: object) -> train.Settings:
+        section = copy.deepcopy(default_settings("humans", **({"iterations": 150, "gaussians": 3000} | replaced)))
+        section["rates"]["pose_rad"] = pose_rad
+        return settings_module.load(train.Settings, section, "humans")
+
+    return load
+
+
+def score(made: Made, body: BodyModel, folder: Path, cameras: list[Camera]) -> float:
+    """Mean PSNR of the person's own pixels from cameras that were not trained on."""
+    trained = read_avatar(folder / "p3.ply", folder / "p3.npz", body)
+    values = []
+    for camera in cameras:
+        truth, shown = (rasterise(g, camera, near_m=0.05) for g in (made.posed(2), trained.posed(2)))
+        values.append(psnr(shown.rgb, truth.rgb, truth.alpha > 0.5))
+    return float(np.mean(values))
+
+
+def test_a_person_is_recognisable_from_where_no_camera_stood(made: Made, body: BodyModel, settings: Callable, tmp_path: Path) -> None:
+    between = ring([45, 200], "view", wh=WH)
+    train.run(settings(iterations=300), **made.options, gaussians=tmp_path / "p3.ply", avatar=tmp_path / "p3.npz")
+    trained = score(made, body, tmp_path, between)
+    (tmp_path / "start").mkdir()
+    train.run(settings(iterations=1), **made.options, gaussians=tmp_path / "start/p3.ply", avatar=tmp_path / "start/p3.npz")
+    started = score(made, body, tmp_path / "start", between)
+    assert trained > 27
+    assert trained > started + 1.5
+    written = read_avatar(tmp_path / "p3.ply", tmp_path / "p3.npz", body)
+    assert set(np.unique(written.provenance)) <= {MEASURED, INFERRED}
+    assert 0.7 < written.seen_share < 1
+    # No needles, no blankets: every standard deviation stays within the limits.
+    limits = settings().limits
+    assert np.ptp(written.gaussians.log_scales) <= np.log(limits.largest / limits.smallest) + 1e-5
+
+
+def test_the_background_leaves_no_halo(made: Made, body: BodyModel, settings: Callable, tmp_path: Path) -> None:
+    """The wall is yellow-green; nothing of the person is, and the picture outside the silhouette stays empty."""
+    train.run(settings(), **made.options, gaussians=tmp_path / "p3.ply", avatar=tmp_path / "p3.npz")
+    camera = ring([45], "view", wh=WH)[0]
+    truth = rasterise(made.posed(2), camera, near_m=0.05)
+    shown = rasterise(read_avatar(tmp_path / "p3.ply", tmp_path / "p3.npz", body).posed(2), camera, near_m=0.05)
+    outside = truth.alpha < 0.02
+    assert shown.alpha[outside].mean() < 0.02
+    assert shown.alpha[truth.alpha > 0.98].mean() > 0.97
+
+
+def test_refinement_on_pictures_brings_wrong_poses_nearer(made: Made, body: BodyModel, settings: Callable, tmp_path: Path) -> None:
+    wrong = made.person.poses.copy()
+    limbs = [1, 2, 4, 5, 16, 17, 18, 19]
+    noise = np.random.default_rng(3).normal(0, 0.08, (FRAMES, 24, 3))
+    wrong.reshape(FRAMES, 24, 3)[:, limbs] += noise[:, limbs]
+    person = Person(**{**made.person.__dict__, "poses": wrong})
+    write_person(tmp_path / "wrong.npz", person)
+    options = made.options | {"fit": tmp_path / "wrong.npz"}
+    train.run(settings(pose_rad=2e-3, iterations=500, pose_from=100), **options, gaussians=tmp_path / "p3.ply", avatar=tmp_path / "p3.npz")
+    refined = read_avatar(tmp_path / "p3.ply", tmp_path / "p3.npz", body)
+
+    def joint_error_m(poses: np.ndarray, trans: np.ndarray) -> float:
+        return float(
+            np.linalg.norm(body.joints(poses, np.zeros(10), trans) - made.person.joints, axis=-1)[:, [4, 5, 7, 8, 18, 19, 20, 21]].mean()
+        )
+
+    before, after = joint_error_m(wrong, made.person.trans), joint_error_m(refined.poses, refined.trans)
+    assert after < 0.8 * before
+
+
+def test_refusals_name_the_person_and_the_remedy(made: Made, settings: Callable, tmp_path: Path) -> None:
+    out = {"gaussians": tmp_path / "x.ply", "avatar": tmp_path / "x.npz"}
+    with pytest.raises(Refusal, match="p7 is not among the people"):
+        train.run(settings(), **(made.options | {"person": "p7"}), **out)
+    with pytest.raises(Refusal, match="no training camera shows 60 pixels of p0"):
+        train.run(settings(), **(made.options | {"person": "p0"}), **out)
+    with pytest.raises(Refusal, match="degree 2 only"):
+        train.run(settings(sh_degree=3), **made.options, **out)
+    with pytest.raises(Refusal, match="3 masks for 4 training cameras"):
+        train.run(settings(), **(made.options | {"masks": made.options["masks"][:3]}), **out)
+
+
+def test_verdicts() -> None:
+    labels = np.zeros((40, 40), np.uint8)
+    labels[10:30, 10:30] = 1
+    labels[10:30, 30:34] = 2
+    labels[2:5, 2:5] = 255
+    labels[18:22, 18:22] = 0  # a lamp before the chest
+    body = np.zeros((40, 40), bool)
+    body[8:32, 8:32] = True
+    verdict = judge(labels, body, 1, edge_px=1, occluder_px=6)
+    assert verdict[15, 15] == PERSON
+    assert verdict[20, 20] == IGNORED  # furniture before the person is not a hole in them
+    assert verdict[20, 32] == IGNORED  # somebody else
+    assert verdict[3, 3] == IGNORED  # nobody in particular
+    assert verdict[10, 20] == verdict[9, 20] == IGNORED  # the seam, on both sides
+    assert verdict[36, 36] == OUTSIDE
+    assert verdict[8, 20] == OUTSIDE  # the silhouette's rim is not certain enough to excuse a missing mask
+
+
+def test_a_mask_cut_by_the_frame_has_no_seam_there() -> None:
+    labels = np.zeros((20, 20), np.uint8)
+    labels[10:, 5:15] = 1
+    assert judge(labels, labels > 0, 1, 1, 3)[19, 10] == PERSON
+
+
+def test_crops_keep_pixels_in_place(body: BodyModel) -> None:
+    camera = ring([30], "c", wh=WH)[0]
+    point = np.array([[0.1, -0.2, 1.1]])
+    box = box_around(camera.project(point)[0], np.zeros(camera.hw, bool), camera.wh, 8)
+    left, top, right, bottom = box
+    small = cut(camera, box)
+    assert small.wh == (right - left, bottom - top)
+    assert np.allclose(small.project(point)[0] + [left, top], camera.project(point)[0])
+    assert box_around(np.full((3, 2), np.nan), np.zeros(camera.hw, bool), camera.wh, 8) is None
+    assert not silhouette(np.full((3, 2), np.nan), camera.hw).any()
+
+
+def test_unseen_colours_come_from_the_other_side_or_from_beside(body: BodyModel) -> None:
+    samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 3000, np.random.default_rng(0))
+    near, twin = neighbours(samples, 8), mirrored(samples, 2 * samples.spacing_m)
+    truth = 0.5 + 0.4 * np.sin(3 * samples.points_m[:, 1:2] + np.array([0, 1, 2]))  # symmetric bands
+    left_hand = samples.points_m[:, 0] > 0.5
+    filled = fill_unseen(np.where(left_hand[:, None], 0.0, truth), ~left_hand, near, twin)
+    assert np.abs(filled - truth)[left_hand].mean() < 0.1
+    both = np.abs(samples.points_m[:, 0]) > 0.6
+    beside = fill_unseen(np.where(both[:, None], 0.0, truth), ~both, near, twin)
+    assert np.abs(beside - truth)[both].mean() < 0.2
+    nothing = np.zeros(len(truth), bool)
+    assert np.array_equal(fill_unseen(truth, nothing, near, twin), truth)
+
+
+def test_samples_lie_evenly_on_the_surface(body: BodyModel) -> None:
+    rest = body.rest_vertices(np.zeros(10))
+    samples = sample_surface(rest, body.faces, body.weights, 4000, np.random.default_rng(0))
+    areas = np.linalg.norm(np.cross(*(rest[body.faces[:, k]] - rest[body.faces[:, 0]] for k in (1, 2))), axis=1) / 2
+    centres = rest[body.faces].mean(axis=1)
+    for half in (0, 1, 2):
+        share = areas[centres[:, half] > 0].sum() / areas.sum()
+        assert np.mean(samples.points_m[:, half] > 0) == pytest.approx(share, abs=0.01)
+    assert np.allclose(samples.weights.sum(axis=1), 1)
+
+
+def test_the_gradient_by_joint_turns_matches_differences(body: BodyModel) -> None:
+    rng = np.random.default_rng(2)
+    poses, trans = motion_of(body)
+    samples = sample_surface(body.rest_vertices(np.zeros(10)), body.faces, body.weights, 400, rng)
+    posing = Posing(*strongest(samples.weights, 4))
+    own = gaussians_on(samples, 0)
+    pull = rng.normal(size=own.means_m.shape)
+
+    def moving() -> Motion:
+        return Motion(poses, trans, body.rest_joints(np.zeros(10)), body.parents)
+
+    def value(motion: Motion) -> float:
+        return float((posing.out(own.means_m.astype(float), own.quaternions, own.sh, motion.transforms(1))[0] * pull).sum())
+
+    motion = moving()
+    posing.out(own.means_m, own.quaternions, own.sh, motion.transforms(1))
+    gradient = motion.gradient(1, *posing.wrenches(own.means_m, pull, motion.transforms(1)))
+    for joint, axis in ((0, 0), (0, 2), (4, 0), (16, 2), (18, 1), (24, 1)):
+        values = []
+        for step in (1e-5, -1e-5):
+            turned = moving()
+            if joint < 24:
+                turned.local[1, joint] = rotations.exp(step * np.eye(3)[axis]) @ turned.local[1, joint]
+            else:
+                turned.trans_m[1, axis] += step
+            values.append(value(turned))
+        assert (values[0] - values[1]) / 2e-5 == pytest.approx(gradient[joint, axis], rel=1e-4, abs=1e-4 * np.abs(gradient).max())
+
+
+def test_smoothness_pulls_a_jerk_back_and_leaves_a_held_pose_alone(body: BodyModel) -> None:
+    poses = np.zeros((3, 72))
+    still = Motion(poses, np.zeros((3, 3)), body.rest_joints(np.zeros(10)), body.parents)
+    assert np.all(still.smoothness_gradient(1, 50.0) == 0)
+    poses[1, 4 * 3] = 0.2
+    jerk = Motion(poses, np.zeros((3, 3)), body.rest_joints(np.zeros(10)), body.parents)
+    jerk.step(1, jerk.smoothness_gradient(1, 50.0), 0.05)
+    assert jerk.poses[1, 12] == pytest.approx(0.15, abs=1e-6)
