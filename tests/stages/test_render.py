@@ -14,7 +14,7 @@ from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
 from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, azimuths, film_times, looking_at, orbit_steps, scene_centre
+from studiorecon.render.shots import Orbit, azimuths, film_times, looking_at, orbit_steps, scene_centre, smooth_dips
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
@@ -41,7 +41,7 @@ def settings(default_settings: Callable) -> render_shot.Settings:
 def test_orbit_goes_once_around_inside_the_ring_and_looks_at_its_target() -> None:
     cameras = ring([10, 95, 185, 280], "cam")
     target = np.array([0.3, -0.2, 0.9])
-    steps = orbit_steps(ORBIT, "orbit", cameras, target, WH, FRAMES)
+    steps = orbit_steps(ORBIT, "orbit", cameras, target, WH, FRAMES, np.ones(24))
     eyes = np.array([s.camera.centre_m for s in steps])
     assert np.linalg.norm(eyes[:, :2], axis=1) == pytest.approx(0.8 * 2.4, abs=1e-9)
     assert eyes[:, 2] == pytest.approx(1.6)
@@ -67,7 +67,7 @@ def test_cameras_on_an_arc_are_not_orbited_beyond_it() -> None:
 
 def test_an_oblong_ring_is_orbited_oblong() -> None:
     cameras = [*ring([0, 180], "far", 4.0), *ring([90, 270], "near", 2.0)]
-    steps = orbit_steps(ORBIT, "orbit", cameras, np.array([0, 0, 1.0]), WH, FRAMES)
+    steps = orbit_steps(ORBIT, "orbit", cameras, np.array([0, 0, 1.0]), WH, FRAMES, np.ones(24))
     radius = np.array([np.linalg.norm(s.camera.centre_m[:2]) for s in steps])
     assert radius.max() == pytest.approx(3.2, abs=0.05)
     assert radius.min() == pytest.approx(1.6, abs=0.05)
@@ -75,7 +75,7 @@ def test_an_oblong_ring_is_orbited_oblong() -> None:
 
 def test_one_camera_cannot_be_orbited() -> None:
     with pytest.raises(Refusal, match="at least two"):
-        orbit_steps(ORBIT, "orbit", ring([0], "cam"), np.zeros(3), WH, FRAMES)
+        orbit_steps(ORBIT, "orbit", ring([0], "cam"), np.zeros(3), WH, FRAMES, np.ones(24))
 
 
 def test_parallel_cameras_have_a_centre_without_a_division_by_zero() -> None:
@@ -199,6 +199,16 @@ def test_an_orbit_through_a_wall_is_shrunk_until_it_is_clear(scene: Path, settin
     render_shot.run(settings_module.load(render_shot.Settings, {**vars(settings), "shots": wide}, "render"), **options)
     radius = max(np.linalg.norm(step.camera.centre_m[:2]) for step in read_path(options["path"])[0])
     assert 2.0 < radius < 2.75, "the walls stand 3 m away and 0.3 m must stay clear"
+
+
+def test_a_dip_in_the_radius_is_smooth_and_deep_enough() -> None:
+    factors = np.ones(120)
+    factors[[0, 1, 60]] = 0.7, 0.7, 0.8
+    smooth = smooth_dips(factors)
+    assert (smooth <= factors + 1e-12).all()
+    assert smooth[[30, 90]] == pytest.approx(1.0)
+    assert np.abs(np.diff(smooth, append=smooth[0])).max() < 0.06
+    assert smooth_dips(np.array([0.9])) == pytest.approx(0.9)
 
 
 def test_a_failing_maker_leaves_no_video(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from studiorecon.images.streams import writing
 from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked, class_colours, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, every_frame, orbit_steps, scene_centre
+from studiorecon.render.shots import Orbit, every_frame, orbit_steps, scene_centre, smooth_dips
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
@@ -38,7 +38,7 @@ class Settings:
     clearance_m: float
 
 
-# An orbit that stands in something is tried again with its radius shrunk by these factors.
+# Where an orbit stands in something it is tried with these factors on its radius, widest first.
 _SHRINK = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
 
 
@@ -78,28 +78,36 @@ def plan(
     target = np.median(people_m, axis=0) if len(people_m) else scene_centre(training)
     say(f"shot {shot} looks at {'the middle of the people' if len(people_m) else 'where the cameras look'}, {_metres(target)}")
     wh = picture_size(training, settings.width)
-    return clear_orbit(
-        lambda shrink: orbit_steps(orbit, shot, training, target, wh, frames, shrink), shot, scene.background, settings.clearance_m
-    )
+
+    def steps(shrink: np.ndarray) -> list[Step]:
+        return orbit_steps(orbit, shot, training, target, wh, frames, shrink)
+
+    return clear_orbit(steps, orbit.frames, shot, scene.background, settings.clearance_m)
 
 
-def clear_orbit(orbit: Callable[[float], list[Step]], shot: str, background: Gaussians, clearance_m: float) -> list[Step]:
-    """The widest orbit, of a few tried, that keeps ``clearance_m`` from solid background; the least blocked one when none does.
+def clear_orbit(
+    orbit: Callable[[np.ndarray], list[Step]], pictures: int, shot: str, background: Gaussians, clearance_m: float
+) -> list[Step]:
+    """An orbit that comes closer to its centre where it would pass within ``clearance_m`` of solid background.
 
-    ``orbit`` makes the steps for a factor on its radius.
+    ``orbit`` makes the steps from a factor on the radius of each picture. Where none of the factors tried is clear, the orbit is left
+    as wide as it was, and says so.
     """
-    counts = []
-    for shrink in _SHRINK:
-        steps = orbit(shrink)
-        inside = blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)
-        counts.append(int(inside.sum()))
-        if counts[-1] == 0:
-            if shrink < 1:
-                say(f"shot {shot} passes through walls or furniture in {counts[0]} pictures; its radius is shrunk to {100 * shrink:.0f} %")
-            return steps
-    best = int(np.argmin(counts))
-    say(f"shot {shot} comes within {clearance_m} m of walls or furniture in {counts[best]} pictures at every radius tried")
-    return orbit(_SHRINK[best])
+    inside = np.array([_blocked(orbit(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
+    clear = ~inside.all(axis=0)
+    factors = np.where(clear, np.array(_SHRINK)[np.argmin(inside, axis=0)], 1.0)
+    steps = orbit(smooth_dips(factors))
+    if inside[0].any():
+        left = int(_blocked(steps, background, clearance_m).sum())
+        say(
+            f"shot {shot} would pass within {clearance_m} m of walls or furniture in {inside[0].sum()} pictures and steps inwards there, "
+            f"by up to {100 - 100 * factors.min():.0f} %; {left} pictures remain that close"
+        )
+    return steps
+
+
+def _blocked(steps: list[Step], background: Gaussians, clearance_m: float) -> np.ndarray:
+    return blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)
 
 
 def picture(

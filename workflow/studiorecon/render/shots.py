@@ -103,9 +103,9 @@ def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> n
 
 
 def orbit_steps(
-    orbit: Orbit, name: str, cameras: Sequence[Camera], target_m: np.ndarray, wh: tuple[int, int], frames: int, shrink: float = 1.0
+    orbit: Orbit, name: str, cameras: Sequence[Camera], target_m: np.ndarray, wh: tuple[int, int], frames: int, shrink: np.ndarray
 ) -> list[Step]:
-    """The pictures of an orbit; ``shrink`` scales its radius once more (to get clear of walls and furniture).
+    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and furniture.
 
     The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays oblong.
     Raises Refusal without at least two cameras.
@@ -123,6 +123,19 @@ def orbit_steps(
     intrinsics = np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]])
     times = film_times(orbit.time, orbit.frames, frames)
     return [Step(Camera(name, wh, intrinsics, looking_at(eye, target_m)), float(time), "00") for eye, time in zip(eyes, times)]
+
+
+def smooth_dips(factors: np.ndarray) -> np.ndarray:
+    """A smooth closed curve that never exceeds ``factors`` (pictures,): how a path goes around what stands in its way.
+
+    The least factor within a fourteenth of the film either side, then a Hann window of the same reach: a mean of values that are each
+    at most the factor here.
+    """
+    count = len(factors)
+    reach = max(count // 14, 1)
+    around = (np.arange(count)[:, None] + np.arange(-reach, reach + 1)) % count
+    window = np.hanning(2 * reach + 3)[1:-1]
+    return factors[around].min(axis=1)[around] @ (window / window.sum())
 
 
 def _azimuth_of(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
