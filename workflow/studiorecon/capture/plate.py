@@ -42,7 +42,7 @@ class PlateSettings:
     Attributes:
         frames: pictures that are looked at, evenly over the clip.
         agree_levels: colours that differ by at most this in every channel, grey levels of 255, are the same surface; never less
-            than four times the noise.
+            than four times the noise, and never more than four times this.
         min_share: the surface must show in at least this share of the pictures.
         min_agreement: at least this share of the pictures in which nobody stands there must agree.
         margin: detected people are drawn wider by this share of their height.
@@ -69,7 +69,8 @@ class Settings:
 def temporal_plate(frames: np.ndarray, occupied: np.ndarray, settings: PlateSettings) -> tuple[np.ndarray, np.ndarray]:
     """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, of frames (T, H, W, 3) with people at ``occupied`` (T, H, W)."""
     free = ~occupied
-    tolerance = max(settings.agree_levels, 4 * noise_levels(frames))
+    # Flickering light looks like noise; the cap keeps it from making everything agree with everything.
+    tolerance = min(max(settings.agree_levels, 4 * noise_levels(frames)), 4 * settings.agree_levels)
     colour, votes, rival = temporal_modes(frames, free, tolerance)
     available = free.sum(axis=0)
     # A rival nearly as frequent means that two surfaces take turns, and nothing here says which of them is the room.

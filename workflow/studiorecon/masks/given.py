@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import video_from_working
@@ -58,6 +57,8 @@ def identified(labels: np.ndarray, depths_m: Iterable[np.ndarray], people: int, 
     ``labels`` with one value say where somebody is: each pixel goes to the fitted body in front or nearest, within ``gate_m``.
     Several values are identities: each goes to the person it lies on most, over all frames (one to one).
     """
+    from scipy.optimize import linear_sum_assignment  # half a second to import, for the few who bring masks
+
     values = [int(v) for v in np.unique(labels) if v > 0]
     depths = list(depths_m)
     if not values or not people:
