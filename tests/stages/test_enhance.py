@@ -16,6 +16,7 @@ from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.residual import ResidualTransfer, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
 from studiorecon.images.metrics import psnr
+from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
@@ -219,6 +220,18 @@ def test_playback_goes_back_by_reading_again_and_stays_inside_its_part(tmp_path:
     assert [int(part.at(i)[0, 0]) for i in (0, 2, 2, 1, 3)] == [3, 5, 5, 4, 6]
     with pytest.raises(IndexError, match="4 frames"):
         part.at(4)
+
+
+@pytest.mark.parametrize("rate", [10.0, 29.97, 60.0])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_jumping_into_a_video_gives_the_frames_that_reading_gives(tmp_path: Path, rate: float, kind: type) -> None:
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 255, (24, 32), dtype=np.uint8).astype(kind) for _ in range(40)]
+    write_lossless(tmp_path / "a.mkv", frames, rate)
+    for start, stop in ((0, 40), (1, 5), (13, 14), (25, 40), (39, 40)):
+        np.testing.assert_array_equal(list(read_frames_from(tmp_path / "a.mkv", start, stop)), frames[start:stop])
+    with pytest.raises(Refusal, match="no frame 40"):
+        list(read_frames_from(tmp_path / "a.mkv", 38, 42))
 
 
 def test_the_reference_is_the_training_photo_with_the_smallest_angle() -> None:

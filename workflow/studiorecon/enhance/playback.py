@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of working videos at any time, read forwards: memory stays flat, and going back starts the file again."""
+"""Frames of working videos at any time, read forwards: memory stays flat, and going back jumps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.images.video import read_frames
+from studiorecon.images.seeking import read_frames_from
 
 
 class Playback:
@@ -37,5 +37,5 @@ class Playback:
         return self._current
 
     def _rewind(self) -> None:
-        self._frames = read_frames(self._path, self._first, self._first + self._count)
+        self._frames = read_frames_from(self._path, self._first, self._first + self._count)
         self._index = -1

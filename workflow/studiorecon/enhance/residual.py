@@ -66,14 +66,17 @@ def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source],
     """
     known = depth_m > 0
     points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64))
-    rays = _unit(points - camera.centre_m)
+    rays = points - camera.centre_m
+    distances = _length(rays)
     total = np.zeros((*depth_m.shape, 3), np.float32)
     weights, cover = np.zeros(depth_m.shape, np.float32), np.zeros(depth_m.shape, np.float32)
     for one in sources:
         pixels, distance = one.camera.project(points)
         found, inside = sample(one.depth_m, pixels, "nearest")
         seen = known & inside & (distance > 0) & (found > 0) & (np.abs(found - distance) <= transfer.depth_tolerance * distance)
-        cosine = np.clip((rays * _unit(points - one.camera.centre_m)).sum(axis=-1), 0, 1)
+        others = points - one.camera.centre_m
+        along = np.einsum("hwc,hwc->hw", rays, others)
+        cosine = np.clip(along / np.maximum(distances * _length(others), 1e-12), 0, 1)
         weight = (_feather(seen, transfer.feather_px) * cosine**transfer.angle_power).astype(np.float32)
         total += weight[..., None] * sample(one.residual, pixels)[0]
         weights += weight
@@ -123,5 +126,5 @@ def _feather(seen: np.ndarray, feather_px: float) -> np.ndarray:
     return np.minimum(cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] / feather_px, 1)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
