@@ -74,13 +74,16 @@ def difference_evidence(difference: np.ndarray, plate: Plate, settings: Differen
     neighbourhood to look like the plate: then the room is seen there, even where a body should be (it stands behind furniture),
     while a single matching pixel inside a shirt is chance.
     """
-    quiet = difference - plate.unrest
+    # Unrest is noise; what differs more than a person must is something that stood there, not noise.
+    quiet = difference - np.minimum(plate.unrest, settings.threshold)
     own = cv2.GaussianBlur(quiet, (3, 3), 0)
     strongest = cv2.dilate(own, np.ones((_EDGE_PX, _EDGE_PX), np.uint8))
     threshold = np.maximum(settings.threshold, settings.edge * strongest)
     around = cv2.boxFilter(np.maximum(quiet, 0), -1, (7, 7))
     score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))
-    evidence = np.clip((score - threshold) / settings.softness, -_MOST, _MOST)
+    # A perfect match says as much against a person as a body's inside can say for one, and more.
+    evidence = np.where(score > threshold, (score - threshold) / settings.softness, -_MOST * (1 - np.maximum(score, 0) / threshold))
+    evidence = np.minimum(evidence, _MOST)
     return np.where(plate.measured, evidence, 0).astype(np.float32)
 
 
