@@ -9,17 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
+from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
+from studiorecon.render.canvas import Canvas, together
 from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
 from studiorecon.render.shots import Orbit, azimuths, film_times, looking_at, orbit_steps, scene_centre, smooth_dips
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
 
-from tests.stages.made_scene import FRAMES, WH, render_options, ring, write_scene
+from tests.stages.made_scene import FRAMES, WH, avatar, render_options, ring, room, write_scene
 
 ORBIT = Orbit(kind="orbit", frames=24, radius=0.8, rise_m=0.0, zoom=1.0, turn_deg=360.0, start_deg=0.0, time="stretch")
 
@@ -167,7 +169,7 @@ def test_the_truth_map_follows_what_is_in_front() -> None:
     camera = ring([0], "cam")[0]
     gaussians = flat(np.array([[0.0, 0, 1.0], [-1.5, 0, 1.0]]), np.full((2, 3), 0.5))
     scene = Composite(gaussians, np.array([0, 2], np.uint8), [])
-    shares = Rasteriser(near_m=0.2).forward(class_colours(*scene.at(0)), camera).rgb
+    shares = Rasteriser(near_m=0.2).forward(class_colours(*together(scene, 0.0)), camera).rgb
     truth = truth_levels(shares)
     assert truth[WH[1] // 2, WH[0] // 2] == 255
     assert truth[0, 0] == 0
@@ -176,10 +178,25 @@ def test_the_truth_map_follows_what_is_in_front() -> None:
 def test_nothing_reconstructed_shows_the_background_colour_and_counts_as_invented() -> None:
     camera = ring([0], "cam")[0]
     scene = Composite(flat(np.array([[0.0, 0, 1.0]]), np.full((1, 3), 0.5)), np.zeros(1, np.uint8), [])
-    rgb, truth, depth = render_shot.picture(scene, Step(camera, 0.0, "00"), Rasteriser(near_m=0.2), (1.0, 0.0, 0.0))
+    rgb, truth, depth = render_shot.picture(Canvas(scene, 0.2), Step(camera, 0.0, "00"), (1.0, 0.0, 0.0))
     assert rgb[0, 0].tolist() == [255, 0, 0]
     assert (truth[0, 0], depth[0, 0]) == (0, 0)
     assert truth[WH[1] // 2, WH[0] // 2] == 255
+
+
+def test_the_canvas_draws_what_rasterising_everything_together_draws(root: Path) -> None:
+    rng = np.random.default_rng(0)
+    body = BodyModel.load(root / "resources/body.npz")
+    static = room(rng, 0.2).take(np.arange(1003))  # not a whole number of blocks
+    scene = Composite(static, rng.integers(0, 3, static.count).astype(np.uint8), [avatar(body, rng, "p0"), avatar(body, rng, "p1")])
+    canvas, camera = Canvas(scene, 0.2), ring([30], "cam")[0]
+    for frame in (0.0, 3.5, FRAMES - 1.0):
+        gaussians, classes = together(scene, frame)
+        rendering, shares = canvas.draw(camera, frame, (0.1, 0.2, 0.3))
+        expected = Rasteriser(near_m=0.2).forward(gaussians, camera, (0.1, 0.2, 0.3))
+        np.testing.assert_array_equal(rendering.rgb, expected.rgb)
+        np.testing.assert_array_equal(rendering.depth_m, expected.depth_m)
+        np.testing.assert_array_equal(shares, Rasteriser(near_m=0.2).forward(class_colours(gaussians, classes), camera).rgb)
 
 
 def test_depth_in_millimetres_keeps_unknown_and_saturates() -> None:

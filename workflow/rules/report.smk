@@ -36,7 +36,7 @@ rule report_score:
         "benchmarks/{scene}/report/score.tsv"
     container:
         image("core")
-    threads: 1
+    threads: 2
     resources:
         mem_mb=1500,
     params:

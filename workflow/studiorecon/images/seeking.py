@@ -42,3 +42,8 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
         raise Refusal(f"{path} cannot be read at frame {expected} ({error}); it may be truncated: make it again") from None
     if expected < stop:
         raise Refusal(f"{path} has no frame {expected} where frames up to {stop - 1} are needed; make it again")
+
+
+def read_frame_at(path: Path, index: int) -> np.ndarray:
+    """One frame of a working video."""
+    return next(read_frames_from(path, index, index + 1))

@@ -42,12 +42,10 @@ class Composite:
     classes: np.ndarray
     people: Sequence[Posed]
 
-    def at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
-        """All Gaussians at a (fractional) frame, and their classes (N,), in the same order."""
-        if not self.people:
-            return self.background, self.classes
-        gaussians = concatenate([self.background, *(person.posed(frame) for person in self.people)])
-        return gaussians, np.concatenate([self.classes, *(_classes_of(person, frame) for person in self.people)]).astype(np.uint8)
+    def people_at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
+        """Everybody's Gaussians at a (fractional) frame, and their classes (M,), in the same order."""
+        classes = [_classes_of(person, frame) for person in self.people]
+        return concatenate([person.posed(frame) for person in self.people]), np.concatenate([np.zeros(0, np.uint8), *classes])
 
 
 def _classes_of(person: Posed, frame: float) -> np.ndarray:

@@ -18,7 +18,8 @@ from studiorecon.errors import Refusal
 from studiorecon.images.streams import writing
 from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
-from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked, class_colours, millimetres, truth_levels
+from studiorecon.render.canvas import Canvas
+from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked, millimetres, truth_levels
 from studiorecon.render.shots import Orbit, every_frame, orbit_steps, scene_centre, smooth_dips
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -26,7 +27,6 @@ from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import Step, write_path
-from studiorecon.splatting.rasterise import Rasteriser
 
 
 @dataclass(frozen=True)
@@ -110,14 +110,10 @@ def _blocked(steps: list[Step], background: Gaussians, clearance_m: float) -> np
     return blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)
 
 
-def picture(
-    scene: Composite, step: Step, rasteriser: Rasteriser, background_rgb: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
-    gaussians, classes = scene.at(step.frame)
-    rendering = rasteriser.forward(gaussians, step.camera, background_rgb)
-    shares = rasteriser.forward(class_colours(gaussians, classes), step.camera)
-    return to_bytes(rendering.rgb), truth_levels(shares.rgb), millimetres(rendering.depth_m)
+    rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
+    return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
 
 
 def run(
@@ -146,12 +142,12 @@ def run(
     positions = np.concatenate([np.asarray(person.trans, np.float64) for person in people]) if people else np.zeros((0, 3))
     steps = plan(shot, settings, training, held_out, capture.frames, scene, positions)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(people)} people")
-    rasteriser = Rasteriser(near_m=settings.near_m)
+    canvas = Canvas(scene, settings.near_m)
     counted = np.zeros(256, np.int64)
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
     with writing([lambda frames, w=w: w(frames=frames) for w in writers]) as put:
         for step in progress(steps, f"pictures of {shot}"):
-            rgb, truth_map, depth_mm = picture(scene, step, rasteriser, settings.background_rgb)
+            rgb, truth_map, depth_mm = picture(canvas, step, settings.background_rgb)
             counted += np.bincount(truth_map.ravel(), minlength=256)
             put(rgb, truth_map, depth_mm)
     write_path(path, steps, capture.fps)

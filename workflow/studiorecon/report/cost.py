@@ -7,6 +7,11 @@ import csv
 from pathlib import Path
 from typing import Any
 
+# Stages in the order data flows, which is how a reader looks for them; anything else comes after them.
+_ORDER = (
+    *("studio", "capture", "cameras", "people", "masks", "depth", "survey", "views", "background"),
+    *("humans", "render", "enhance", "report", "deliver"),
+)
 _COLUMNS = {"seconds": "s", "cpu_seconds": "cpu_time", "peak_memory_mb": "max_rss"}
 
 
@@ -33,7 +38,9 @@ def cost(folder: Path) -> dict[str, Any]:
         )
         jobs.setdefault(stage, {}).setdefault(step, {})["/".join(rest) or "scene"] = read_benchmark(path)
     stages = {}
-    for stage, steps in jobs.items():
+    for stage, steps in sorted(
+        jobs.items(), key=lambda entry: (entry[0] not in _ORDER, _ORDER.index(entry[0]) if entry[0] in _ORDER else 0)
+    ):
         rules = {step: {**_total(list(entries.values())), "jobs": entries} for step, entries in steps.items()}
         stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}
     everything = _total([job for steps in jobs.values() for entries in steps.values() for job in entries.values()])

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from studiorecon.images.exr import read_depth
-from studiorecon.images.video import read_frame
+from studiorecon.images.seeking import read_frame_at
 from studiorecon.progress import say
 from studiorecon.report import html, sections
 from studiorecon.report.cost import cost
@@ -37,8 +37,8 @@ def strips(capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Pa
         camera = video.stem
         first = next(i for i, step in enumerate(steps) if step.segment == camera)
         for frame in spread(capture.frames, settings.strip_frames):
-            photo, raw = read_frame(video, frame), read_frame(render, first + frame)
-            final = read_frame(enhanced, first + frame)
+            photo, raw = read_frame_at(video, frame), read_frame_at(render, first + frame)
+            final = read_frame_at(enhanced, first + frame)
             pictures = (
                 (photo, f"{camera}, frame {frame}: photo"),
                 (raw, "render"),
@@ -63,7 +63,7 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
         image = cv2.imread(str(plate), cv2.IMREAD_UNCHANGED)
         figures.append(
             "<div>"
-            + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate")
+            + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate, black where never seen empty")
             + html.figure(html.jpeg(picture, width), f"depth {near:.1f} m (bright) … {far:.1f} m (dark)")
             + "</div>"
         )
@@ -73,7 +73,7 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
 def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, width: int) -> list[str]:
     """A photo of each training camera with its people tinted."""
     return [
-        html.figure(html.jpeg(mask_picture(read_frame(video, frame), read_frame(mask, frame)), width), f"{mask.stem}, frame {frame}")
+        html.figure(html.jpeg(mask_picture(read_frame_at(video, frame), read_frame_at(mask, frame)), width), f"{mask.stem}, frame {frame}")
         for video, mask in zip(videos, masks, strict=True)
     ]
 
@@ -83,10 +83,10 @@ def truth_pictures(renders: Sequence[Path], maps: Sequence[Path], metrics: dict,
     rows = []
     for render, truth in zip(renders, maps, strict=True):
         shares = metrics["coverage"].get(render.stem, {})
-        caption = ", ".join(f"{100 * share:.0f} % {name}" for name, share in shares.items())
+        caption = ", ".join(f"{100 * shares[name]:.0f} % {name}" for name in ("measured", "inferred", "invented") if name in shares)
         steps = len(read_path(render.with_suffix(".json"))[0])
         figures = [
-            html.figure(html.jpeg(truth_picture(read_frame(truth, i), read_frame(render, i)), width), f"picture {i}")
+            html.figure(html.jpeg(truth_picture(read_frame_at(truth, i), read_frame_at(render, i)), width), f"picture {i}")
             for i in spread(steps, 3)
         ]
         rows.append(f"<p>Shot <b>{html.text(render.stem)}</b>: {html.text(caption)}</p>" + html.row(figures))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.images.flow import one_thread
+from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import read_frames
 from studiorecon.progress import progress, say
 from studiorecon.report.bodies import compare_bodies
@@ -47,14 +49,16 @@ def measure_camera(
     photos: Path, versions: Mapping[str, tuple[Path, int]], frames: int, regions_of_frames: Iterable[Mapping[str, np.ndarray]]
 ) -> dict[str, list[dict]]:
     """Measures per frame of each version (video, first frame) of one held-out camera, and the flicker of the photos themselves."""
-    streams = {name: read_frames(path, first, first + frames) for name, (path, first) in versions.items()}
+    streams = {name: read_frames_from(path, first, first + frames) for name, (path, first) in versions.items()}
     flicker, found = Flicker(_FLOW), {name: [] for name in (*versions, _PHOTO)}
-    for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
-        pictures = {name: next(stream) for name, stream in streams.items()}
-        moving = flicker.measure(photo, {**pictures, _PHOTO: photo})
-        for name, picture in pictures.items():
-            found[name].append({**measure_picture(picture, photo, masks), **moving[name]})
-        found[_PHOTO].append(moving[_PHOTO])
+    with ThreadPoolExecutor(max_workers=len(versions)) as pool:
+        for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
+            pictures = {name: next(stream) for name, stream in streams.items()}
+            still = pool.map(lambda picture: measure_picture(picture, photo, masks), pictures.values())  # noqa: B023
+            moving = flicker.measure(photo, {**pictures, _PHOTO: photo})
+            for name, values in zip(pictures, still):
+                found[name].append({**values, **moving[name]})
+            found[_PHOTO].append(moving[_PHOTO])
     return found
 
 
