@@ -42,7 +42,8 @@ wildcard_constraints:
 # Every stage's product is named, not only the last file: a stage whose re-run failed would otherwise stay missing
 # behind a finished-looking film.
 rule all:
-    input:
-        products,
     default_target: True
+    input:
+        scene_products(),
+        people_products,
     localrule: True

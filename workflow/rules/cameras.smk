@@ -30,9 +30,7 @@ rule cameras_refine:
         calibration="results/{scene}/cameras/calibration.json",
         manifest="results/{scene}/capture/manifest.json",
         detections=detections,
-        videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
-        ),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
     output:
         model="results/{scene}/cameras/images.txt",
         intrinsics="results/{scene}/cameras/cameras.txt",

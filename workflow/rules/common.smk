@@ -159,10 +159,9 @@ def given_depth(wildcards):
     return str(DATASET.depth[wildcards.camera])
 
 
-def products(wildcards):
-    """Every stage's product for this scene: the default target."""
+def scene_products():
+    """Every stage's product that needs no knowledge of who is in the scene."""
     scene = f"results/{SCENE}"
-    wildcards = type("Scene", (), {"scene": SCENE})()
     return [
         f"{scene}/capture/manifest.json",
         *(f"{scene}/capture/{c}.mkv" for c in CAMERAS),
@@ -170,19 +169,22 @@ def products(wildcards):
         f"{scene}/cameras/images.txt",
         f"{scene}/cameras/heldout/images.txt",
         f"{scene}/cameras/doctor.json",
-        *detections(wildcards),
-        *people_table(wildcards),
-        *fits(wildcards),
-        *masks(wildcards),
+        *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people),
+        *(f"{scene}/people/people.tsv" for _ in [SCENE] if DATASET.people),
         *(f"{scene}/depth/{c}.exr" for c in TRAINING),
         f"{scene}/survey/decisions.json",
         f"{scene}/views/path.json",
         *(f"{scene}/views/{s}.mkv" for s in SEGMENTS),
         f"{scene}/background/scene.ply",
-        *human_gaussians(wildcards),
         *(f"{scene}/render/{s}.mkv" for s in SHOTS),
         *(f"{scene}/enhance/{s}.mp4" for s in FILMS),
         f"{scene}/report/metrics.json",
         f"{scene}/report/index.html",
         f"{scene}/deliver/manifest.json",
     ]
+
+
+def people_products(wildcards):
+    """Products of every person who was found; known once association has run."""
+    found = type("Scene", (), {"scene": SCENE})()
+    return [*fits(found), *masks(found), *human_gaussians(found), *human_avatars(found)]

@@ -10,9 +10,7 @@ rule deliver_export:
         avatars=human_avatars,
         fits=fits,
         body=BODY,
-        films=collect(
-            "results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True
-        ),
+        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
     output:
         contents="results/{scene}/deliver/manifest.json",
     log:

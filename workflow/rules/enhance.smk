@@ -11,9 +11,7 @@ rule enhance_shot:
         train_depth="results/{scene}/render/train.depth.mkv",
         model="results/{scene}/cameras/images.txt",
         manifest="results/{scene}/capture/manifest.json",
-        videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
-        ),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
     output:
         video="results/{scene}/enhance/{shot}.mkv",
         film="results/{scene}/enhance/{shot}.mp4",

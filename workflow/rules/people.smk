@@ -36,9 +36,7 @@ checkpoint people_associate:
             camera=TRAINING,
             allow_missing=True,
         ),
-        videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
-        ),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
     output:
         people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",

@@ -6,9 +6,7 @@ rule report_score:
         manifest="results/{scene}/capture/manifest.json",
         model="results/{scene}/cameras/images.txt",
         heldout_model="results/{scene}/cameras/heldout/images.txt",
-        videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True
-        ),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
         render=collect(
             "results/{scene}/render/{shot}.mkv",
             shot=[s for s in FILMS if s == "heldout"],
@@ -24,9 +22,7 @@ rule report_score:
             shot=[s for s in FILMS if s == "heldout"],
             allow_missing=True,
         ),
-        truth_maps=collect(
-            "results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True
-        ),
+        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
         fits=fits,
     output:
         metrics="results/{scene}/report/metrics.json",
@@ -63,25 +59,13 @@ rule report_page:
             camera=TRAINING,
             allow_missing=True,
         ),
-        depths=collect(
-            "results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True
-        ),
-        training_videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True
-        ),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+        training_videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         masks=masks,
-        films=collect(
-            "results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True
-        ),
-        renders=collect(
-            "results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True
-        ),
-        truth_maps=collect(
-            "results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True
-        ),
-        heldout_videos=collect(
-            "results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True
-        ),
+        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
+        renders=collect("results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True),
+        truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
+        heldout_videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
         heldout_render=collect(
             "results/{scene}/render/{shot}.mkv",
             shot=[s for s in FILMS if s == "heldout"],

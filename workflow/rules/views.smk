@@ -33,9 +33,7 @@ rule views_synthesize:
             camera=TRAINING,
             allow_missing=True,
         ),
-        depth=collect(
-            "results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True
-        ),
+        depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
         shell="results/{scene}/depth/shell.json",
     output:
         views="results/{scene}/views/{segment}.mkv",
