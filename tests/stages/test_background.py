@@ -75,6 +75,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> 
         "depth": [],
         "views": [],
         "supports": [],
+        "threads": 1,
     }
     for index, camera in enumerate(cameras):
         rgb, depth_m = look(camera)

@@ -101,7 +101,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) 
     write_person(folder / "p3.npz", person)
     options |= {
         "person": "p3", "model": folder / "cameras/images.txt", "manifest": folder / "manifest.json", "people": folder / "people.tsv",
-        "fit": folder / "p3.npz", "body": root / "resources/body.npz",
+        "fit": folder / "p3.npz", "body": root / "resources/body.npz", "threads": 1,
     }  # fmt: skip
     return Made(folder, options, person, posed)
 

@@ -45,4 +45,4 @@ rule background_train:
         "python -m studiorecon background.train --settings {params.settings:q} --log {log}"
         " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
-        " --background {output.background} --provenance {output.provenance}"
+        " --threads {threads} --background {output.background} --provenance {output.provenance}"

@@ -27,7 +27,7 @@ rule humans_train:
         "benchmarks/{scene}/humans/train/{person}.tsv"
     container:
         image("core")
-    threads: 2
+    threads: 1
     resources:
         mem_mb=3000,
     params:
@@ -37,4 +37,4 @@ rule humans_train:
         "python -m studiorecon humans.train --settings {params.settings:q} --log {log}"
         " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
-        " --gaussians {output.gaussians} --avatar {output.avatar}"
+        " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"

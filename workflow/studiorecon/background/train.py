@@ -160,9 +160,9 @@ def _read_views(path: Path, views: list[Path], supports: list[Path], cameras: Se
     return targets
 
 
-def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Settings) -> list[float]:
+def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Settings, threads: int) -> list[float]:
     """PSNR of every plate on its measured pixels, dB."""
-    rasteriser = Rasteriser(near_m=settings.training.near_m)
+    rasteriser = Rasteriser(near_m=settings.training.near_m, threads=threads)
     return [psnr(rasteriser.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
 
 
@@ -175,6 +175,7 @@ def run(
     path: Path,
     views: list[Path],
     supports: list[Path],
+    threads: int,
     background: Path,
     provenance: Path,
 ) -> None:
@@ -196,9 +197,9 @@ def run(
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
     shares = draw_shares(len(real), len(synthesized), settings.views_share)
     targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
-    trained = train(start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background")
+    trained = train(start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background")
     marks = marks[trained.source]
-    scores = _plate_scores(trained.gaussians, photos, settings)
+    scores = _plate_scores(trained.gaussians, photos, settings, threads)
     say(f"{trained.gaussians.count} Gaussians after training; plates at {np.mean(scores):.2f} dB on average, {min(scores):.2f} at worst")
     write_ply(background, trained.gaussians)
     write_npz(provenance, {"provenance": marks})

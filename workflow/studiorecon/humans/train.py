@@ -101,7 +101,7 @@ def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin
 
 def run(
     settings: Settings, person: str, model: Path, manifest: Path, people: Path, videos: list[Path], masks: list[Path], fit: Path,
-    body: Path, gaussians: Path, avatar: Path,
+    body: Path, threads: int, gaussians: Path, avatar: Path,
 ) -> None:  # fmt: skip
     """Train one person and write the avatar."""
     cameras = read_model(model.parent)
@@ -139,7 +139,7 @@ def run(
     say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
     trained = train_gaussians(
         start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
-        settings.limits, settings.near_m, rng,
+        settings.limits, settings.near_m, threads, rng,
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)

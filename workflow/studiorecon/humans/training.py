@@ -86,7 +86,7 @@ def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) 
 
 def train_gaussians(
     start: Gaussians, spacing_m: float, posing: Posing, motion: Motion, crops: Sequence[Crop], iterations: int, pose_from: int,
-    losses: Losses, rates: Rates, limits: Limits, near_m: float, rng: np.random.Generator,
+    losses: Losses, rates: Rates, limits: Limits, near_m: float, threads: int, rng: np.random.Generator,
 ) -> Gaussians:  # fmt: skip
     """The trained canonical Gaussians; ``motion`` is refined in place from iteration ``pose_from`` on when its rate is above 0.
 
@@ -105,29 +105,30 @@ def train_gaussians(
         "harmonics": rates.harmonics,
     }
     scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
-    rasteriser = Rasteriser(near_m=near_m)
-    for iteration in progress(range(iterations), "training", iterations):
-        crop = crops[rng.integers(len(crops))]
-        transforms = motion.transforms(crop.frame)
-        means, quaternions, sh = posing.out(
-            own["means"], own["quaternions"], np.concatenate([own["colour"], own["harmonics"]], axis=1), transforms
-        )
-        behind = rng.random(3)
-        picture = rasteriser.forward(Gaussians(means, quaternions, own["scales"], own["opacities"], sh), crop.camera, behind)
-        _, grad_rgb, grad_alpha = pixel_losses(picture.rgb, picture.alpha, crop, behind, losses)
-        back = rasteriser.backward(grad_rgb, grad_alpha)
-        grad_means, grad_quaternions, grad_sh = posing.back(back.means_m, back.quaternions, back.sh)
-        grad_means += losses.surface * held_near_surface(own["means"], start.means_m, limits.surface_m)
-        if rates.pose_rad > 0 and iteration >= pose_from:
-            turn = motion.gradient(crop.frame, *posing.wrenches(own["means"], back.means_m, transforms))
-            motion.step(crop.frame, turn + motion.smoothness_gradient(crop.frame, losses.pose), rates.pose_rad)
-        gradients = {
-            "means": grad_means, "quaternions": grad_quaternions, "scales": back.log_scales, "opacities": back.logit_opacities,
-            "colour": grad_sh[:, :1], "harmonics": grad_sh[:, 1:],
-        }  # fmt: skip
-        position_m = float(np.exp(np.interp(iteration / iterations, [0, 1], np.log([rates.position_m, rates.position_end_m]))))
-        adam.step(gradients, fixed | {"means": position_m}, back.screen > 0)
-        # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
-        np.clip(own["scales"], *scale_range, out=own["scales"])
+    rasteriser = Rasteriser(near_m=near_m, threads=threads)
+    with rasteriser.own_threads():
+        for iteration in progress(range(iterations), "training", iterations):
+            crop = crops[rng.integers(len(crops))]
+            transforms = motion.transforms(crop.frame)
+            means, quaternions, sh = posing.out(
+                own["means"], own["quaternions"], np.concatenate([own["colour"], own["harmonics"]], axis=1), transforms
+            )
+            behind = rng.random(3)
+            picture = rasteriser.forward(Gaussians(means, quaternions, own["scales"], own["opacities"], sh), crop.camera, behind)
+            _, grad_rgb, grad_alpha = pixel_losses(picture.rgb, picture.alpha, crop, behind, losses)
+            back = rasteriser.backward(grad_rgb, grad_alpha)
+            grad_means, grad_quaternions, grad_sh = posing.back(back.means_m, back.quaternions, back.sh)
+            grad_means += losses.surface * held_near_surface(own["means"], start.means_m, limits.surface_m)
+            if rates.pose_rad > 0 and iteration >= pose_from:
+                turn = motion.gradient(crop.frame, *posing.wrenches(own["means"], back.means_m, transforms))
+                motion.step(crop.frame, turn + motion.smoothness_gradient(crop.frame, losses.pose), rates.pose_rad)
+            gradients = {
+                "means": grad_means, "quaternions": grad_quaternions, "scales": back.log_scales, "opacities": back.logit_opacities,
+                "colour": grad_sh[:, :1], "harmonics": grad_sh[:, 1:],
+            }  # fmt: skip
+            position_m = float(np.exp(np.interp(iteration / iterations, [0, 1], np.log([rates.position_m, rates.position_end_m]))))
+            adam.step(gradients, fixed | {"means": position_m}, back.screen > 0)
+            # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
+            np.clip(own["scales"], *scale_range, out=own["scales"])
     sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
     return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
