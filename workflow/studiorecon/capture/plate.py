@@ -3,8 +3,8 @@
 
 Every pixel keeps the colour that most pictures agree on, counting only those in which no detected person stands there. A pixel
 that people cover all the time stays unknown: a guess would be a ghost. A plate that the user brings fills those pixels; it is
-matched to the footage first, and where the footage itself shows the room the footage wins, because a user's plate may have been
-taken earlier, with somebody in it.
+matched to the footage first. Where the two show different things one of them shows somebody: the part that moves during the clip is
+a person whom no detector found, and the user's plate wins; the part that never moves is the room, and somebody stood in the plate.
 
 Reads the section ``plate``.
 """
@@ -33,6 +33,13 @@ from studiorecon.scene.people import read_detections
 # side) such a thing is taken to reach into pixels that the footage cannot confirm.
 _OTHER_LEVELS = 30.0
 _DOUBT_SHARE = 0.025
+# A given plate has come to light at a pixel when this share of its pictures agree with it to these levels. Of the places where a
+# person hides it, who stays on her feet for 1.7 s, 0.2 to 0.27 do so; none of those where somebody stood in the plate does.
+_SAME_LEVELS, _REVEALED, _MOVING = 20.0, 0.1, 0.1
+# Parts of one person that happen to have the room's colour between them are joined over this share of the longer side.
+_JOIN_SHARE = 0.01
+# Steps of the tone curve from a given plate to the footage; the fewest pixels, and their widest middle half in levels, that make one.
+_TONE_STEPS, _TONE_PIXELS, _TONE_SPREAD = 24, 50, 24.0
 
 
 @dataclass(frozen=True)
@@ -115,28 +122,84 @@ def _working_picture(rgb: np.ndarray, measured: np.ndarray, lens: Lens, footage:
     return view.picture(rgb.astype(np.float32)) * 255, share > 0.99
 
 
-def merge(colour: np.ndarray, measured: np.ndarray, given: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The footage's plate where measured, elsewhere the given one with the footage's exposure: colours and where either knows.
+def showing(frames: np.ndarray, free: np.ndarray, colour: np.ndarray) -> np.ndarray:
+    """(H, W) float32 share of the pictures in which a pixel is ``free`` (T, H, W) that show ``colour`` (H, W, 3); 0 if never free."""
+    shown = np.zeros(colour.shape[:2], np.float32)
+    for frame, unoccupied in zip(frames, free):
+        shown += unoccupied & (np.abs(frame - colour).max(axis=-1) <= _SAME_LEVELS)
+    return shown / np.maximum(free.sum(axis=0), 1).astype(np.float32)
 
-    Exposure is a smooth ratio, carried over from the measured surroundings, so that no seam shows. Where the two clearly differ
-    somebody or something stood in the given plate; what of it reaches into unmeasured pixels cannot be told from the room, so a
-    border around such places stays unknown.
+
+def matched_exposure(colour: np.ndarray, common: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """A given plate (H, W, 3) 0..255 as the footage's camera would have taken it, from the pixels that both show (``common``).
+
+    First one tone curve per channel (exposure, white balance and gamma are the same everywhere), by medians, so that people in either
+    picture do not bend it; then a smooth ratio, carried over from the surroundings, so that no seam shows.
     """
-    common = measured & known & (given > 8).all(axis=-1) & (given < 247).all(axis=-1) & (colour > 8).all(axis=-1)
-    ratio = np.where(common[..., None], np.log(np.maximum(colour, 1) / np.maximum(given, 1)), 0).astype(np.float32)
-    typical = np.median(ratio[common], axis=0) if common.any() else np.zeros(3, np.float32)
+    if not common.any():
+        return given
+    toned = np.stack([_toned(given[..., c], colour[..., c], common) for c in range(3)], axis=-1)
+    usable = common & (toned > 8).all(axis=-1) & (colour > 8).all(axis=-1)
+    ratio = np.where(usable[..., None], np.log(np.maximum(colour, 1) / np.maximum(toned, 1)), 0).astype(np.float32)
     # Things that differ between plate and footage (people, moved props) are not exposure.
-    alike = common & (np.abs(ratio - typical).max(axis=-1) < 0.2)
+    alike = usable & (np.abs(ratio).max(axis=-1) < 0.2)
     sigma = max(colour.shape[:2]) / 16
     weight = cv2.GaussianBlur(alike.astype(np.float32), (0, 0), sigma)
-    local = cv2.GaussianBlur(np.where(alike[..., None], ratio - typical, 0).astype(np.float32), (0, 0), sigma)
-    gain = np.exp(typical + local / (weight + 0.05)[..., None])
-    matched = given * gain
-    differs = (measured & known & (np.abs(matched - colour).max(axis=-1) > _OTHER_LEVELS)).astype(np.uint8)
+    local = cv2.GaussianBlur(np.where(alike[..., None], ratio, 0).astype(np.float32), (0, 0), sigma)
+    return toned * np.exp(local / (weight + 0.05)[..., None])
+
+
+def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndarray:
+    """(H, W) one channel through the rising curve of the medians of ``colour`` at equal steps of ``given``."""
+    source, target = given[common], colour[common]
+    step = np.minimum((source / 256 * _TONE_STEPS).astype(int), _TONE_STEPS - 1)
+    rows = []
+    for k in range(_TONE_STEPS):
+        chosen = step == k
+        if chosen.sum() < _TONE_PIXELS:
+            continue
+        low, middle, high = np.percentile(target[chosen], (25, 50, 75))
+        # One brightness that turns into many is not a tone but something else standing there.
+        if high - low < _TONE_SPREAD:
+            rows.append((np.median(source[chosen]), middle))
+    if not rows:
+        return given * np.float32(np.median(target) / max(np.median(source), 1))
+    x, y = np.array(rows).T
+    y = np.maximum.accumulate(y)
+    # Beyond the steps that were seen the outermost ratio goes on.
+    curve = np.interp(given, x, y)
+    curve = np.where(given < x[0], given * y[0] / max(x[0], 1), curve)
+    return np.where(given > x[-1], given * y[-1] / max(x[-1], 1), curve).astype(np.float32)
+
+
+def merge(
+    colour: np.ndarray, measured: np.ndarray, matched: np.ndarray, known: np.ndarray, seen: np.ndarray, shown: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The footage's plate and a given one in its exposure (``matched``) as one: colours, where either knows, and where somebody moves.
+
+    The footage counts where measured, the given plate elsewhere. ``seen`` (H, W): not always occupied; ``shown`` (H, W): how often the
+    footage shows the given plate. Where the two clearly differ there are two cases. When the given plate comes to light along the
+    edges of such a part, the part is a person in the footage whom nobody detected: the given plate counts there. When it never does,
+    somebody or something stood in the given plate; what of that reaches into unmeasured pixels cannot be told from the room, so a
+    border around it stays unknown.
+    """
+    differs = (seen & known & (np.abs(matched - colour).max(axis=-1) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    reach = 2 * max(1, round(max(colour.shape[:2]) * _DOUBT_SHARE)) + 1
-    doubtful = cv2.dilate(differs, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
-    return np.where(measured[..., None], colour, matched), measured | (known & ~doubtful)
+    longer = max(colour.shape[:2])
+    joined = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, _disc(longer * _JOIN_SHARE))
+    count, labels = cv2.connectedComponents(joined, connectivity=8)
+    total = np.bincount(labels[differs > 0], minlength=count)
+    revealed = np.bincount(labels[(differs > 0) & (shown > _REVEALED)], minlength=count)
+    moving = (revealed > _MOVING * total)[labels] & (labels > 0)
+    person = (cv2.dilate(moving.astype(np.uint8), _disc(longer * _JOIN_SHARE)) > 0) & known
+    doubtful = cv2.dilate(differs * ~moving, _disc(longer * _DOUBT_SHARE)) > 0
+    footage = measured & ~person
+    return np.where(footage[..., None], colour, matched), footage | person | (known & ~doubtful), person
+
+
+def _disc(radius_px: float) -> np.ndarray:
+    size = 2 * max(1, round(radius_px)) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
 
 
 def run(
@@ -164,7 +227,7 @@ def run(
     colour, measured = temporal_plate(frames, occupied, options)
     say(f"{about.camera}: {measured.mean():.1%} of the plate shows in the footage ({len(frames)} pictures looked at)")
     for picture in given:
-        colour, measured = _add_given(picture, calibration, about, colour, measured, options)
+        colour, measured = _add_given(picture, calibration, about, frames, occupied, colour, measured, options)
     if measured.mean() < 0.8:
         unknown = 1 - measured.mean()
         say(f"{about.camera}: {unknown:.1%} is always covered and stays unknown; a picture of the empty room in plates/ would help")
@@ -172,7 +235,14 @@ def run(
 
 
 def _add_given(
-    given: Path, calibration: Path, about: Footage, colour: np.ndarray, measured: np.ndarray, options: PlateSettings
+    given: Path,
+    calibration: Path,
+    about: Footage,
+    frames: np.ndarray,
+    occupied: np.ndarray,
+    colour: np.ndarray,
+    measured: np.ndarray,
+    options: PlateSettings,
 ) -> tuple[np.ndarray, np.ndarray]:
     lens = lens_of(calibration, about.camera)
     given_rgb, given_measured = read_plate(given)
@@ -187,4 +257,8 @@ def _add_given(
         f"agrees with the footage to {difference:.1f} grey levels" if np.isfinite(difference) else "cannot be compared with the footage"
     )
     say(f"{about.camera}: {given.name} {agrees} and fills {filled:.1%} of the picture")
-    return merge(colour, measured, rgb, known)
+    matched = matched_exposure(colour, measured & known, rgb)
+    colour, both, person = merge(colour, measured, matched, known, ~occupied.all(axis=0), showing(frames, ~occupied, matched))
+    if moving := float((person & measured).mean()):
+        say(f"{about.camera}: {moving:.1%} of the picture hides what {given.name} shows, and moves: somebody undetected; the plate counts")
+    return colour, both
