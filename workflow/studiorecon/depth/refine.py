@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
+from studiorecon.depth.free_space import back_to_the_shell
 from studiorecon.depth.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures
 from studiorecon.errors import Refusal
@@ -128,6 +129,9 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
+    others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
+    labelled, floating = back_to_the_shell(labelled, pictures[index].camera, room, others)
+    say(f"{floating:.1%} of {camera} would float where another camera looks through it: put on the walls and floor instead")
     rgb, _ = read_plate(plates[index])
     depth_m, source = at_full_size(cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes)
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
