@@ -33,7 +33,7 @@ report: "workflow/report/workflow.rst"
 
 wildcard_constraints:
     scene="[^/]+",
-    camera="[^/]+",
+    camera=ONE_OF_THE_CAMERAS,
     person=r"p\d+",
     segment=r"\d+",
     shot="[A-Za-z0-9_-]+",

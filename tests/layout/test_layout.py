@@ -17,7 +17,8 @@ from studiorecon import settings as settings_module
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow" / "studiorecon"
-STAGES = ["capture", "cameras", "people", "masks", "depth", "survey", "views", "background", "humans", "render", "enhance", "report", "deliver"]
+STAGES = ["capture", "cameras", "people", "masks", "depth", "survey", "views", "background", "humans", "render"]
+STAGES += ["enhance", "report", "deliver"]
 FOUNDATIONS = ["scene", "geometry", "images", "body", "splatting"]
 CARD = {"Snakefile", "workflow", "envs", "config", "resources", "tests", "README.md"}
 DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore"}

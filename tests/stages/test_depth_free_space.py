@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from studiorecon.depth.free_space import back_to_the_shell, looked_through
 from studiorecon.depth.passes import Labelled
 from studiorecon.geometry.path import look_at

@@ -28,9 +28,8 @@ class House:
 
     def snakemake(self, *arguments: str, check: bool = True, path: Path | None = None) -> subprocess.CompletedProcess:
         """Run snakemake here on the house's dataset; output and errors come back as one text."""
-        done = subprocess.run(
-            self.command(*arguments), cwd=self.folder, env=self.environment(path), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
+        streams = {"text": True, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        done = subprocess.run(self.command(*arguments), cwd=self.folder, env=self.environment(path), **streams)
         if check:
             assert done.returncode == 0, done.stdout[-6000:]
         return done

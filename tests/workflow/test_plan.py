@@ -45,7 +45,12 @@ def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Pa
 
 @pytest.mark.parametrize(
     ("remove", "words"),
-    [("intri.yml", "has no calibration"), ("keypoints", "has no 2D keypoints"), ("keypoints/back", "camera back"), ("videos", "neither videos")],
+    [
+        ("intri.yml", "has no calibration"),
+        ("keypoints", "has no 2D keypoints"),
+        ("keypoints/back", "camera back"),
+        ("videos", "neither videos"),
+    ],
 )
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
     (dataset / remove).rename(dataset / "hidden")

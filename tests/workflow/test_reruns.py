@@ -85,6 +85,8 @@ def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
         time.sleep(0.1)
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
+    # What a power cut leaves behind: Snakemake's lock, which its own message says how to take away, and half-made files.
+    house.snakemake("--unlock")
     house.snakemake("--cores", "2", "--until", "capture_manifest")
     assert (results(house) / "capture/manifest.json").is_file()
 

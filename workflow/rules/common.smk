@@ -2,6 +2,7 @@
 # and the settings, they ask here.
 
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -52,8 +53,11 @@ DATASET, STUDIO, DESCRIPTION = find_dataset()
 BODY = beside_workflow(config["body"])
 SCENE = str(config["scene"]) or STUDIO or DATASET.folder.resolve().name
 CAMERAS = list(DATASET.cameras)
+ONE_OF_THE_CAMERAS = "|".join(map(re.escape, CAMERAS))
 TRAINING = list(DATASET.training)
 HELDOUT = list(DATASET.held_out)
+# Cameras with a clean plate of the user's own: there, people without keypoints stand out (people.hull).
+PLATED = [c for c in TRAINING if c in DATASET.plates] if config["people"]["hull"]["use"] == "auto" else []
 SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"] else len(TRAINING) - 1)]
 # Every film, and "train": the training cameras themselves, which enhancement and report compare with the photos.
 FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]

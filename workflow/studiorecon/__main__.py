@@ -13,6 +13,7 @@ import dataclasses
 import importlib
 import inspect
 import json
+import os
 import sys
 import traceback
 import types
@@ -31,6 +32,7 @@ def main(argv: list[str] | None = None) -> int:
         print(__doc__)
         return 0 if argv and argv[0] in ("-h", "--help") else 2
     step = argv[0]
+    _keep_to_the_threads_given()
     try:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
@@ -50,6 +52,14 @@ def main(argv: list[str] | None = None) -> int:
             return _run(module, step, options)
         finally:
             VOICE.log = None
+
+
+def _keep_to_the_threads_given() -> None:
+    # The workflow engine announces a job's share of the cores as OMP_NUM_THREADS; numba only reads its own variable, and jobs
+    # that each take every core slow one another down many times over. Must be set before numba is first imported.
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    if given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
+        os.environ.setdefault("NUMBA_NUM_THREADS", given)
 
 
 def _run(module: types.ModuleType, step: str, options: dict) -> int:

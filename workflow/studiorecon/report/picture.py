@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One picture that tells what a scene is: the training photos of one moment above views from where nobody filmed.
+
+``python -m studiorecon report.picture --videos results/demo/capture/cam*.mkv --film results/demo/enhance/orbit.mkv --frame 30
+--picture overview.jpg``
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.images.seeking import read_frame_at
+from studiorecon.images.video import read_stack
+from studiorecon.progress import say
+from studiorecon.scene.files import complete
+
+
+def overview(photos: list[np.ndarray], views: list[np.ndarray], gap_px: int = 6) -> np.ndarray:
+    """(H, W, 3) uint8: ``photos`` in a row, scaled to fill the width of the row of larger ``views`` below them."""
+    below = _row(views, gap_px)
+    above = _row(photos, gap_px)
+    scale = below.shape[1] / above.shape[1]
+    above = cv2.resize(above, (below.shape[1], round(above.shape[0] * scale)), interpolation=cv2.INTER_AREA)
+    return np.concatenate([above, np.full((gap_px, below.shape[1], 3), 255, np.uint8), below])
+
+
+def _row(pictures: list[np.ndarray], gap_px: int) -> np.ndarray:
+    height = min(p.shape[0] for p in pictures)
+    gap = np.full((height, gap_px, 3), 255, np.uint8)
+    parts = [part for p in pictures for part in (p[:height], gap)]
+    return np.concatenate(parts[:-1], axis=1)
+
+
+def run(videos: list[Path], film: Path, picture: Path, frame: int = 0, views: int = 3) -> None:
+    """Write a JPEG with ``frame`` of every video above ``views`` pictures spread over the film."""
+    frames = read_stack(film)
+    chosen = [frames[i] for i in (np.arange(views) * len(frames)) // views + len(frames) // (2 * views)]
+    made = overview([read_frame_at(video, frame) for video in videos], chosen)
+    with complete(picture) as partial:
+        partial.write_bytes(cv2.imencode(".jpg", made[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+    say(f"{len(videos)} photos and {len(chosen)} views are in {picture}")
