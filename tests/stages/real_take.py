@@ -10,7 +10,7 @@ from typing import Any
 
 from studiorecon import settings as settings_module
 from studiorecon.cameras import calibration, refine
-from studiorecon.capture import frames, manifest
+from studiorecon.capture import frames, manifest, plate
 from studiorecon.people import associate, detections
 from studiorecon.scene.dataset import open_dataset
 from studiorecon.scene.files import read_json
@@ -35,11 +35,15 @@ def front_end(
     videos = [out / f"{n}.mkv" for n in names]
     manifest.run(load(manifest), take, [out / f"{n}.json" for n in names], [], out / "manifest.json")
     found = [out / f"{n}.npz" for n in names]
-    options = load(detections, first_keypoint_frame=-1 if take == "multi" else 0)
     for name, path in zip(names, found):
-        detections.run(options, name, data.keypoints[name], data.keypoint_layout, out / f"{name}.json", lenses, path)
+        about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame
+        detections.run(load(detections), name, *about, out / f"{name}.json", lenses, path)
     model = out / "model" / "images.txt"
     doctor = [out / "doctor.json", out / "doctor.png"]
     refine.run(load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", *doctor)
-    associate.run(load(associate), model, out / "manifest.json", found, videos, out / "people.tsv", out / "identities.tsv")
+    plates = [out / f"{n}.plate.png" for n in names]
+    for name, video, path, picture in zip(names, videos, found, plates):
+        plate.run(load(plate), video, out / f"{name}.json", lenses, [path], [data.plates[name]], picture)
+    outputs = [out / "people.tsv", out / "identities.tsv", out / "standing.npz"]
+    associate.run(load(associate), model, out / "manifest.json", found, videos, names, plates, root / "resources" / "body.npz", *outputs)
     return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "doctor.json")

@@ -95,7 +95,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, root: Path, body: BodyModel) 
         footage.append(Footage(camera.name, False, WH, camera.intrinsics.tolist(), 30.0, FRAMES, 0, "made", "", WH, 0.0, 0.0, []))
     write_manifest(folder / "manifest.json", Manifest("made", 30.0, FRAMES, tuple(footage)))
     # The person is the second in the table: masks label them 2.
-    write_people(folder / "people.tsv", [("p0", FRAMES, "cam0", 1.0), ("p3", FRAMES, "cam0", 1.0)])
+    write_people(folder / "people.tsv", [("p0", FRAMES, "cam0", 1.0, "keypoints"), ("p3", FRAMES, "cam0", 1.0, "keypoints")])
     joints = body.joints(poses, np.zeros(10), trans)
     person = Person("p3", body.identity, 30.0, poses, trans, np.zeros(10), joints, np.ones(FRAMES, bool), np.full((FRAMES, 24), 0.01), True)
     write_person(folder / "p3.npz", person)

@@ -145,7 +145,7 @@ def test_the_step_writes_its_decisions(tmp_path: Path, settings: step.Settings) 
     write_model(tmp_path / "cameras", cameras)
     footage = tuple(Footage(c.name, False, c.wh, c.intrinsics.tolist(), 30.0, 5, 0, "v", "", c.wh, 0, 0.0, []) for c in cameras)
     write_manifest(tmp_path / "manifest.json", Manifest("s", 30.0, 5, footage))
-    write_people(tmp_path / "people.tsv", [("p0", 5, "c0,c1", 1.0)])
+    write_people(tmp_path / "people.tsv", [("p0", 5, "c0,c1", 1.0, "keypoints")])
     for view in map(floor_view, cameras):
         write_plate(tmp_path / f"{view.camera.name}.png", np.rint(view.rgb * 255).astype(np.uint8), view.measured)
         write_depth(tmp_path / f"{view.camera.name}.exr", view.depth_m, np.ones(view.camera.hw, np.float32))

@@ -21,10 +21,11 @@ rule people_detections:
         settings=settings("people"),
         code=code("people.detections"),
         layout=DATASET.keypoint_layout,
+        first_frame=DATASET.keypoint_first_frame,
     shell:
         "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --footage {input.footage:q}"
-        " --calibration {input.calibration:q} --detections {output.detections:q}"
+        " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
+        " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
 
 
 checkpoint people_associate:
@@ -37,9 +38,12 @@ checkpoint people_associate:
             allow_missing=True,
         ),
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=PLATED, allow_missing=True),
+        body=BODY,
     output:
         people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
+        standing="results/{scene}/people/standing.npz",
     log:
         "logs/{scene}/people/associate.log",
     benchmark:
@@ -52,10 +56,12 @@ checkpoint people_associate:
     params:
         settings=settings("people"),
         code=code("people.associate"),
+        plated=PLATED,
     shell:
         "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
         " --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
-        " --people {output.people:q} --identities {output.identities:q}"
+        " --plated {params.plated:q} --plates {input.plates:q} --body {input.body:q}"
+        " --people {output.people:q} --identities {output.identities:q} --standing {output.standing:q}"
 
 
 rule people_fit:
@@ -68,6 +74,7 @@ rule people_fit:
             allow_missing=True,
         ),
         identities="results/{scene}/people/identities.tsv",
+        standing="results/{scene}/people/standing.npz",
         body=BODY,
     output:
         fit="results/{scene}/people/{person}.npz",
@@ -86,4 +93,4 @@ rule people_fit:
     shell:
         "python -m studiorecon people.fit --settings {params.settings:q} --log {log}"
         " --person {wildcards.person} --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q}"
-        " --identities {input.identities:q} --body {input.body:q} --fit {output.fit:q}"
+        " --identities {input.identities:q} --standing {input.standing:q} --body {input.body:q} --fit {output.fit:q}"

@@ -9,25 +9,33 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
+from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
+from studiorecon.people import fit
 from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, person_share, sampled_frames
+from studiorecon.people.foreground import open_view
 from studiorecon.people.grouping import AssociationLimits, Group, group_tracks, torso_m
+from studiorecon.people.standing import HullSettings, Standing, find_standing, write_standing
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.people import Detections, read_detections, write_identities, write_people
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Limits of agreement, of association and of the pictures' say."""
+    """Limits of agreement, of association and of the pictures' say; ``fit``, ``smooth`` and ``hull`` for people without keypoints."""
 
     triangulation: Limits
     association: AssociationLimits
     evidence: EvidenceLimits
+    fit: fit.BodyFit
+    smooth: Smoothing
+    hull: HullSettings
 
 
 def judge(group: Group, cameras: Sequence[Camera], frames: int, limits: AssociationLimits) -> str | None:
@@ -74,10 +82,18 @@ def run(
     manifest: Path,
     detections: list[Path],
     videos: list[Path],
+    plated: list[str],
+    plates: list[Path],
+    body: Path,
     people: Path,
     identities: Path,
+    standing: Path,
 ) -> None:
-    """Write ``people`` (people.tsv, in order of appearance) and ``identities`` (camera, track → person, empty = rejected)."""
+    """Write ``people`` (people.tsv, in order of appearance), ``identities`` (camera, track → person, empty = rejected) and ``standing``.
+
+    ``plates`` are those of the cameras ``plated``, whose clean plates the user brought (may be none): people who stand out from them
+    and have no keypoints follow those who do, with their silhouettes in ``standing`` (npz).
+    """
     cameras, found = read_model(model.parent), read_manifest(manifest)
     given = [read_detections(p) for p in detections]
     if [d.camera for d in given] != [c.name for c in cameras]:
@@ -101,15 +117,51 @@ def run(
         table |= {(cameras[v].name, t): f"p{number}" for v, t in group.members}
         seen_by = [c.name for c, seen in zip(cameras, group.seen.any(1)) if seen]
         confidence = float(np.nanmean(group.agreement))
-        rows.append((f"p{number}", len(group.frames), ",".join(seen_by), confidence))
+        rows.append((f"p{number}", len(group.frames), ",".join(seen_by), confidence, "keypoints"))
         say(
             f"p{number}: seen in {len(group.frames)} of {found.frames} frames by {', '.join(seen_by)}; "
             f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
         )
     rejected = sum(not person for person in table.values())
     say(f"{len(rows)} people; {rejected} of {len(table)} tracks belong to nobody" if table else "no people: no camera has a detection")
+    upright: list[Standing] = []
+    if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
+        upright = _without_keypoints(settings, cameras, given, table, [row[0] for row in rows], videos, plated, plates, body, found)
+        rows += [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in upright]
+        if not upright:
+            say("nobody without keypoints stands out from the given plates")
     write_people(people, rows)
     write_identities(identities, table)
+    write_standing(standing, upright)
+
+
+def _without_keypoints(
+    settings: Settings,
+    cameras: Sequence[Camera],
+    detections: list[Detections],
+    identities: dict[tuple[str, int], str],
+    names: list[str],
+    videos: list[Path],
+    plated: list[str],
+    plates: list[Path],
+    body: Path,
+    manifest: Manifest,
+) -> list[Standing]:
+    """People who stand out from the given plates beside those with keypoints, whose bodies are fitted first to be told apart."""
+    model = BodyModel.load(body)
+    options = fit.Settings(settings.triangulation, settings.fit, settings.smooth, settings.hull)
+    known = []
+    for name in names:
+        keypoint_names, keypoints = fit.observations(name, detections, identities, model, manifest.frames)
+        points = fit.lift(keypoint_names, keypoints, list(cameras), options)
+        try:
+            known.append(fit.fit_person(name, points, model, manifest.fps, options)[0])
+        except Refusal as refusal:
+            say(f"people without keypoints are not looked for: {refusal}")
+            return []
+    by_name = {c.name: (c, video) for c, video in zip(cameras, videos)}
+    views = [open_view(*by_name[name], plate, settings.hull.foreground) for name, plate in zip(plated, plates)]
+    return find_standing(views, known, model, manifest.frames, manifest.fps, settings.hull)
 
 
 def _confirmed(groups: list[Group], shares: list[float], cameras: Sequence[Camera], limits: EvidenceLimits) -> list[Group]:

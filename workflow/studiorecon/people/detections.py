@@ -29,7 +29,6 @@ class Settings:
         keypoint_pixels: the picture that keypoint coordinates refer to: that of the video file or that of the calibration;
             "auto" = calibration where the footage has a pixel map, else video.
         keypoint_centres: coordinate of the first pixel's centre in the keypoint files; detectors count from 0.
-        first_keypoint_frame: the number in the keypoint files that belongs to the first frame of the video.
         detection_confidence: keypoints below it are dropped.
         detection_keypoints: detections with fewer keypoints left are dropped.
         tracking: when two detections are the same person.
@@ -37,15 +36,14 @@ class Settings:
 
     keypoint_pixels: Literal["auto", "video", "calibration"]
     keypoint_centres: float
-    first_keypoint_frame: int
     detection_confidence: float
     detection_keypoints: int
     tracking: TrackingLimits
 
 
-def to_arrays(entries: list[Entry], footage: Footage, first_keypoint_frame: int) -> tuple[np.ndarray, np.ndarray]:
+def to_arrays(entries: list[Entry], footage: Footage, first_frame: int) -> tuple[np.ndarray, np.ndarray]:
     """(D,) working frames and (D, K, 3) recorded keypoints of the detections that fall into the working frames."""
-    offset = first_keypoint_frame + footage.first_source_frame
+    offset = first_frame + footage.first_source_frame
     inside = [e for e in entries if 0 <= e.frame - offset < footage.frames]
     inside.sort(key=lambda e: e.frame)
     count = len(entries[0].keypoints) if entries else 0
@@ -72,9 +70,9 @@ def to_working_pixels(keypoints: np.ndarray, lens: Lens, footage: Footage, setti
     return np.concatenate([np.where(present[..., None], working, np.nan), np.where(present, confidence, 0.0)[..., None]], axis=-1)
 
 
-def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footage, settings: Settings) -> Detections:
-    """Detections of one camera with track ids."""
-    frame, recorded = to_arrays(entries, footage, settings.first_keypoint_frame)
+def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footage, first_frame: int, settings: Settings) -> Detections:
+    """Detections of one camera with track ids; ``first_frame``: number in the keypoint files of the video's first frame."""
+    frame, recorded = to_arrays(entries, footage, first_frame)
     keypoints = to_working_pixels(recorded, lens, footage, settings)
     keep = (keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints
     frame, keypoints = frame[keep], keypoints[keep]
@@ -83,8 +81,10 @@ def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footag
     return Detections(footage.camera, layout, frame, tracks(frame, keypoints, settings.tracking), keypoints)
 
 
-def run(settings: Settings, camera: str, keypoints: Path, layout: str, footage: Path, calibration: Path, detections: Path) -> None:
-    """Read the recorded ``keypoints`` of ``camera``; write ``detections`` (npz)."""
+def run(
+    settings: Settings, camera: str, keypoints: Path, layout: str, first_frame: int, footage: Path, calibration: Path, detections: Path
+) -> None:
+    """Read the recorded ``keypoints`` of ``camera``, numbered from ``first_frame`` on; write ``detections`` (npz)."""
     found = read_footage(footage)
     lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
     if lens is None:
@@ -97,12 +97,13 @@ def run(settings: Settings, camera: str, keypoints: Path, layout: str, footage: 
         chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
         if note:
             say(note)
-    result = detections_of(entries, chosen, lens, found, settings)
+    result = detections_of(entries, chosen, lens, found, first_frame, settings)
     if entries and not len(result.frame):
         numbers = sorted({e.frame for e in entries})
         raise Refusal(
             f"{keypoints}: no detection falls into the {found.frames} working frames of camera {camera} (files are numbered "
-            f"{numbers[0]} to {numbers[-1]}); set people.first_keypoint_frame to the number of the video's first frame"
+            f"{numbers[0]} to {numbers[-1]}); write the number of the video's first frame into capture.yaml as "
+            "keypoint_first_frame"
         )
     seen = len(np.unique(result.frame))
     say(

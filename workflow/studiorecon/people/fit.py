@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One person's body over time: triangulate the keypoints of all cameras, fit the body model, fill gaps, smooth.
 
-Paper §triangulation, §fitting and appendix (smoothing). Shape is shared over the sequence (numerics U39); the world is in
-metres, so there is no scale to estimate: the ratio of measured to fitted limbs is reported as a check (U36).
+Somebody without keypoints is fitted to silhouettes instead. Paper §triangulation, §fitting and appendix (smoothing). Shape is shared
+over the sequence (numerics U39); the world is in metres, so there is no scale to estimate: the ratio of measured to fitted limbs is
+reported as a check (U36).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -60,6 +62,7 @@ class Settings:
     triangulation: Limits
     fit: BodyFit
     smooth: Smoothing
+    hull: HullSettings
 
 
 @dataclass(frozen=True)
@@ -149,25 +152,61 @@ def fit_person(person: str, points: Points, body: BodyModel, fps: float, setting
             f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations from the mean (beta {worst}, frames "
             f"{frame_ranges(valid)}), which no person is; check that the calibration is in metres, the keypoint layout and the identities"
         )
+    return _person(person, result.rotations, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings), result
+
+
+def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings) -> Person:
+    """The body of somebody without keypoints, from silhouettes; raises Refusal when too few frames agree."""
+    keys = settings.hull
+    followed = follow_standing(person, cameras, body, keys)
+    local, trans, agreement = np.zeros((frames, 24, 3, 3)), np.zeros((frames, 3)), np.zeros(frames)
+    for t, (state, share) in followed.items():
+        local[t], trans[t], agreement[t] = state.local[0], state.trans[0], share
+    valid = agreement >= keys.least_agreement
+    if valid.sum() < _LEAST_PLAUSIBLE * len(followed):
+        raise Refusal(
+            f"person {person.name}: the body agrees with the silhouettes by people.hull.least_agreement = {keys.least_agreement:g} in only "
+            f"{valid.sum()} of {len(followed)} frames; bring keypoints of this person, or set people.hull.use to never"
+        )
+    # What the outlines do not explain may be anywhere: the less they agree, the less is known.
+    sigma = keys.sigma_m / np.maximum(agreement, 0.1)[:, None] * np.ones(24)
+    say(
+        f"{person.name}: body measured from silhouettes alone in {valid.sum()} of {frames} frames, agreement "
+        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to about {1000 * np.median(sigma[valid]):.0f} mm"
+    )
+    return _person(person.name, local, trans, person.start.state.betas, valid, sigma, body, fps, settings)
+
+
+def _person(
+    name: str,
+    local: np.ndarray,
+    trans_m: np.ndarray,
+    betas: np.ndarray,
+    valid: np.ndarray,
+    sigma_m: np.ndarray,
+    body: BodyModel,
+    fps: float,
+    settings: Settings,
+) -> Person:
+    """Fill frames that are not ``valid`` (T,), smooth, and pose the body; ``sigma_m`` (T, 24) counts where valid."""
     alpha, sigma_frames = smoothing.at_frame_rate(settings.smooth, fps)
-    local = smoothing.fill_rotations(np.where(valid[:, None, None, None], result.rotations, np.eye(3)), valid)
-    trans = smoothing.fill_vectors(np.where(valid[:, None], result.trans_m, 0.0), valid)
+    local = smoothing.fill_rotations(np.where(valid[:, None, None, None], local, np.eye(3)), valid)
+    trans = smoothing.fill_vectors(np.where(valid[:, None], trans_m, 0.0), valid)
     local = smoothing.smooth_rotations(local, alpha, sigma_frames)
     trans = smoothing.smooth_vectors(trans, alpha, sigma_frames)
-    poses = rotations.log(local).reshape(frames, 72)
-    fitted = Person(
-        name=person,
+    poses = rotations.log(local).reshape(len(valid), 72)
+    return Person(
+        name=name,
         body=body.identity,
         fps=fps,
         poses=poses,
         trans=trans,
-        betas=result.betas,
-        joints=body.joints(poses, result.betas, trans),
+        betas=betas,
+        joints=body.joints(poses, betas, trans),
         valid=valid,
-        sigma=np.where(valid[:, None], result.joint_sigma_m, np.inf),
+        sigma=np.where(valid[:, None], sigma_m, np.inf),
         metric=True,
     )
-    return fitted, result
 
 
 def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
@@ -181,6 +220,11 @@ def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
             ratios.append(measured / np.linalg.norm(model[:, at[a]] - model[:, at[b]], axis=-1))
     found = np.concatenate(ratios)[np.isfinite(np.concatenate(ratios))] if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else float("nan")
+
+
+def _say_filled(fitted: Person) -> None:
+    if not fitted.valid.all():
+        say(f"{fitted.name}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid")
 
 
 def frame_ranges(chosen: np.ndarray) -> str:
@@ -202,12 +246,19 @@ def run(
     manifest: Path,
     detections: list[Path],
     identities: Path,
+    standing: Path,
     body: Path,
     fit: Path,
 ) -> None:
-    """Fit one person's body to the keypoints of all training cameras."""
+    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``."""
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)
+    for someone in read_standing(standing):
+        if someone.name == person:
+            fitted = fit_standing(someone, list(cameras.values()), BodyModel.load(body), footage.frames, footage.fps, settings)
+            _say_filled(fitted)
+            write_person(fit, fitted)
+            return
     seen = [read_detections(path) for path in detections]
     missing = [d.camera for d in seen if d.camera not in cameras]
     if missing:
@@ -224,8 +275,7 @@ def run(
     )
     if not result.converged:
         say(f"{person}: the fit was still improving after people.fit.iterations = {settings.fit.iterations} steps")
-    if not fitted.valid.all():
-        say(f"{person}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid")
+    _say_filled(fitted)
     ratio = limb_ratio(points, fitted, body_model)
     if abs(ratio - 1) > 0.05:
         say(f"{person}: measured limbs are {ratio:.2f} times the fitted ones; the world may not be metric, or the shape is unusual")

@@ -19,8 +19,6 @@ class AssociationLimits:
     """Which tracks are one person, and who counts as one; see ``config.yaml`` for each value's meaning."""
 
     gate_m: float
-    sigma_position_m: float
-    sigma_pose_rad: float
     track_agreement: float
     camera_share: float
     least_frames: int

@@ -17,7 +17,10 @@ from studiorecon.errors import Refusal
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
-_KEYS = {"frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "plates", "masks", "depth", "pixel_maps", "people"}
+_KEYS = {
+    "frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth",
+    "pixel_maps", "people",
+}  # fmt: skip
 # The first of these that exists is the calibration, when capture.yaml does not name one.
 _CALIBRATIONS = (
     ("intri.yml", "extri.yml"),
@@ -42,6 +45,7 @@ class Dataset:
         calibration: the calibration's file(s); empty when none was found.
         keypoints: camera → folder of JSON files, or one file. Cameras without recorded keypoints are absent.
         keypoint_layout: name of the layout, or ``"auto"``.
+        keypoint_first_frame: the number in the keypoint files that belongs to the first frame of the videos.
         plates, masks, depth: camera → file or folder, where the user brings them.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
@@ -56,6 +60,7 @@ class Dataset:
     calibration: tuple[Path, ...]
     keypoints: Mapping[str, Path]
     keypoint_layout: str
+    keypoint_first_frame: int
     plates: Mapping[str, Path]
     masks: Mapping[str, Path]
     depth: Mapping[str, Path]
@@ -98,6 +103,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         calibration=_find_calibration(folder, description),
         keypoints=keypoints,
         keypoint_layout=str(description.get("keypoint_layout", "auto")),
+        keypoint_first_frame=_whole_number(description, "keypoint_first_frame", folder),
         plates=_per_camera(folder, description.get("plates"), ("plates",), footage),
         masks=_per_camera(folder, description.get("masks"), ("masks",), footage),
         depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
@@ -160,6 +166,13 @@ def _frames(description: dict[str, Any], folder: Path) -> tuple[int, int]:
     if not all(isinstance(v, int) and v >= 0 for v in (first, count)):
         raise Refusal(f"capture.yaml of {folder}: frames.first and frames.count must be whole numbers ≥ 0")
     return first, count
+
+
+def _whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
+    value = description.get(key, 0)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise Refusal(f"capture.yaml of {folder}: {key} must be a whole number, not {value!r}")
+    return value
 
 
 def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.scene.files import read_table, write_npz, write_table
 
-PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence")
+PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source")
 IDENTITY_COLUMNS = ("camera", "track", "person")
 
 
@@ -84,9 +84,12 @@ def read_person(path: Path) -> Person:
         return Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
 
 
-def write_people(path: Path, rows: list[tuple[str, int, str, float]]) -> None:
-    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1. May have no rows: an empty room."""
-    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}") for p, n, c, confidence in rows])
+def write_people(path: Path, rows: list[tuple[str, int, str, float, str]]) -> None:
+    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or "hull").
+
+    May have no rows: an empty room.
+    """
+    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", source) for p, n, c, confidence, source in rows])
 
 
 def read_people(path: Path) -> list[str]:

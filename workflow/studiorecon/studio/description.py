@@ -152,6 +152,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         calibration=tuple(folder / name for name in CALIBRATION_FILES[description.calibration.format]),
         keypoints={name: folder / "keypoints" / name for name in training} if description.people else {},
         keypoint_layout="body_25",
+        keypoint_first_frame=0,
         plates={name: folder / "plates" / f"{name}.png" for name in training} if description.plates else {},
         masks={},
         depth={},

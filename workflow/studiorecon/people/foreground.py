@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which pixels show somebody who has no keypoints: the difference to a given clean plate, less the people already known.
+
+Pixels are foreground, background or unknown. Unknown are those where the plate is, and those of a person who was fitted to keypoints:
+somebody else may stand behind, so they speak neither for nor against anybody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.images.regions import without_holes
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.stills import read_plate, shrink
+from studiorecon.images.video import read_frames, to_float
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Person
+
+BACKGROUND, FOREGROUND, UNKNOWN = 0, 1, 2
+# Gaps in an outline that are closed, as a share of the longer side; enclosed gaps that are filled, as a share of the picture.
+_GAP_SHARE, _HOLE_SHARE = 0.009, 0.0025
+
+
+@dataclass(frozen=True)
+class ForegroundSettings:
+    """When a pixel shows somebody. Differences are in CIELAB units (1 = just visible).
+
+    Attributes:
+        pixels: longer side of the pictures that are compared; larger ones are shrunk.
+        difference: a pixel that differs more is foreground.
+        chroma_weight: colour differences count this much more than lightness.
+        shadow: darkest shadow, as a share of the unshadowed light; a darkening down to it is none.
+        margin_m: people known by their keypoints are this much thicker than their bodies: clothes, hair and what the fit is off.
+    """
+
+    pixels: int
+    difference: float
+    chroma_weight: float
+    shadow: float
+    margin_m: float
+
+
+@dataclass(frozen=True)
+class View:
+    """One training camera with a given plate, at the size that is compared: ``rgb`` (H, W, 3) in [0, 1], ``measured`` (H, W)."""
+
+    camera: Camera
+    video: Path
+    rgb: np.ndarray
+    measured: np.ndarray
+
+
+def open_view(camera: Camera, video: Path, plate: Path, settings: ForegroundSettings) -> View:
+    rgb, measured = read_plate(plate)
+    share = min(1.0, settings.pixels / max(camera.wh))
+    small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
+    return View(small, video, *shrink(rgb, measured, small.wh))
+
+
+def pictures(views: Sequence[View], step: int) -> Iterator[tuple[int, list[np.ndarray]]]:
+    """Every ``step``-th frame: its number and the pictures (H, W, 3) float32 of all views, decoded side by side."""
+    for t, frames in enumerate(zip(*(read_frames(v.video) for v in views), strict=True)):
+        if t % step == 0:
+            yield (
+                t,
+                [
+                    cv2.resize(to_float(f), v.camera.wh, interpolation=cv2.INTER_AREA) if f.shape[:2] != v.camera.hw else to_float(f)
+                    for f, v in zip(frames, views)
+                ],
+            )
+
+
+def labels(rgb: np.ndarray, view: View, known: np.ndarray, settings: ForegroundSettings) -> np.ndarray:
+    """(H, W) uint8 labels of a picture (H, W, 3) in [0, 1]; ``known`` (H, W) bool: where people with keypoints stand."""
+    picture, plate = cv2.GaussianBlur(rgb, (3, 3), 0), cv2.GaussianBlur(view.rgb, (3, 3), 0)
+    # A shadow darkens all channels by one factor: the best one is taken out first.
+    factor = np.clip((picture * plate).sum(2) / np.maximum((plate * plate).sum(2), 1e-4), settings.shadow, 1.0)
+    lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate * factor[..., None], cv2.COLOR_RGB2Lab)
+    difference = np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
+    foreground = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 5)
+    # Clothes of the wall's colour leave gaps inside an outline that otherwise stands out: closed, and filled where enclosed.
+    size = 2 * round(_GAP_SHARE * max(foreground.shape)) + 1
+    foreground = cv2.morphologyEx(foreground, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    filled = without_holes((foreground > 0) | known, _HOLE_SHARE * foreground.size)
+    return np.where(known | ~view.measured, np.uint8(UNKNOWN), filled.astype(np.uint8))
+
+
+def outline_of(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int, margin_m: float) -> np.ndarray:
+    """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance."""
+    covered = np.zeros(camera.hw, np.uint8)
+    for person in people:
+        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
+        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
+        if (depth_m > 0).any():
+            radius = max(1, round(margin_m * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+            covered |= cv2.dilate((depth_m > 0).astype(np.uint8), disc)
+    return covered > 0

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""People without keypoints: found in the hull of what differs from the given plates, with the silhouettes and start of their fit.
+
+Only cameras whose plate the user brought take part: a plate estimated from the clip cannot show whoever never moves away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.body.basis import State
+from studiorecon.body.model import BodyModel
+from studiorecon.people import hull, upright
+from studiorecon.people.contour import ContourSettings, Silhouette, Targets
+from studiorecon.people.foreground import FOREGROUND, UNKNOWN, ForegroundSettings, View, labels, outline_of, pictures
+from studiorecon.people.hull import HullLimits, Track
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.people import Person
+
+# Frames on which the start is sought and the facing decided; a body's part of the hull reaches this far around its middle, metres.
+_START_FRAMES, _ARM_M = 9, 0.5
+
+
+@dataclass(frozen=True)
+class HullSettings:
+    """How people without keypoints are found and fitted.
+
+    Attributes:
+        use: "auto" = in cameras with a plate that the user brought; "never".
+        foreground, limits, contour: see ``ForegroundSettings``, ``HullLimits``, ``ContourSettings``.
+        least_agreement: intersection over union of body and silhouettes below which nobody is believed, and no frame is.
+        sigma_m: deviation of the joints of a body that agrees perfectly.
+    """
+
+    use: Literal["auto", "never"]
+    foreground: ForegroundSettings
+    limits: HullLimits
+    contour: ContourSettings
+    least_agreement: float
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One person without keypoints.
+
+    Attributes:
+        name: ``p1``, …; cameras: names of the cameras whose silhouettes these are; seen_by: those that show the person.
+        wh: (V, 2) size of the silhouettes; frames: (F,) frames that have some.
+        labels: F lists of V pictures (H, W) uint8, see ``foreground``.
+        start: where the fit starts; ``margin`` says how sure its facing is.
+    """
+
+    name: str
+    cameras: tuple[str, ...]
+    seen_by: tuple[str, ...]
+    wh: np.ndarray
+    frames: np.ndarray
+    labels: list[list[np.ndarray]]
+    start: upright.Found
+
+
+def find_standing(
+    views: Sequence[View], known: Sequence[Person], body: BodyModel, frames: int, fps: float, settings: HullSettings
+) -> list[Standing]:
+    """People who stand out from the plates of ``views`` and are not ``known``; named in order of appearance after those."""
+    cameras = [v.camera for v in views]
+    found = []
+    for track in _lasting(views, known, body, fps, settings):
+        shown, extent_m = _silhouettes(track, views, known, body, settings)
+        targets = {t: Targets.of(pictures) for t, pictures in shown.items()}
+        surface = Silhouette(body, cameras, settings.contour)
+        few = {t: targets[t] for t in _spread(sorted(targets), _START_FRAMES)}
+        start = upright.find(surface, few, lambda t, track=track: _place(track, t), *extent_m)
+        start = upright.shaped(surface, few, start, _spread(sorted(few), 5))
+        where = f"somebody without keypoints at ({track.places_m[0, 0]:.1f}, {track.places_m[0, 1]:.1f}) m"
+        if start.agreement < settings.least_agreement:
+            say(
+                f"{where} stays undetermined: no upright body agrees with the silhouettes by more than {start.agreement:.2f}, "
+                f"people.hull.least_agreement = {settings.least_agreement:g} is needed"
+            )
+            continue
+        seen_by = tuple(c.name for c, seen in zip(cameras, track.seen_by) if seen)
+        name = f"p{len(known) + len(found)}"
+        sure = "" if start.margin > 0.01 else "; which way the person faces is uncertain"
+        say(
+            f"{name}: {where}, seen in {len(shown)} of {frames} frames by {', '.join(seen_by)} against the given plates; an upright body "
+            f"agrees with the silhouettes by {start.agreement:.2f}, turned round by {start.agreement - start.margin:.2f}{sure}"
+        )
+        numbers = np.array(sorted(shown))
+        found.append(
+            Standing(
+                name,
+                tuple(c.name for c in cameras),
+                seen_by,
+                np.array([c.wh for c in cameras]),
+                numbers,
+                [shown[t] for t in numbers],
+                start,
+            )
+        )
+    return found
+
+
+def _lasting(views: Sequence[View], known: Sequence[Person], body: BodyModel, fps: float, settings: HullSettings) -> list[Track]:
+    """Tracks of human size, away from the people already known."""
+    cameras, limits = [v.camera for v in views], settings.limits
+    cells_m, shape = hull.watched_cells(cameras, limits.voxel_m, limits.cameras)
+    seen = []
+    for t, rgbs in pictures(views, max(1, round(limits.step_s * fps))):
+        pictured = _labels(rgbs, t, views, known, body, settings.foreground)
+        found = hull.parts(cells_m, shape, cameras, pictured, limits.voxel_m)
+        seen.append((t, [p for p in found if hull.is_person(p, limits.voxel_m, limits)]))
+    kept = []
+    for track in hull.tracks(seen, fps, limits):
+        near = [np.median(np.linalg.norm(p.trans[track.frames, :2] - track.places_m, axis=1)) for p in known]
+        if min(near, default=np.inf) >= limits.apart_m:
+            kept.append(track)
+    return kept
+
+
+def _silhouettes(
+    track: Track, views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: HullSettings
+) -> tuple[dict[int, list[np.ndarray]], tuple[float, float]]:
+    """Labels of every frame in which the person is there, per camera; height of the floor below and of the person, metres."""
+    cameras, voxel_m = [v.camera for v in views], settings.limits.voxel_m / 2
+    shown, ends = {}, []
+    for t, rgbs in progress(pictures(views, 1), "silhouettes"):
+        place = _place(track, t)
+        pictured = _labels(rgbs, t, views, known, body, settings.foreground)
+        cells_m, shape = hull.cells_around(place, voxel_m)
+        part = hull.joined(hull.parts(cells_m, shape, cameras, pictured, voxel_m), place, _ARM_M)
+        if part is None or part.seen_by.sum() < 2:
+            continue
+        ends.append((part.cells_m[:, 2].min(), part.cells_m[:, 2].max()))
+        shown[t] = [hull.silhouette(part, v, c, label, voxel_m) for v, (c, label) in enumerate(zip(cameras, pictured))]
+    low, high = np.median(ends, axis=0)
+    return shown, (float(low), float(high - low))
+
+
+def _labels(
+    rgbs: Sequence[np.ndarray], frame: int, views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: ForegroundSettings
+) -> list[np.ndarray]:
+    return [labels(rgb, v, outline_of(known, body, v.camera, frame, settings.margin_m), settings) for rgb, v in zip(rgbs, views)]
+
+
+def _place(track: Track, frame: int) -> np.ndarray:
+    return np.array([np.interp(frame, track.frames, track.places_m[:, axis]) for axis in (0, 1)])
+
+
+def _spread(frames: Sequence[int], count: int) -> list[int]:
+    return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))]
+
+
+def follow_standing(person: Standing, cameras: Sequence[Camera], body: BodyModel, settings: HullSettings) -> dict[int, tuple[State, float]]:
+    """State and agreement of every frame with silhouettes; ``cameras`` are the model's, any size."""
+    by_name = {c.name: c for c in cameras}
+    sized = [by_name[name].resized(tuple(int(n) for n in wh)) for name, wh in zip(person.cameras, person.wh)]
+    targets = {int(t): Targets.of(pictures) for t, pictures in zip(person.frames, person.labels)}
+    return upright.follow(Silhouette(body, sized, settings.contour), targets, person.start.frame, person.start.state)
+
+
+def write_standing(path: Path, people: Sequence[Standing]) -> None:
+    """Write everybody's silhouettes (as bits) and starts; nobody is an empty list of names."""
+    arrays: dict[str, np.ndarray] = {"names": np.array([p.name for p in people], dtype=str)}
+    for p in people:
+        flat = [np.concatenate([picture.ravel() for picture in pictures]) for pictures in p.labels]
+        start = {"frame": p.start.frame, "local": p.start.state.local, "trans": p.start.state.trans, "betas": p.start.state.betas}
+        fields = {
+            "cameras": np.array(p.cameras), "seen_by": np.array(p.seen_by), "wh": p.wh, "frames": p.frames,
+            "somebody": np.packbits(np.stack(flat) == FOREGROUND, axis=1), "unknown": np.packbits(np.stack(flat) == UNKNOWN, axis=1),
+            "agreement": p.start.agreement, "margin": p.start.margin, **start,
+        }  # fmt: skip
+        arrays |= {f"{p.name}_{key}": np.asarray(value) for key, value in fields.items()}
+    write_npz(path, arrays)
+
+
+def read_standing(path: Path) -> list[Standing]:
+    with np.load(path, allow_pickle=False) as data:
+        return [
+            _standing(str(name), {k.removeprefix(f"{name}_"): data[k] for k in data.files if k.startswith(f"{name}_")})
+            for name in data["names"]
+        ]
+
+
+def _standing(name: str, fields: dict[str, np.ndarray]) -> Standing:
+    sizes = fields["wh"].prod(1)
+    somebody, unknown = (np.unpackbits(fields[k], axis=1, count=int(sizes.sum())) for k in ("somebody", "unknown"))
+    rows = somebody * np.uint8(FOREGROUND) + unknown * np.uint8(UNKNOWN)
+    cuts = np.cumsum(sizes)[:-1]
+    pictures = [[part.reshape(h, w) for part, (w, h) in zip(np.split(row, cuts), fields["wh"])] for row in rows]
+    state = State(fields["local"], fields["trans"], fields["betas"], 0.0, np.zeros((0, 3)))
+    start = upright.Found(int(fields["frame"]), state, float(fields["agreement"]), float(fields["margin"]))
+    names = tuple(str(c) for c in fields["cameras"])
+    return Standing(name, names, tuple(str(c) for c in fields["seen_by"]), fields["wh"], fields["frames"], pictures, start)
