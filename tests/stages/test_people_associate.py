@@ -16,6 +16,7 @@ from studiorecon.images.video import write_lossless
 from studiorecon.people import associate, detections, evidence
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import read_keypoints
+from studiorecon.people.standing import read_standing
 from studiorecon.people.tracking import TrackingLimits, tracks, without_duplicates
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_footage, write_manifest
@@ -131,7 +132,7 @@ def test_detections_become_undistorted_working_pixels(tmp_path, people_settings)
             write_json(tmp_path / "calibration.json", {"lenses": [one]})
             options = people_settings(detections.Settings, keypoint_pixels=which)
             detections.run(
-                options, "cam", tmp_path / "k", "coco17", tmp_path / "cam.json", tmp_path / "calibration.json", tmp_path / "d.npz"
+                options, "cam", tmp_path / "k", "coco17", 0, tmp_path / "cam.json", tmp_path / "calibration.json", tmp_path / "d.npz"
             )
             found = read_detections(tmp_path / "d.npz")
             assert found.frame.tolist() == list(range(FRAMES))
@@ -152,8 +153,10 @@ def test_keypoints_numbered_beside_the_clip_are_refused(tmp_path, people_setting
     (tmp_path / "k").mkdir()
     (tmp_path / "k" / "5000.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": skeleton(9, 9).reshape(-1).tolist()}]}))
     options, files = people_settings(detections.Settings), [tmp_path / n for n in ("cam.json", "calibration.json", "d.npz")]
-    with pytest.raises(Refusal, match=r"5000 to 5000.*first_keypoint_frame"):
-        detections.run(options, "cam", tmp_path / "k", "coco17", *files)
+    with pytest.raises(Refusal, match=r"5000 to 5000.*keypoint_first_frame"):
+        detections.run(options, "cam", tmp_path / "k", "coco17", 0, *files)
+    detections.run(options, "cam", tmp_path / "k", "coco17", 4990, *files)
+    assert read_detections(files[-1]).frame.tolist() == [10]
 
 
 def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart():
@@ -189,8 +192,10 @@ def run_association(tmp_path: Path, cameras, found, options, videos=()):
     paths = [tmp_path / f"{d.camera}.npz" for d in found]
     for path, d in zip(paths, found):
         write_detections(path, d)
-    model, outputs = tmp_path / "cameras" / "images.txt", [tmp_path / "people.tsv", tmp_path / "identities.tsv"]
-    associate.run(options, model, tmp_path / "manifest.json", paths, list(videos), *outputs)
+    outputs = [tmp_path / n for n in ("people.tsv", "identities.tsv", "standing.npz")]
+    model, body = tmp_path / "cameras" / "images.txt", Path("never read: no plates")
+    associate.run(options, model, tmp_path / "manifest.json", paths, list(videos), [], [], body, *outputs)
+    assert read_standing(tmp_path / "standing.npz") == []
     return read_people(tmp_path / "people.tsv"), read_identities(tmp_path / "identities.tsv")
 
 
@@ -213,7 +218,7 @@ def test_nobody_is_an_empty_table(tmp_path, people_settings):
     )
     assert people == []
     assert identities == {}
-    assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\n"
+    assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\n"
 
 
 def test_the_same_inputs_give_the_same_bytes_and_people_are_numbered_by_appearance(tmp_path, people_settings, two_people):
@@ -263,13 +268,20 @@ def test_pictures_that_confirm_nobody_contradict_nobody(people_settings):
 
 @pytest.mark.real
 @pytest.mark.slow
-def test_one_man_comes_out_of_the_real_take(real_data, tmp_path, people_settings, default_settings, root):
-    """pose2sim_balancing/single: one man, 100 frames, 4 cameras; and with the two-person files, without bystander and ghost."""
+def test_the_right_people_come_out_of_the_real_takes(real_data, tmp_path, people_settings, default_settings, root):
+    """pose2sim_balancing: one man; in ``multi`` also a woman without keypoints, but neither the bystander nor the ghost's keypoints."""
     from tests.stages.real_take import front_end
 
     people, _, report = front_end(real_data, root, tmp_path, "single", default_settings)
     assert people == ["p0"]
     assert report["after_px"] < 0.9 * report["before_px"]
     people, identities, _ = front_end(real_data, root, tmp_path, "multi", default_settings)
-    assert people == ["p0"]
+    assert people == ["p0", "p1"]
     assert sum(person == "" for person in identities.values()) >= 6  # the ghost in four cameras, the bystander in two
+    woman = read_standing(tmp_path / "multi" / "standing.npz")[0]
+    assert woman.name == "p1"
+    assert len(woman.frames) == 100
+    assert woman.start.agreement > 0.7
+    np.testing.assert_allclose(woman.start.state.trans[0, :2], [0.2, -0.4], atol=0.15)
+    # She faces the man, along -x of this world; a silhouette hardly tells that from +x.
+    assert (woman.start.state.local[0, 0] @ [0, 0, 1])[0] < -0.7

@@ -18,6 +18,7 @@ from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.people import fit
+from studiorecon.people.standing import write_standing
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.colmap import write_model
@@ -184,6 +185,7 @@ def test_run_writes_the_same_bytes_twice(root: Path, body: BodyModel, made: Made
         paths.append(tmp_path / f"{detections.camera}.npz")
         write_detections(paths[-1], detections)
     write_identities(tmp_path / "identities.tsv", {(c.name, 0): "p0" for c in made.cameras})
+    write_standing(tmp_path / "standing.npz", [])
     settings = settings_module.load(fit.Settings, default_settings("people"), "people")
     digests = []
     for name in ("a", "b"):
@@ -195,6 +197,7 @@ def test_run_writes_the_same_bytes_twice(root: Path, body: BodyModel, made: Made
             manifest=tmp_path / "manifest.json",
             detections=paths,
             identities=tmp_path / "identities.tsv",
+            standing=tmp_path / "standing.npz",
             body=root / "resources/body.npz",
             fit=out,
         )
