@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front end of the pipeline (capture, cameras, people) on one of the real takes, without the workflow."""
+"""The front end of the pipeline (capture, cameras, people) on a capture, without the workflow."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studiorecon import settings as settings_module
 from studiorecon.cameras import calibration, refine
 from studiorecon.capture import frames, manifest, plate
 from studiorecon.people import associate, detections
-from studiorecon.scene.dataset import open_dataset
+from studiorecon.scene.dataset import Dataset, open_dataset
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import read_identities, read_people
 
@@ -21,8 +21,14 @@ def front_end(
     real_data: Path, root: Path, folder: Path, take: str, default_settings: Callable[..., dict[str, Any]]
 ) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
     """People, identities and the doctor's report of ``pose2sim_balancing/<take>``; files under ``folder/<take>``."""
-    out = folder / take
     data = open_dataset(real_data / "pose2sim_balancing" / take, root / "tests" / "captures" / f"pose2sim_{take}.yaml")
+    return front_end_of(data, root, folder / take, default_settings)
+
+
+def front_end_of(
+    data: Dataset, root: Path, out: Path, default_settings: Callable[..., dict[str, Any]]
+) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
+    """People, identities and the doctor's report of a dataset with plates for all cameras; files in ``out``."""
 
     def load(module: Any, **changed: Any) -> Any:
         stage = module.__name__.split(".")[1]
@@ -33,7 +39,7 @@ def front_end(
     for name in names:
         frames.run(load(frames), data.footage[name], lenses, name, 0, 0, 0, out / f"{name}.mkv", out / f"{name}.json")
     videos = [out / f"{n}.mkv" for n in names]
-    manifest.run(load(manifest), take, [out / f"{n}.json" for n in names], [], out / "manifest.json")
+    manifest.run(load(manifest), out.name, [out / f"{n}.json" for n in names], [], out / "manifest.json")
     found = [out / f"{n}.npz" for n in names]
     for name, path in zip(names, found):
         about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame

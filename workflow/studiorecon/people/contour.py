@@ -39,7 +39,7 @@ class ContourSettings:
         points: independent measurements that one outline counts for.
         reach_px: largest distance of a match in the first and in the last step.
         pose_weight, beta_weight: pull of the pose prior and of the mean shape.
-        motion_rad, motion_m: deviation of a joint's angle and of the pelvis between the frames that follow each other.
+        motion_rad_s, motion_m_s: how fast joints turn, and the pelvis moves beside its hull, typically.
     """
 
     sigma_px: float
@@ -47,8 +47,16 @@ class ContourSettings:
     reach_px: tuple[float, float]
     pose_weight: float
     beta_weight: float
-    motion_rad: float
-    motion_m: float
+    motion_rad_s: float
+    motion_m_s: float
+
+
+@dataclass(frozen=True)
+class Before:
+    """The neighbouring frame: its ``state``, with the pelvis moved as the hull moved since, and how long ago it was."""
+
+    state: State
+    elapsed_s: float
 
 
 @dataclass(frozen=True)
@@ -130,7 +138,7 @@ class Silhouette:
         return float(np.mean(shares)) if shares else 0.0
 
     def refine(
-        self, state: State, targets: Targets, steps: int, *, free: str, reach_px: tuple[float, float], before: State | None = None
+        self, state: State, targets: Targets, steps: int, *, free: str, reach_px: tuple[float, float], before: Before | None = None
     ) -> State:
         """The state after ``steps`` steps; ``free``: "root", "pose" or "shape" (pose and shape). ``before``: the neighbouring frame."""
         trees = [cKDTree(o.features) if len(o.points) else None for o in targets.outlines]
@@ -139,7 +147,7 @@ class Silhouette:
             state = self._step(state, targets, trees, reach, free, before)
         return state
 
-    def _step(self, state: State, targets: Targets, trees: list, reach_px: float, free: str, before: State | None) -> State:
+    def _step(self, state: State, targets: Targets, trees: list, reach_px: float, free: str, before: Before | None) -> State:
         linear = self.basis.linear(state)
         shapes = self.body.shapes
         size = 75 + shapes
@@ -195,13 +203,14 @@ class Silhouette:
         kept = (np.linalg.norm(apart, axis=1) < reach_px) & ((normals * own.normals[mine]).sum(1) > _SAME_WAY)
         return vertex[mine[kept]], normals[kept], (apart * normals).sum(1)[kept]
 
-    def _add_priors(self, state: State, world: np.ndarray, matrix: np.ndarray, side: np.ndarray, before: State | None) -> None:
+    def _add_priors(self, state: State, world: np.ndarray, matrix: np.ndarray, side: np.ndarray, before: Before | None) -> None:
         bends, precisions = [prior.bend(state.local)[0]], [self.precision]
         if before is not None:
-            bends.append(rotations.log(np.swapaxes(before.local[0], -1, -2) @ state.local[0]))
-            precisions.append(np.full((24, 3), self.settings.motion_rad**-2.0))
-            matrix[range(72, 75), range(72, 75)] += self.settings.motion_m**-2.0
-            side[72:75] += self.settings.motion_m**-2.0 * (state.trans[0] - before.trans[0])
+            bends.append(rotations.log(np.swapaxes(before.state.local[0], -1, -2) @ state.local[0]))
+            precisions.append(np.full((24, 3), (self.settings.motion_rad_s * before.elapsed_s) ** -2.0))
+            still = (self.settings.motion_m_s * before.elapsed_s) ** -2.0
+            matrix[range(72, 75), range(72, 75)] += still
+            side[72:75] += still * (state.trans[0] - before.state.trans[0])
         for bend, precision in zip(bends, precisions):
             rows = prior.bend_derivative(bend[None])[0] @ np.swapaxes(world, -1, -2)
             weighted = np.swapaxes(rows, -1, -2) * precision[:, None, :]

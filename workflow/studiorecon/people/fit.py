@@ -158,7 +158,7 @@ def fit_person(person: str, points: Points, body: BodyModel, fps: float, setting
 def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings) -> Person:
     """The body of somebody without keypoints, from silhouettes; raises Refusal when too few frames agree."""
     keys = settings.hull
-    followed = follow_standing(person, cameras, body, keys)
+    followed = follow_standing(person, cameras, body, fps, keys)
     local, trans, agreement = np.zeros((frames, 24, 3, 3)), np.zeros((frames, 3)), np.zeros(frames)
     for t, (state, share) in followed.items():
         local[t], trans[t], agreement[t] = state.local[0], state.trans[0], share

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
+from scipy import ndimage
 
 from studiorecon.people.foreground import BACKGROUND, FOREGROUND, UNKNOWN
 from studiorecon.scene.camera import Camera
@@ -82,7 +83,7 @@ def watched_cells(cameras: Sequence[Camera], voxel_m: float, least: int) -> tupl
     return _box(low, high, voxel_m)
 
 
-def cells_around(place_m: np.ndarray, voxel_m: float, radius_m: float = 0.9) -> tuple[np.ndarray, tuple[int, int, int]]:
+def cells_around(place_m: np.ndarray, voxel_m: float, radius_m: float = 1.1) -> tuple[np.ndarray, tuple[int, int, int]]:
     """(N, 3) centres of the cells of a box around a person who stands at ``place_m`` (2,)."""
     return _box(np.append(place_m - radius_m, -_BELOW_M), np.append(place_m + radius_m, _TOP_M), voxel_m)
 
@@ -93,6 +94,44 @@ def parts(
     """Parts of the hull of one frame, largest first; ``labels`` are the cameras' pictures (H, W) of ``foreground.labels``."""
     if not len(cells_m):
         return []
+    shown, denied, occupied = _carved(cells_m, cameras, labels)
+    regions, count = _ground_plan(occupied, shape, voxel_m)
+    found = []
+    for k in range(1, count):
+        chosen = occupied & (regions == k)
+        found.append(_part(cells_m, shown, denied, chosen))
+    return sorted(found, key=lambda p: -len(p.cells_m))
+
+
+def whole_person(
+    cells_m: np.ndarray,
+    shape: tuple[int, int, int],
+    cameras: Sequence[Camera],
+    labels: Sequence[np.ndarray],
+    voxel_m: float,
+    place_m: np.ndarray,
+    radius_m: float,
+) -> Part | None:
+    """Everything connected to the parts within ``radius_m`` of ``place_m`` (2,), arms included; None when nothing stands there."""
+    shown, denied, occupied = _carved(cells_m, cameras, labels)
+    regions, count = _ground_plan(occupied, shape, voxel_m)
+    core = np.zeros(len(cells_m), bool)
+    for k in range(1, count):
+        chosen = occupied & (regions == k)
+        if np.linalg.norm(np.median(cells_m[chosen, :2], axis=0) - place_m) <= radius_m:
+            core |= chosen
+    if not core.any():
+        return None
+    bodies = ndimage.label(occupied.reshape(shape), np.ones((3, 3, 3)))[0].reshape(-1)
+    return _part(cells_m, shown, denied, occupied & np.isin(bodies, np.unique(bodies[core])))
+
+
+def _part(cells_m: np.ndarray, shown: np.ndarray, denied: np.ndarray, chosen: np.ndarray) -> Part:
+    return Part(np.median(cells_m[chosen, :2], axis=0), cells_m[chosen], shown[chosen].mean(0) > 0.3, denied[chosen])
+
+
+def _carved(cells_m: np.ndarray, cameras: Sequence[Camera], labels: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(N, V) which cameras show somebody at a cell and which deny it, (N,) which cells are inside the hull."""
     matrices = np.stack([c.intrinsics @ c.camera_from_world[:3] for c in cameras])
     sizes = np.array([c.hw for c in cameras])
     stacked = np.full((len(cameras), *sizes.max(0)), 255, np.uint8)
@@ -101,14 +140,14 @@ def parts(
     shown, denied = np.zeros((2, len(cells_m), len(cameras)), np.bool_)
     occupied = np.zeros(len(cells_m), np.bool_)
     _carve(cells_m, matrices, sizes, stacked, shown, denied, occupied)
+    return shown, denied, occupied
+
+
+def _ground_plan(occupied: np.ndarray, shape: tuple[int, int, int], voxel_m: float) -> tuple[np.ndarray, int]:
+    """(N,) the number of the region of the ground plan that a cell stands in, 0 for none, and how many numbers there are."""
     plan = (occupied.reshape(shape).sum(2) * voxel_m >= _COLUMN_M).astype(np.uint8)
     count, regions = cv2.connectedComponents(plan, connectivity=8)
-    of_cell = np.repeat(regions.reshape(-1), shape[2])
-    found = []
-    for k in range(1, count):
-        chosen = occupied & (of_cell == k)
-        found.append(Part(np.median(cells_m[chosen, :2], axis=0), cells_m[chosen], shown[chosen].mean(0) > 0.3, denied[chosen]))
-    return sorted(found, key=lambda p: -len(p.cells_m))
+    return np.repeat(regions.reshape(-1), shape[2]), count
 
 
 def is_person(part: Part, voxel_m: float, limits: HullLimits) -> bool:
@@ -151,15 +190,6 @@ def tracks(found: Sequence[tuple[int, list[Part]]], fps: float, limits: HullLimi
         )
         for t in lasting
     ]
-
-
-def joined(found: Sequence[Part], place_m: np.ndarray, radius_m: float) -> Part | None:
-    """All parts that stand within ``radius_m`` of ``place_m`` (2,) as one; None when there are none."""
-    near = [p for p in found if np.linalg.norm(p.place_m - place_m) <= radius_m]
-    if not near:
-        return None
-    cells_m, denied = np.concatenate([p.cells_m for p in near]), np.concatenate([p.denied for p in near])
-    return Part(np.median(cells_m[:, :2], axis=0), cells_m, np.any([p.seen_by for p in near], axis=0), denied)
 
 
 def silhouette(part: Part, view: int, camera: Camera, label: np.ndarray, voxel_m: float) -> np.ndarray:

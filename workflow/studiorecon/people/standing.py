@@ -24,8 +24,8 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.people import Person
 
-# Frames on which the start is sought and the facing decided; a body's part of the hull reaches this far around its middle, metres.
-_START_FRAMES, _ARM_M = 9, 0.5
+# Parts of the hull whose middle is this near to a person's are the person's: a leg apart; metres.
+_APART_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Standing:
     Attributes:
         name: ``p1``, …; cameras: names of the cameras whose silhouettes these are; seen_by: those that show the person.
         wh: (V, 2) size of the silhouettes; frames: (F,) frames that have some.
+        places_m: (F, 2) where the hull stood.
         labels: F lists of V pictures (H, W) uint8, see ``foreground``.
         start: where the fit starts; ``margin`` says how sure its facing is.
     """
@@ -63,6 +64,7 @@ class Standing:
     seen_by: tuple[str, ...]
     wh: np.ndarray
     frames: np.ndarray
+    places_m: np.ndarray
     labels: list[list[np.ndarray]]
     start: upright.Found
 
@@ -75,11 +77,11 @@ def find_standing(
     found = []
     for track in _lasting(views, known, body, fps, settings):
         shown, extent_m = _silhouettes(track, views, known, body, settings)
-        targets = {t: Targets.of(pictures) for t, pictures in shown.items()}
         surface = Silhouette(body, cameras, settings.contour)
-        few = {t: targets[t] for t in _spread(sorted(targets), _START_FRAMES)}
-        start = upright.find(surface, few, lambda t, track=track: _place(track, t), *extent_m)
-        start = upright.shaped(surface, few, start, _spread(sorted(few), 5))
+        numbers = np.array(sorted(shown))
+        places_m = np.array([_place(track, t) for t in numbers])
+        walk = _walk(numbers, places_m, [shown[t] for t in numbers], fps)
+        start = upright.shaped(surface, walk, upright.find(surface, walk, *extent_m))
         where = f"somebody without keypoints at ({track.places_m[0, 0]:.1f}, {track.places_m[0, 1]:.1f}) m"
         if start.agreement < settings.least_agreement:
             say(
@@ -94,7 +96,6 @@ def find_standing(
             f"{name}: {where}, seen in {len(shown)} of {frames} frames by {', '.join(seen_by)} against the given plates; an upright body "
             f"agrees with the silhouettes by {start.agreement:.2f}, turned round by {start.agreement - start.margin:.2f}{sure}"
         )
-        numbers = np.array(sorted(shown))
         found.append(
             Standing(
                 name,
@@ -102,6 +103,7 @@ def find_standing(
                 seen_by,
                 np.array([c.wh for c in cameras]),
                 numbers,
+                places_m,
                 [shown[t] for t in numbers],
                 start,
             )
@@ -136,7 +138,7 @@ def _silhouettes(
         place = _place(track, t)
         pictured = _labels(rgbs, t, views, known, body, settings.foreground)
         cells_m, shape = hull.cells_around(place, voxel_m)
-        part = hull.joined(hull.parts(cells_m, shape, cameras, pictured, voxel_m), place, _ARM_M)
+        part = hull.whole_person(cells_m, shape, cameras, pictured, voxel_m, place, _APART_M)
         if part is None or part.seen_by.sum() < 2:
             continue
         ends.append((part.cells_m[:, 2].min(), part.cells_m[:, 2].max()))
@@ -155,16 +157,19 @@ def _place(track: Track, frame: int) -> np.ndarray:
     return np.array([np.interp(frame, track.frames, track.places_m[:, axis]) for axis in (0, 1)])
 
 
-def _spread(frames: Sequence[int], count: int) -> list[int]:
-    return [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))]
+def _walk(frames: np.ndarray, places_m: np.ndarray, labels: list[list[np.ndarray]], fps: float) -> upright.Walk:
+    numbers = [int(t) for t in frames]
+    return upright.Walk({t: Targets.of(p) for t, p in zip(numbers, labels)}, dict(zip(numbers, places_m)), fps)
 
 
-def follow_standing(person: Standing, cameras: Sequence[Camera], body: BodyModel, settings: HullSettings) -> dict[int, tuple[State, float]]:
+def follow_standing(
+    person: Standing, cameras: Sequence[Camera], body: BodyModel, fps: float, settings: HullSettings
+) -> dict[int, tuple[State, float]]:
     """State and agreement of every frame with silhouettes; ``cameras`` are the model's, any size."""
     by_name = {c.name: c for c in cameras}
     sized = [by_name[name].resized(tuple(int(n) for n in wh)) for name, wh in zip(person.cameras, person.wh)]
-    targets = {int(t): Targets.of(pictures) for t, pictures in zip(person.frames, person.labels)}
-    return upright.follow(Silhouette(body, sized, settings.contour), targets, person.start.frame, person.start.state)
+    walk = _walk(person.frames, person.places_m, person.labels, fps)
+    return upright.follow(Silhouette(body, sized, settings.contour), walk, person.start.frame, person.start.state)
 
 
 def write_standing(path: Path, people: Sequence[Standing]) -> None:
@@ -174,7 +179,7 @@ def write_standing(path: Path, people: Sequence[Standing]) -> None:
         flat = [np.concatenate([picture.ravel() for picture in pictures]) for pictures in p.labels]
         start = {"frame": p.start.frame, "local": p.start.state.local, "trans": p.start.state.trans, "betas": p.start.state.betas}
         fields = {
-            "cameras": np.array(p.cameras), "seen_by": np.array(p.seen_by), "wh": p.wh, "frames": p.frames,
+            "cameras": np.array(p.cameras), "seen_by": np.array(p.seen_by), "wh": p.wh, "frames": p.frames, "places": p.places_m,
             "somebody": np.packbits(np.stack(flat) == FOREGROUND, axis=1), "unknown": np.packbits(np.stack(flat) == UNKNOWN, axis=1),
             "agreement": p.start.agreement, "margin": p.start.margin, **start,
         }  # fmt: skip
@@ -199,4 +204,6 @@ def _standing(name: str, fields: dict[str, np.ndarray]) -> Standing:
     state = State(fields["local"], fields["trans"], fields["betas"], 0.0, np.zeros((0, 3)))
     start = upright.Found(int(fields["frame"]), state, float(fields["agreement"]), float(fields["margin"]))
     names = tuple(str(c) for c in fields["cameras"])
-    return Standing(name, names, tuple(str(c) for c in fields["seen_by"]), fields["wh"], fields["frames"], pictures, start)
+    return Standing(
+        name, names, tuple(str(c) for c in fields["seen_by"]), fields["wh"], fields["frames"], fields["places"], pictures, start
+    )

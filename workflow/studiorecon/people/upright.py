@@ -7,7 +7,6 @@ in several frames before one is believed, and the margin is reported.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +15,35 @@ from studiorecon.body import prior
 from studiorecon.body.basis import State
 from studiorecon.body.model import JOINT_NAMES, upright_global_orientation
 from studiorecon.geometry import rotations
-from studiorecon.people.contour import Silhouette, Targets
+from studiorecon.people.contour import Before, Silhouette, Targets
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.
 _ARMS_RAD = (0.0, 0.9)
 _BEST = 6
-_ROOT_STEPS, _POSE_STEPS, _FOLLOW_STEPS, _SHAPE_STEPS = 5, 14, 4, 8
+# Parts of the clip in which a start is sought; frames on each side that decide the facing, and the time between them.
+_STARTS, _HALF_WINDOW, _STEP_S = 3, 5, 0.08
+# Another guess replaces what was followed only when it agrees better by this much.
+_CLEARLY = 0.003
+_ROOT_STEPS, _POSE_STEPS, _FOLLOW_STEPS, _SHAPE_STEPS = 5, 14, 5, 8
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Silhouettes by frame, where the hull stood then (2,), and the frame rate."""
+
+    targets: dict[int, Targets]
+    places_m: dict[int, np.ndarray]
+    fps: float
+
+    def place_m(self, frame: int) -> np.ndarray:
+        return self.places_m[int(frame)]
+
+    def around(self, frame: int) -> Walk:
+        """The frames within about half a second of ``frame``, at most one per ``_STEP_S``, so that a limb can be followed."""
+        step = max(1, round(_STEP_S * self.fps))
+        chosen = [t for t in self.targets if abs(t - frame) <= _HALF_WINDOW * step and (t - frame) % step == 0]
+        return Walk({t: self.targets[t] for t in chosen}, self.places_m, self.fps)
 
 
 @dataclass(frozen=True)
@@ -35,7 +56,7 @@ class Found:
     margin: float
 
 
-def upright(place_m: np.ndarray, floor_m: float, height_m: float, body_height_m: float, yaw_rad: float, arms_rad: float) -> State:
+def upright(place_m: np.ndarray, floor_m: float, height_m: float, yaw_rad: float, arms_rad: float) -> State:
     """The relaxed body standing at ``place_m`` (2,) with its pelvis where that of somebody of ``height_m`` is."""
     local = prior.middle()[None].copy()
     local[0, 0] = rotations.exp(upright_global_orientation(yaw_rad))
@@ -52,7 +73,7 @@ def cold_start(surface: Silhouette, targets: Targets, place_m: np.ndarray, floor
     tried = []
     for k in range(_YAWS):
         for arms in _ARMS_RAD:
-            state = upright(place_m, floor_m, height_m, 1.75, 2 * np.pi * k / _YAWS, arms)
+            state = upright(place_m, floor_m, height_m, 2 * np.pi * k / _YAWS, arms)
             state = surface.refine(state, targets, _ROOT_STEPS, free="root", reach_px=(reach[0], reach[0] / 2))
             tried.append((surface.agreement(state, targets), state))
     tried.sort(key=lambda pair: -pair[0])
@@ -94,49 +115,65 @@ def _other_side(name: str) -> str:
     return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
 
 
-def find(surface: Silhouette, targets: dict[int, Targets], place_m: Callable[[int], np.ndarray], floor_m: float, height_m: float) -> Found:
-    """The best start among the frames of ``targets`` (at least one), its facing decided by following both through all of them."""
-    frames = sorted(targets)
-    known = {t: sum(len(o.points) for o in targets[t].outlines) for t in frames}
-    chosen = sorted(sorted(frames, key=lambda t: (-known[t], t))[:2])
-    starts = {t: cold_start(surface, targets[t], place_m(t), floor_m, height_m) for t in chosen}
-    frame = max(chosen, key=lambda t: (starts[t][0][0], -t))
+def find(surface: Silhouette, walk: Walk, floor_m: float, height_m: float) -> Found:
+    """The best of a few starts over the clip; its facing is decided by following both for a second."""
+    frames = sorted(walk.targets)
+    # Where the outlines are longest the least is hidden.
+    known = {t: sum(len(o.points) for o in walk.targets[t].outlines) for t in frames}
+    chosen = [max(part, key=lambda t: (known[t], -t)) for part in np.array_split(frames, _STARTS) if len(part)]
+    starts = {t: cold_start(surface, walk.targets[t], walk.place_m(t), floor_m, height_m) for t in chosen}
+    frame = int(max(chosen, key=lambda t: (starts[t][0][0], -t)))
+    window = walk.around(frame)
     best = starts[frame][0][1]
-    candidates = [best, *(s for _, s in starts[frame][1:3]), turned_round(best)]
     scored = []
-    for state in candidates:
-        state = surface.refine(state, targets[frame], _POSE_STEPS, free="shape", reach_px=surface.settings.reach_px)
-        followed = follow(surface, targets, frame, state)
+    for state in [*(s for _, s in starts[frame][:3]), turned_round(best)]:
+        state = surface.refine(state, walk.targets[frame], _POSE_STEPS, free="shape", reach_px=surface.settings.reach_px)
+        followed = follow(surface, window, frame, state)
         scored.append((float(np.mean([agreement for _, agreement in followed.values()])), state))
     order = sorted(range(len(scored)), key=lambda i: -scored[i][0])
     winner = scored[order[0]][1]
     opposite = [scored[i][0] for i in order[1:] if rotations.angle(scored[i][1].local[0, 0], winner.local[0, 0]) > np.deg2rad(90)]
-    margin = scored[order[0]][0] - max(opposite, default=0.0)
-    return Found(frame, winner, scored[order[0]][0], margin)
+    return Found(frame, winner, scored[order[0]][0], scored[order[0]][0] - max(opposite, default=0.0))
 
 
-def follow(surface: Silhouette, targets: dict[int, Targets], frame: int, state: State) -> dict[int, tuple[State, float]]:
-    """State and agreement at every frame of ``targets``, from ``state`` at ``frame`` forwards and backwards, shape held."""
-    out = {frame: (state, surface.agreement(state, targets[frame]))}
-    ordered = sorted(targets)
+def follow(surface: Silhouette, walk: Walk, frame: int, state: State) -> dict[int, tuple[State, float]]:
+    """State and agreement at every frame of ``walk``, from ``state`` at ``frame`` forwards and backwards, shape held."""
+    out = {frame: (state, surface.agreement(state, walk.targets[frame]))}
+    ordered = sorted(walk.targets)
     at = ordered.index(frame)
     reach = surface.settings.reach_px
     for order in (ordered[at + 1 :], ordered[:at][::-1]):
-        now = state
+        now, then = state, frame
         for t in order:
-            now = surface.refine(now, targets[t], _FOLLOW_STEPS, free="pose", reach_px=(reach[0] / 3, reach[1]), before=now)
-            out[t] = now, surface.agreement(now, targets[t])
+            moved = np.append(walk.place_m(t) - walk.place_m(then), 0.0)
+            now = State(now.local, now.trans + moved, now.betas, 0.0, now.corrections)
+            before = Before(now, abs(t - then) / walk.fps)
+            # An arm that was lost finds its outline again from the relaxed pose, if that explains the silhouettes better.
+            tried = []
+            for guess in (now, _arms_relaxed(now)):
+                tight = (reach[0] / 2, reach[1])
+                carried = surface.refine(guess, walk.targets[t], _FOLLOW_STEPS, free="pose", reach_px=tight, before=before)
+                tried.append((surface.agreement(carried, walk.targets[t]), carried))
+            share, now = tried[int(tried[1][0] > tried[0][0] + _CLEARLY)]
+            out[t], then = (now, share), t
     return out
 
 
-def shaped(surface: Silhouette, targets: dict[int, Targets], found: Found, frames: Sequence[int]) -> Found:
-    """The start with the median shape of ``frames``, each fitted with its own; one frame bends the shape to its own noise."""
-    followed = follow(surface, {t: targets[t] for t in {*frames, found.frame}}, found.frame, found.state)
+def _arms_relaxed(state: State) -> State:
+    arms = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "elbow")]
+    local = state.local.copy()
+    local[0, arms] = prior.middle()[arms]
+    return State(local, state.trans, state.betas, 0.0, state.corrections)
+
+
+def shaped(surface: Silhouette, walk: Walk, found: Found) -> Found:
+    """The start with the median shape of the frames around it, each fitted with its own; one frame bends it to its own noise."""
+    window = walk.around(found.frame)
     reach = surface.settings.reach_px
     betas = []
-    for t, (state, _) in sorted(followed.items()):
-        fitted = surface.refine(state, targets[t], _SHAPE_STEPS, free="shape", reach_px=(reach[0] / 3, reach[1]))
+    for t, (state, _) in sorted(follow(surface, window, found.frame, found.state).items()):
+        fitted = surface.refine(state, walk.targets[t], _SHAPE_STEPS, free="shape", reach_px=(reach[0] / 3, reach[1]))
         betas.append(fitted.betas)
     state = State(found.state.local, found.state.trans, np.median(betas, axis=0), 0.0, found.state.corrections)
-    state = surface.refine(state, targets[found.frame], _SHAPE_STEPS, free="pose", reach_px=(reach[0] / 3, reach[1]))
+    state = surface.refine(state, walk.targets[found.frame], _SHAPE_STEPS, free="pose", reach_px=(reach[0] / 3, reach[1]))
     return Found(found.frame, state, found.agreement, found.margin)
