@@ -93,6 +93,7 @@ def test_lens_and_path_survive_json(tmp_path: Path) -> None:
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     write_json(path, {"x": 1})
+
     def fail_half_way() -> None:
         with complete(path) as partial:
             partial.write_text("half")

@@ -63,3 +63,15 @@ def test_nearest_sampling_takes_the_pixel_that_holds_the_point() -> None:
     read, valid = sample(image, np.array([[[0.0, 0.0], [1.0, 0.99], [3.99, 2.99], [4.0, 1.0], [4.1, 1.0]]]), "nearest")
     assert read[0, :3].tolist() == [0, 1, 11]
     assert valid[0].tolist() == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_long_list_of_points_is_read_like_a_short_one(channels: tuple[int, ...]) -> None:
+    # OpenCV refuses maps of 32767 columns or more.
+    rng = np.random.default_rng(1)
+    image = rng.random((23, 31, *channels)).astype(np.float32)
+    pixels = rng.uniform(0, 31, (1, 70001, 2))
+    values, valid = sample(image, pixels)
+    parts = [sample(image, pixels[:, i : i + 10000]) for i in range(0, 70001, 10000)]
+    np.testing.assert_array_equal(values, np.concatenate([v for v, _ in parts], axis=1))
+    np.testing.assert_array_equal(valid, np.concatenate([v for _, v in parts], axis=1))

@@ -115,7 +115,7 @@ def test_every_step_reads_its_settings_from_the_configuration(preset: str) -> No
         module = importlib.import_module(f"studiorecon.{step}")
         stage = step.split(".")[0]
         if hasattr(module, "Settings"):
-            settings_module.load(module.Settings, {**config[stage], "device": config["device"]}, stage)
+            settings_module.load(module.Settings, config[stage], stage)
 
 
 def merged(base: dict, over: dict) -> dict:

@@ -15,7 +15,6 @@ from studiorecon.scene.dataset import open_dataset
 from studiorecon.studio.description import planned_dataset, read_description
 
 IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text())
-DEVICE_STAGES = ("background", "humans", "render")
 
 
 def check_settings():
@@ -82,8 +81,7 @@ if DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoin
 
 def settings(section):
     """One stage's section of the configuration as JSON: the whole of what its steps are told."""
-    extra = {"device": config["device"]} if section in DEVICE_STAGES else {}
-    return json.dumps({**config[section], **extra}, sort_keys=True)
+    return json.dumps(config[section], sort_keys=True)
 
 
 def code(step):

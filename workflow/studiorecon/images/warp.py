@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
+_LONGEST_SIDE, _FOLD = 32767, 4096
 
 
 def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +38,16 @@ def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linea
         return image[rows, columns], finite & inside
     as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
     x, y = (column - 0.5).astype(np.float32), (row - 0.5).astype(np.float32)
-    return cv2.remap(as_float, x, y, _FILTERS[how], borderMode=cv2.BORDER_REPLICATE), finite & inside
+    return _remap(as_float, x, y, _FILTERS[how]), finite & inside
+
+
+def _remap(image: np.ndarray, x: np.ndarray, y: np.ndarray, filter_: int) -> np.ndarray:
+    if max(x.shape) < _LONGEST_SIDE:
+        return cv2.remap(image, x, y, filter_, borderMode=cv2.BORDER_REPLICATE)
+    # OpenCV counts rows and columns in 16 bits; a long list of points is folded into rows and unfolded again.
+    folded = [np.resize(v.ravel(), (-(-v.size // _FOLD), _FOLD)) for v in (x, y)]
+    values = cv2.remap(image, *folded, filter_, borderMode=cv2.BORDER_REPLICATE)
+    return values.reshape(-1, *image.shape[2:])[: x.size].reshape(*x.shape, *image.shape[2:])
 
 
 def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
