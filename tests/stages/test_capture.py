@@ -317,6 +317,26 @@ class TestPlate:
         np.testing.assert_allclose(rgb[25:45, 71:79] * 255, background[25:45, 71:79], atol=12)
         np.testing.assert_allclose(rgb[12:18, 6:14] * 255, background[12:18, 6:14], atol=4)
 
+    def test_whoever_sways_undetected_in_front_of_a_given_plate_is_not_painted_into_it(self, tmp_path: Path, default_settings) -> None:
+        background = smooth_pictures(1, seed=4)[0]
+        pictures = np.repeat(background[None], 40, axis=0)
+        for t, picture in enumerate(pictures):
+            left = 60 + round(3 * np.sin(t / 4))
+            picture[15:55, left : left + 18] = (20, 200, 90)
+        write_lossless(tmp_path / "a.mkv", iter(pictures), 30)
+        write_footage(tmp_path / "a.json", footage("a", 40))
+        given = background.copy()
+        given[10:30, 5:20] = (250, 250, 0)  # somebody stood there when the plate was taken
+        write_plate(tmp_path / "given.png", given, np.ones(given.shape[:2], bool))
+        options = load(plate_step.Settings, default_settings("capture"), "capture")
+        plate_step.run(
+            options, tmp_path / "a.mkv", tmp_path / "a.json", calibrated(tmp_path), [], [tmp_path / "given.png"], tmp_path / "plate.png"
+        )
+        rgb, measured = read_plate(tmp_path / "plate.png")
+        assert measured[15:55, 56:82].all()
+        np.testing.assert_allclose(rgb[15:55, 56:82] * 255, background[15:55, 56:82], atol=12)
+        np.testing.assert_allclose(rgb[12:28, 7:18] * 255, background[12:28, 7:18], atol=4)
+
     def test_a_plate_of_another_room_is_refused(self, tmp_path: Path, default_settings) -> None:
         frames, _ = passing_block(20, smooth_pictures(1, seed=4)[0], 1.0)
         write_lossless(tmp_path / "a.mkv", iter(frames), 30)

@@ -52,7 +52,7 @@ checkpoint people_associate:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=2000,
     params:
         settings=settings("people"),
         code=code("people.associate"),

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""People without keypoints: hulls of human size, a body from exact silhouettes, and a made take whose second person was not detected."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from studiorecon import settings as settings_module
+from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.people import fit, hull, upright
+from studiorecon.people.contour import Silhouette, Targets
+from studiorecon.people.foreground import FOREGROUND, UNKNOWN
+from studiorecon.people.standing import Standing, read_standing, write_standing
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.dataset import open_dataset
+from studiorecon.scene.people import read_person
+
+from tests.stages.test_people_fit import look
+
+VOXEL_M, FPS = 0.05, 30.0
+
+
+@pytest.fixture(scope="module")
+def body(root: Path) -> BodyModel:
+    return BodyModel.load(root / "resources/body.npz")
+
+
+@pytest.fixture(scope="module")
+def cameras() -> list[Camera]:
+    return [look(f"cam{i}", azimuth).resized((320, 176)) for i, azimuth in enumerate((0, 85, 190, 265))]
+
+
+@pytest.fixture(scope="module")
+def options(default_settings) -> fit.Settings:
+    return settings_module.load(fit.Settings, default_settings("people"), "people")
+
+
+def poses_of(body: BodyModel, frames: int, heading_rad: float = 0.7) -> tuple[np.ndarray, np.ndarray]:
+    """Somebody who takes a step and lifts a forearm: poses (T, 72) and pelvis (T, 3)."""
+    swing = np.sin(2 * np.pi * 0.9 * np.arange(frames) / FPS)
+    poses = np.zeros((frames, 24, 3))
+    poses[:, 0] = upright_global_orientation(heading_rad)
+    poses[:, 1, 0], poses[:, 2, 0] = -0.1 - 0.4 * swing, -0.1 + 0.4 * swing
+    poses[:, 4, 0], poses[:, 5, 0] = 0.3 + 0.2 * swing, 0.3 - 0.2 * swing
+    poses[:, 16, 2], poses[:, 17, 2], poses[:, 18, 1] = -1.1, 1.1, -0.6 - 0.3 * swing
+    ahead = 0.5 * np.arange(frames) / FPS
+    trans = np.stack([ahead * np.cos(heading_rad), ahead * np.sin(heading_rad), np.full(frames, 0.93)], axis=-1)
+    return poses.reshape(frames, 72), trans
+
+
+def silhouettes(body: BodyModel, cameras: list[Camera], pose: np.ndarray, place: np.ndarray) -> list[np.ndarray]:
+    surface = body.vertices(pose[None], np.zeros(10), place[None])[0]
+    return [(mesh_depth(surface, body.faces, c) > 0).astype(np.uint8) * np.uint8(FOREGROUND) for c in cameras]
+
+
+class TestHull:
+    @pytest.fixture
+    def pictured(self, body: BodyModel, cameras: list[Camera]) -> list[np.ndarray]:
+        poses, trans = poses_of(body, 1)
+        return silhouettes(body, cameras, poses[0], trans[0])
+
+    def people(self, cameras: list[Camera], pictured: list[np.ndarray], options: fit.Settings) -> list[hull.Part]:
+        cells_m, shape = hull.watched_cells(cameras, VOXEL_M, 3)
+        return [p for p in hull.parts(cells_m, shape, cameras, pictured, VOXEL_M) if hull.is_person(p, VOXEL_M, options.hull.limits)]
+
+    def test_somebody_stands_where_the_silhouettes_meet(self, cameras, pictured, options) -> None:
+        (found,) = self.people(cameras, pictured, options)
+        np.testing.assert_allclose(found.place_m, [0, 0], atol=0.1)
+        assert found.seen_by.all()
+
+    def test_whoever_only_two_cameras_show_is_nobody(self, cameras, pictured, options) -> None:
+        unknown = np.full_like(pictured[0], UNKNOWN)
+        assert self.people(cameras, [pictured[0], pictured[1], unknown, unknown], options) == []
+
+    def test_one_camera_with_a_shirt_of_the_walls_colour_cannot_deny(self, cameras, pictured, options) -> None:
+        blind = pictured[2].copy()
+        rows = np.flatnonzero(blind.any(1))
+        blind[rows[len(rows) // 4] : rows[len(rows) // 4] + 8] = 0
+        (found,) = self.people(cameras, [*pictured[:2], blind, pictured[3]], options)
+        label = hull.silhouette(found, 2, cameras[2], blind, VOXEL_M)
+        assert (label[blind > 0] == FOREGROUND).mean() > 0.85  # fingers are thinner than a cell
+        assert (label[(pictured[2] > 0) & (blind == 0)] == UNKNOWN).mean() > 0.7
+
+    def test_a_low_thing_is_nobody(self, cameras, pictured, options) -> None:
+        sat = []
+        for picture in pictured:
+            rows = np.flatnonzero(picture.any(1))
+            low = picture.copy()
+            low[: rows[len(rows) * 6 // 10]] = 0
+            sat.append(low)
+        assert self.people(cameras, sat, options) == []
+
+    def test_who_is_seen_for_a_moment_leaves_no_track(self, cameras, pictured, options) -> None:
+        found = self.people(cameras, pictured, options)
+        seen = [(3 * t, found if t < 4 else []) for t in range(10)]
+        assert hull.tracks(seen, FPS, options.hull.limits) == []
+        assert len(hull.tracks([(t, found) for t, _ in seen], FPS, options.hull.limits)) == 1
+
+
+def test_a_body_follows_its_silhouettes_and_survives_its_file(body: BodyModel, cameras, options, tmp_path: Path) -> None:
+    frames = 12
+    poses, trans = poses_of(body, frames)
+    labels = [silhouettes(body, cameras, p, t) for p, t in zip(poses, trans)]
+    walk = upright.Walk({t: Targets.of(m) for t, m in enumerate(labels)}, dict(enumerate(trans[:, :2])), FPS)
+    surface = Silhouette(body, cameras, options.hull.contour)
+    start = upright.shaped(surface, walk, upright.find(surface, walk, 0.0, 1.7))
+    names = tuple(c.name for c in cameras)
+    person = Standing("p1", names, names, np.array([c.wh for c in cameras]), np.arange(frames), trans[:, :2], labels, start)
+    write_standing(tmp_path / "standing.npz", [person])
+    (back,) = read_standing(tmp_path / "standing.npz")
+    assert all((a == b).all() for a, b in zip(back.labels[5], labels[5]))
+    fitted = fit.fit_standing(back, cameras, body, frames, FPS, options)
+    error_mm = 1000 * np.linalg.norm(fitted.joints - body.joints(poses, np.zeros(10), trans), axis=-1)
+    assert error_mm.mean() < 60
+    assert fitted.valid.all()
+    # Not surer than it is right, by more than a factor of two.
+    assert error_mm.mean() < 2 * 1000 * np.sqrt(3) * fitted.sigma.mean()
+
+
+@pytest.mark.slow
+def test_an_undetected_person_of_a_made_take_comes_out(root: Path, default_settings, tmp_path: Path) -> None:
+    from studiorecon.studio import capture
+
+    from tests.stages.real_take import front_end_of
+
+    described = {
+        "seed": 5, "frames": 24, "fps": 12.0, "size": [480, 272], "people": 2, "plates": True, "cameras": {"held_out": 0},
+        "detections": {"noise_px": 0.5},
+    }  # fmt: skip
+    (tmp_path / "take.yaml").write_text(yaml.safe_dump(described))
+    capture.run(tmp_path / "take.yaml", tmp_path / "dataset", tmp_path / "truth", None, 1)
+    for path in (tmp_path / "dataset" / "keypoints").glob("*/*.json"):
+        recorded = json.loads(path.read_text())
+        del recorded["people"][0]
+        path.write_text(json.dumps(recorded))
+    out = tmp_path / "out"
+    assert front_end_of(open_dataset(tmp_path / "dataset"), root, out, default_settings)[0] == ["p0", "p1"]
+    options = settings_module.load(fit.Settings, default_settings("people"), "people")
+    files = [out / f"cam{i}.npz" for i in range(1, 5)]
+    places = out / "identities.tsv", out / "standing.npz", root / "resources/body.npz", out / "p1.npz"
+    fit.run(options, "p1", out / "model/images.txt", out / "manifest.json", files, *places)
+    with np.load(tmp_path / "truth/bodies/p0.npz") as truth:
+        error_mm = 1000 * np.linalg.norm(read_person(out / "p1.npz").joints - truth["joints"], axis=-1)
+    assert error_mm.mean() < 60
