@@ -123,7 +123,11 @@ def run(
             f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
         )
     rejected = sum(not person for person in table.values())
-    say(f"{len(rows)} people with keypoints; {rejected} of {len(table)} tracks belong to nobody" if table else "no people: no camera has a detection")
+    say(
+        f"{len(rows)} people with keypoints; {rejected} of {len(table)} tracks belong to nobody"
+        if table
+        else "no people: no camera has a detection"
+    )
     upright: list[Standing] = []
     if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
         upright = _without_keypoints(settings, cameras, given, table, [row[0] for row in rows], videos, plated, plates, body, found)
