@@ -68,3 +68,10 @@ def test_bytes_and_floats_round_and_clamp() -> None:
     every = np.arange(256, dtype=np.uint8)
     np.testing.assert_array_equal(to_bytes(to_float(every)), every)
     np.testing.assert_array_equal(to_bytes(np.array([-1.0, 2.0, np.nan, 0.5])), [0, 255, 0, 128])
+
+
+def test_a_film_whose_pictures_change_size_is_refused(tmp_path: Path) -> None:
+    # The encoder would rescale the second picture without a word.
+    with pytest.raises(ValueError, match="62×48 in a film of 64×48"):
+        write_lossless(tmp_path / "a.mkv", [np.zeros((48, 64, 3), np.uint8), np.zeros((48, 62, 3), np.uint8)], 30.0)
+    assert not list(tmp_path.iterdir())

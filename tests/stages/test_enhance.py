@@ -99,6 +99,16 @@ def one_view() -> tuple:
     return camera, view, wall_depth(camera), wall_depth(view), photo
 
 
+def test_a_render_larger_than_its_photo_counts_by_its_top_left_part() -> None:
+    camera, rng = ring([0], "cam")[0], np.random.default_rng(0)
+    photo, render = (rng.integers(0, 255, (*camera.hw, 3), dtype=np.uint8) for _ in range(2))
+    depth_m = np.full(camera.hw, 2.0)
+    larger = np.pad(render, ((0, 4), (0, 2), (0, 0))), np.pad(depth_m, ((0, 4), (0, 2)))
+    one, other = source(camera, photo, render, depth_m, TRANSFER), source(camera, photo, *larger, TRANSFER)
+    np.testing.assert_array_equal(one.residual, other.residual)
+    np.testing.assert_array_equal(one.depth_m, other.depth_m)
+
+
 def test_residual_lands_only_on_surfaces_that_the_camera_sees() -> None:
     camera, view, depth, view_depth, photo = one_view()
     residual, cover = carried_over(view, view_depth, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)

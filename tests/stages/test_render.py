@@ -16,7 +16,7 @@ from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
 from studiorecon.render.canvas import Canvas, together
 from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, azimuths, film_times, looking_at, orbit_steps, scene_centre, smooth_dips
+from studiorecon.render.shots import Orbit, azimuths, every_frame, film_times, looking_at, orbit_steps, scene_centre, smooth_dips
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
@@ -73,6 +73,15 @@ def test_an_oblong_ring_is_orbited_oblong() -> None:
     radius = np.array([np.linalg.norm(s.camera.centre_m[:2]) for s in steps])
     assert radius.max() == pytest.approx(3.2, abs=0.05)
     assert radius.min() == pytest.approx(1.6, abs=0.05)
+
+
+def test_cameras_of_different_sizes_share_a_film_with_their_picture_at_the_top_left() -> None:
+    wide, narrow = ring([0, 90], "cam")
+    narrow = narrow.resized((WH[0] - 2, WH[1]))
+    steps = every_frame([wide, narrow], 3)
+    assert {step.camera.wh for step in steps} == {WH}
+    point = np.array([[0.1, 0.2, 1.0]])
+    np.testing.assert_array_equal(steps[-1].camera.project(point)[0], narrow.project(point)[0])
 
 
 def test_one_camera_cannot_be_orbited() -> None:

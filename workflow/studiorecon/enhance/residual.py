@@ -47,7 +47,11 @@ class Source:
 
 
 def source(camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.ndarray, transfer: Transfer) -> Source:
-    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (numerics C12)."""
+    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (numerics C12).
+
+    ``render`` and ``depth_m`` may be larger than ``photo``: the camera's own picture is their top left part.
+    """
+    render, depth_m = render[: photo.shape[0], : photo.shape[1]], depth_m[: photo.shape[0], : photo.shape[1]]
     residual = photo.astype(np.float32) / 255 - render.astype(np.float32) / 255
     if transfer.smooth_px > 0:
         size = 2 * int(np.ceil(3 * transfer.smooth_px)) + 1

@@ -9,7 +9,7 @@ nothing was filmed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -48,8 +48,12 @@ class Orbit:
 
 
 def every_frame(cameras: Sequence[Camera], frames: int) -> list[Step]:
-    """Each camera × each frame; the segment is the camera's name."""
-    return [Step(camera, float(frame), camera.name) for camera in cameras for frame in range(frames)]
+    """Each camera × each frame; the segment is the camera's name.
+
+    A film has one size, cameras may differ: all get the largest width and height, and their own picture is its top left part.
+    """
+    wh = max(c.wh[0] for c in cameras), max(c.wh[1] for c in cameras)
+    return [Step(replace(camera, wh=wh), float(frame), camera.name) for camera in cameras for frame in range(frames)]
 
 
 def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:

@@ -39,6 +39,7 @@ def strips(capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Pa
         for frame in spread(capture.frames, settings.strip_frames):
             photo, raw = read_frame_at(video, frame), read_frame_at(render, first + frame)
             final = read_frame_at(enhanced, first + frame)
+            raw, final = (picture[: photo.shape[0], : photo.shape[1]] for picture in (raw, final))
             pictures = (
                 (photo, f"{camera}, frame {frame}: photo"),
                 (raw, "render"),

@@ -53,7 +53,8 @@ def measure_camera(
     flicker, found = Flicker(_FLOW), {name: [] for name in (*versions, _PHOTO)}
     with ThreadPoolExecutor(max_workers=len(versions)) as pool:
         for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
-            pictures = {name: next(stream) for name, stream in streams.items()}
+            # Films of cameras of different sizes share one size; a camera's own picture is the top left part.
+            pictures = {name: next(stream)[: photo.shape[0], : photo.shape[1]] for name, stream in streams.items()}
             still = pool.map(lambda picture: measure_picture(picture, photo, masks), pictures.values())  # noqa: B023
             moving = flicker.measure(photo, {**pictures, _PHOTO: photo})
             for name, values in zip(pictures, still):
