@@ -57,11 +57,9 @@ def _write(path: Path, frames: Iterable[np.ndarray], fps: float, codec: str, opt
                     stream.codec_context.thread_count = 1  # the same bytes on every machine
                     if codec == "libx264":
                         stream.codec_context.color_range, stream.codec_context.colorspace = 1, 1
-                if (stream.width, stream.height) != (frame.shape[1], frame.shape[0]):
-                    # Encoders would rescale silently.
-                    raise ValueError(
-                        f"{path}: frame {count} is {frame.shape[1]}×{frame.shape[0]} in a film of {stream.width}×{stream.height}"
-                    )
+                wh, film_wh = (frame.shape[1], frame.shape[0]), (stream.width, stream.height)
+                if wh != film_wh:  # encoders would rescale silently
+                    raise ValueError(f"{path}: frame {count} is {wh[0]}×{wh[1]} in a film of {film_wh[0]}×{film_wh[1]}")
                 picture = av.VideoFrame.from_ndarray(frame, format=given)
                 picture.pts = count
                 picture.time_base = 1 / rate
