@@ -11,12 +11,13 @@ import pytest
 from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
+from studiorecon.geometry.path import scene_centre
 from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
 from studiorecon.render.canvas import Canvas, together
 from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, azimuths, every_frame, film_times, looking_at, orbit_steps, scene_centre, smooth_dips
+from studiorecon.render.shots import Orbit, azimuths, every_frame, film_times, orbit_steps, smooth_dips
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
@@ -87,13 +88,6 @@ def test_cameras_of_different_sizes_share_a_film_with_their_picture_at_the_top_l
 def test_one_camera_cannot_be_orbited() -> None:
     with pytest.raises(Refusal, match="at least two"):
         orbit_steps(ORBIT, "orbit", ring([0], "cam"), np.zeros(3), WH, FRAMES, np.ones(24))
-
-
-def test_parallel_cameras_have_a_centre_without_a_division_by_zero() -> None:
-    camera = ring([0], "cam")[0]
-    assert np.isfinite(scene_centre([camera, camera])).all()
-    with pytest.raises(ValueError, match="straight"):
-        looking_at(np.array([0, 0, 2.0]), np.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,13 @@ from studiorecon import settings as settings_module
 from studiorecon.body.avatar import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
+from studiorecon.geometry.path import scene_centre
 from studiorecon.images.streams import writing
 from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, every_frame, orbit_steps, scene_centre, smooth_dips
+from studiorecon.render.shots import Orbit, every_frame, orbit_steps, smooth_dips
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.geometry.path import look_at, scene_centre
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import Step
 
@@ -56,28 +57,10 @@ def every_frame(cameras: Sequence[Camera], frames: int) -> list[Step]:
     return [Step(replace(camera, wh=wh), float(frame), camera.name) for camera in cameras for frame in range(frames)]
 
 
-def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) point nearest to all optical axes, least squares; the cameras' centroid when the axes are nearly parallel."""
-    system, right = np.zeros((3, 3)), np.zeros(3)
-    for camera in cameras:
-        across = np.eye(3) - np.outer(camera.forward, camera.forward)
-        system += across
-        right += across @ camera.centre_m
-    if np.linalg.cond(system) > 1e4:
-        return np.mean([camera.centre_m for camera in cameras], axis=0)
-    return np.linalg.solve(system, right)
-
-
 def looking_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """(4, 4) camera_from_world of a level camera at ``eye_m`` that looks at ``target_m``; raises ValueError when it is overhead."""
-    forward = np.asarray(target_m, np.float64) - eye_m
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) < 1e-6:
-        raise ValueError("a level camera cannot look straight up or down")
-    right /= np.linalg.norm(right)
+    """(4, 4) camera_from_world of a level camera at ``eye_m`` whose optical axis meets ``target_m``."""
     transform = np.eye(4)
-    transform[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    transform[:3, :3] = look_at(eye_m, target_m).T
     transform[:3, 3] = -transform[:3, :3] @ eye_m
     return transform
 
