@@ -71,7 +71,8 @@ def main() -> None:
     print(f"{machine}, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "kernels")}
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+        environment = {**os.environ, "PATH": path, "NUMBA_CACHE_DIR": str(folder / "kernels")}
         overlay = folder / "overlay.yaml"
         overlay.write_text("render:\n  background_rgb: [0.2, 0.2, 0.2]\n")
         snakemake = [sys.executable, "-m", "snakemake", "--cores", given.cores, "--directory", str(folder)]
