@@ -139,6 +139,9 @@ class TestDataset:
         assert (dataset.first_frame, dataset.frame_count) == (5, 7)
         assert [p.name for p in dataset.calibration] == ["intri.yml", "extri.yml"]
         assert set(dataset.keypoints) == {"01", "02", "03"}
+        assert dataset.identities is None
+        (folder / "identities.tsv").touch()
+        assert open_dataset(folder).identities == folder / "identities.tsv"
 
     @pytest.mark.parametrize(
         ("text", "words"),
@@ -149,6 +152,7 @@ class TestDataset:
             ("calibration: nowhere.toml", "does not exist"),
             ("held_out: ['02', '03']", "at least 2"),
             ("pixel_maps: {'01': {scale: 1}}", "must look like"),
+            ("identities: nowhere.tsv", "does not exist"),
             (": : :", "not valid YAML"),
         ],
     )

@@ -51,5 +51,7 @@ def front_end_of(
     for name, video, path, picture in zip(names, videos, found, plates):
         plate.run(load(plate), video, out / f"{name}.json", lenses, [path], [data.plates[name]], picture)
     outputs = [out / "people.tsv", out / "identities.tsv", out / "standing.npz"]
-    associate.run(load(associate), model, out / "manifest.json", found, videos, names, plates, root / "resources" / "body.npz", *outputs)
+    associate.run(
+        load(associate), model, out / "manifest.json", found, videos, names, plates, root / "resources" / "body.npz", [], *outputs
+    )
     return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "doctor.json")

@@ -22,7 +22,7 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_footage, write_manifest
 from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import read_detections, read_identities, read_people, write_detections
+from studiorecon.scene.people import read_detections, read_identities, read_people, write_detections, write_identities
 
 from tests.foundations.camera_ring import detect, owner, ring, walk
 
@@ -186,7 +186,7 @@ def two_people():
     return [walk([-0.6, -0.5, 0], [0.02, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.02, 0], FRAMES, 2.0)]
 
 
-def run_association(tmp_path: Path, cameras, found, options, videos=()):
+def run_association(tmp_path: Path, cameras, found, options, videos=(), corrected=()):
     write_model(tmp_path / "cameras", cameras)
     write_manifest(tmp_path / "manifest.json", Manifest("x", 30.0, FRAMES, tuple(footage(c.name, c.wh) for c in cameras)))
     paths = [tmp_path / f"{d.camera}.npz" for d in found]
@@ -194,7 +194,7 @@ def run_association(tmp_path: Path, cameras, found, options, videos=()):
         write_detections(path, d)
     outputs = [tmp_path / n for n in ("people.tsv", "identities.tsv", "standing.npz")]
     model, body = tmp_path / "cameras" / "images.txt", Path("never read: no plates")
-    associate.run(options, model, tmp_path / "manifest.json", paths, list(videos), [], [], body, *outputs)
+    associate.run(options, model, tmp_path / "manifest.json", paths, list(videos), [], [], body, list(corrected), *outputs)
     assert read_standing(tmp_path / "standing.npz") == []
     return read_people(tmp_path / "people.tsv"), read_identities(tmp_path / "identities.tsv")
 
@@ -210,6 +210,18 @@ def test_two_walking_people_come_out_and_a_bystander_in_two_views_does_not(tmp_p
         assert (name == "") == (person == 2)
     assert len({identities[cameras[v].name, t] for (v, t), p in owner(cameras, found, planted).items() if p == 0}) == 1
     assert "a bystander: 2 of 4 cameras" in capsys.readouterr().out
+
+
+def test_corrected_identities_replace_what_association_would_say(tmp_path, people_settings, two_people):
+    cameras, options = ring(), people_settings(associate.Settings)
+    found = detect(cameras, two_people, 1.0, np.random.default_rng(0))
+    _, own = run_association(tmp_path, cameras, found, options)
+    swapped = {key: {"p0": "p1", "p1": "p0"}.get(person, "") for key, person in own.items()}
+    write_identities(tmp_path / "corrected.tsv", swapped)
+    people, taken = run_association(tmp_path, cameras, found, options, corrected=[tmp_path / "corrected.tsv"])
+    assert people == ["p0", "p1"]
+    assert taken == swapped
+    assert "corrected" in (tmp_path / "people.tsv").read_text()
 
 
 def test_nobody_is_an_empty_table(tmp_path, people_settings):

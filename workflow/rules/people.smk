@@ -39,6 +39,7 @@ checkpoint people_associate:
         ),
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         plates=collect("results/{scene}/capture/{camera}.plate.png", camera=PLATED, allow_missing=True),
+        corrected=[str(DATASET.identities)] if DATASET.identities else [],
         body=BODY,
     output:
         people="results/{scene}/people/people.tsv",
@@ -60,7 +61,7 @@ checkpoint people_associate:
     shell:
         "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
         " --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
-        " --plated {params.plated:q} --plates {input.plates:q} --body {input.body:q}"
+        " --plated {params.plated:q} --plates {input.plates:q} --corrected {input.corrected:q} --body {input.body:q}"
         " --people {output.people:q} --identities {output.identities:q} --standing {output.standing:q}"
 
 

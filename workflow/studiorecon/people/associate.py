@@ -15,6 +15,7 @@ from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
 from studiorecon.people import fit
+from studiorecon.people.corrected import read_corrected, rows_of
 from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, person_share, sampled_frames
 from studiorecon.people.foreground import open_view
 from studiorecon.people.grouping import AssociationLimits, Group, group_tracks, torso_m
@@ -85,6 +86,7 @@ def run(
     plated: list[str],
     plates: list[Path],
     body: Path,
+    corrected: list[Path],
     people: Path,
     identities: Path,
     standing: Path,
@@ -92,7 +94,8 @@ def run(
     """Write ``people`` (people.tsv, in order of appearance), ``identities`` (camera, track → person, empty = rejected) and ``standing``.
 
     ``plates`` are those of the cameras ``plated``, whose clean plates the user brought (may be none): people who stand out from them
-    and have no keypoints follow those who do, with their silhouettes in ``standing`` (npz).
+    and have no keypoints follow those who do, with their silhouettes in ``standing`` (npz). ``corrected`` is the user's own
+    identities.tsv, or nothing: it is taken as it stands.
     """
     cameras, found = read_model(model.parent), read_manifest(manifest)
     given = [read_detections(p) for p in detections]
@@ -100,10 +103,31 @@ def run(
         raise Refusal(
             f"detections are of {[d.camera for d in given]}, the model has {[c.name for c in cameras]}; delete results and run again"
         )
-    groups = group_tracks(given, cameras, found.frames, found.fps, settings.association, settings.triangulation)
+    if corrected:
+        table = read_corrected(corrected[0], given)
+        rows = rows_of(table, given)
+        say(f"{len(rows)} people as corrected in {corrected[0]}")
+    else:
+        table, rows = _from_keypoints(settings, cameras, given, videos, found.frames, found.fps)
+    upright: list[Standing] = []
+    if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
+        upright = _without_keypoints(settings, cameras, given, table, [row[0] for row in rows], videos, plated, plates, body, found)
+        rows += [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in upright]
+        if not upright:
+            say("nobody without keypoints stands out from the given plates")
+    write_people(people, rows)
+    write_identities(identities, table)
+    write_standing(standing, upright)
+
+
+def _from_keypoints(
+    settings: Settings, cameras: Sequence[Camera], given: list[Detections], videos: list[Path], frames: int, fps: float
+) -> tuple[dict[tuple[str, int], str], list[tuple[str, int, str, float, str]]]:
+    """(camera, track) → person, and the lines of people.tsv, of everybody the keypoints of two cameras or more agree on."""
+    groups = group_tracks(given, cameras, frames, fps, settings.association, settings.triangulation)
     kept = []
     for group in groups:
-        reason = judge(group, cameras, found.frames, settings.association)
+        reason = judge(group, cameras, frames, settings.association)
         if reason is None:
             kept.append(group)
         else:
@@ -119,7 +143,7 @@ def run(
         confidence = float(np.nanmean(group.agreement))
         rows.append((f"p{number}", len(group.frames), ",".join(seen_by), confidence, "keypoints"))
         say(
-            f"p{number}: seen in {len(group.frames)} of {found.frames} frames by {', '.join(seen_by)}; "
+            f"p{number}: seen in {len(group.frames)} of {frames} frames by {', '.join(seen_by)}; "
             f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
         )
     rejected = sum(not person for person in table.values())
@@ -128,15 +152,7 @@ def run(
         if table
         else "no people: no camera has a detection"
     )
-    upright: list[Standing] = []
-    if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
-        upright = _without_keypoints(settings, cameras, given, table, [row[0] for row in rows], videos, plated, plates, body, found)
-        rows += [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in upright]
-        if not upright:
-            say("nobody without keypoints stands out from the given plates")
-    write_people(people, rows)
-    write_identities(identities, table)
-    write_standing(standing, upright)
+    return table, rows
 
 
 def _without_keypoints(

@@ -19,7 +19,7 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 _KEYS = {
     "frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth",
-    "pixel_maps", "people",
+    "pixel_maps", "people", "identities",
 }  # fmt: skip
 # The first of these that exists is the calibration, when capture.yaml does not name one.
 _CALIBRATIONS = (
@@ -47,6 +47,7 @@ class Dataset:
         keypoint_layout: name of the layout, or ``"auto"``.
         keypoint_first_frame: the number in the keypoint files that belongs to the first frame of the videos.
         plates, masks, depth: camera → file or folder, where the user brings them.
+        identities: a corrected ``identities.tsv`` (camera, track, person), or None.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
         first_frame, frame_count: the part of the footage to use; ``frame_count`` 0 = to the end.
@@ -64,6 +65,7 @@ class Dataset:
     plates: Mapping[str, Path]
     masks: Mapping[str, Path]
     depth: Mapping[str, Path]
+    identities: Path | None
     pixel_maps: Mapping[str, tuple[float, float, float]]
     first_frame: int
     frame_count: int
@@ -107,6 +109,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         plates=_per_camera(folder, description.get("plates"), ("plates",), footage),
         masks=_per_camera(folder, description.get("masks"), ("masks",), footage),
         depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
+        identities=_identities(folder, description),
         pixel_maps=_pixel_maps(description, footage),
         first_frame=first,
         frame_count=count,
@@ -212,6 +215,13 @@ def _per_camera(folder: Path, named: Any, defaults: tuple[str, ...], footage: Ma
                 found[camera] = entry
                 break
     return found
+
+
+def _identities(folder: Path, description: dict[str, Any]) -> Path | None:
+    path = folder / str(description.get("identities", "identities.tsv"))
+    if "identities" in description and not path.is_file():
+        raise Refusal(f"capture.yaml names identities: {path}, which does not exist")
+    return path if path.is_file() else None
 
 
 def _pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:

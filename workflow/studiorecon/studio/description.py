@@ -156,6 +156,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         plates={name: folder / "plates" / f"{name}.png" for name in training} if description.plates else {},
         masks={},
         depth={},
+        identities=None,
         pixel_maps={},
         first_frame=0,
         frame_count=0,
