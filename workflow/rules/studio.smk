@@ -24,7 +24,7 @@ if STUDIO:
         resources:
             mem_mb=2500,
         params:
-            dataset=str(DATASET.folder),
+            dataset=subpath(output.capture, parent=True),
             code=code("studio.capture"),
         shell:
             "python -m studiorecon studio.capture --log {log}"
