@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.shell import FACES, Shell
@@ -109,7 +109,7 @@ def paint(
             filled = cv2.inpaint(stamp, (~seen).astype(np.uint8), _INPAINT_RADIUS_NODES, cv2.INPAINT_TELEA) / 255
             rgb = np.where(seen[..., None], rgb, filled)
         elif len(all_points):
-            nearest = cKDTree(all_points).query(nodes.reshape(-1, 3))[1]
+            nearest = scipy.spatial.cKDTree(all_points).query(nodes.reshape(-1, 3))[1]
             rgb = cv2.GaussianBlur(all_rgb[nearest].reshape(nodes.shape), (0, 0), _BLUR_UNSEEN_NODES, borderType=cv2.BORDER_REPLICATE)
         else:
             rgb = np.full(nodes.shape, 0.5)

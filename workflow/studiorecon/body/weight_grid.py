@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def build_weight_grid(vertices_m: np.ndarray, weights: np.ndarray, resolution: i
     spacing = side / (resolution - 1)
     axes = [origin[k] + spacing * np.arange(resolution) for k in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    distance, nearest = cKDTree(vertices_m).query(nodes, k=min(4, len(vertices_m)))
+    distance, nearest = scipy.spatial.cKDTree(vertices_m).query(nodes, k=min(4, len(vertices_m)))
     distance, nearest = distance.reshape(len(nodes), -1), nearest.reshape(len(nodes), -1)
     closeness = 1 / np.maximum(distance, 1e-6)
     mixed = np.einsum("nk,nkb->nb", closeness, np.asarray(weights, np.float64)[nearest])

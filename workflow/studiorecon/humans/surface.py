@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from studiorecon.scene.discs import discs
 from studiorecon.scene.gaussians import Gaussians
@@ -69,7 +69,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
 
     Samples with fewer agreeing neighbours repeat themselves.
     """
-    _, near = cKDTree(samples.points_m).query(samples.points_m, k=2 * count + 1)
+    _, near = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m, k=2 * count + 1)
     near = near[:, 1:]
     agree = np.einsum("nc,nkc->nk", samples.normals, samples.normals[near]) > 0
     order = np.argsort(~agree, axis=1, kind="stable")[:, :count]
@@ -79,7 +79,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
 
 def mirrored(samples: SurfaceSamples, within_m: float) -> np.ndarray:
     """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond ``within_m``."""
-    distance, index = cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
+    distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
     return np.where(distance <= within_m, index, -1)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from studiorecon.body import prior
 from studiorecon.body.basis import Basis, State
@@ -141,7 +141,7 @@ class Silhouette:
         self, state: State, targets: Targets, steps: int, *, free: str, reach_px: tuple[float, float], before: Before | None = None
     ) -> State:
         """The state after ``steps`` steps; ``free``: "root", "pose" or "shape" (pose and shape). ``before``: the neighbouring frame."""
-        trees = [cKDTree(o.features) if len(o.points) else None for o in targets.outlines]
+        trees = [scipy.spatial.cKDTree(o.features) if len(o.points) else None for o in targets.outlines]
         for step in range(steps):
             reach = reach_px[0] * (reach_px[1] / reach_px[0]) ** (step / max(1, steps - 1))
             state = self._step(state, targets, trees, reach, free, before)
@@ -182,20 +182,20 @@ class Silhouette:
         return State(moved.local, moved.trans, np.clip(moved.betas, -_WORST_BETA, _WORST_BETA), 0.0, moved.corrections)
 
     def _matches(
-        self, points_m: np.ndarray, camera: Camera, label: np.ndarray, target: Outline, tree: cKDTree, reach_px: float
+        self, points_m: np.ndarray, camera: Camera, label: np.ndarray, target: Outline, tree: scipy.spatial.cKDTree, reach_px: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices (N,), normals (N, 2) and signed distances (N,) in pixels of all matches of one camera, both ways."""
         own = outline(mesh_depth(points_m, self.body.proxy_faces, camera) > 0, label == UNKNOWN)
         if len(own.points) < 10:
             return np.zeros(0, int), np.zeros((0, 2)), np.zeros(0)
         pixels = camera.project(points_m)[0]
-        near, vertex = cKDTree(np.nan_to_num(pixels, nan=-1e6)).query(own.points)
+        near, vertex = scipy.spatial.cKDTree(np.nan_to_num(pixels, nan=-1e6)).query(own.points)
         attached = near < _ATTACHED_PX
         own, vertex = Outline(own.points[attached], own.normals[attached]), vertex[attached]
         if len(vertex) < 5:
             return np.zeros(0, int), np.zeros((0, 2)), np.zeros(0)
         there = tree.query(own.features)[1]
-        back = cKDTree(own.features).query(target.features)[1]
+        back = scipy.spatial.cKDTree(own.features).query(target.features)[1]
         mine = np.concatenate([np.arange(len(vertex)), back])
         theirs = np.concatenate([there, np.arange(len(back))])
         apart = own.points[mine] - target.points[theirs]

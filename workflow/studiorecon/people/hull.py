@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numba
 import numpy as np
+import scipy
 
 from studiorecon.people.foreground import BACKGROUND, FOREGROUND, UNKNOWN
 from studiorecon.scene.camera import Camera
@@ -121,9 +122,7 @@ def whole_person(
             core |= chosen
     if not core.any():
         return None
-    from scipy import ndimage  # costs a quarter of a second, and only people without keypoints need it
-
-    bodies = ndimage.label(occupied.reshape(shape), np.ones((3, 3, 3)))[0].reshape(-1)
+    bodies = scipy.ndimage.label(occupied.reshape(shape), np.ones((3, 3, 3)))[0].reshape(-1)
     return _part(cells_m, shown, denied, occupied & np.isin(bodies, np.unique(bodies[core])))
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 _REFUSED = 1e6
 
@@ -76,7 +76,7 @@ def match(cost: np.ndarray, limit: float) -> list[tuple[int, int]]:
     if 0 in cost.shape:
         return []
     admissible = np.isfinite(cost) & (cost < limit)
-    rows, columns = linear_sum_assignment(np.where(admissible, cost, _REFUSED))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, cost, _REFUSED))
     return [(int(r), int(c)) for r, c in zip(rows, columns) if admissible[r, c]]
 
 

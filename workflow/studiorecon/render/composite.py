@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.provenance import INFERRED, INVENTED
@@ -82,5 +82,5 @@ def blocked(eyes_m: np.ndarray, background: Gaussians, clearance_m: float) -> np
     solid = background.means_m[background.logit_opacities > 0]
     if len(solid) == 0 or clearance_m <= 0:
         return np.zeros(len(eyes_m), bool)
-    near = cKDTree(solid).query_ball_point(np.asarray(eyes_m), clearance_m, return_length=True)
+    near = scipy.spatial.cKDTree(solid).query_ball_point(np.asarray(eyes_m), clearance_m, return_length=True)
     return np.asarray(near) >= _SOLID_GROUP

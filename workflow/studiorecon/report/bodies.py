@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 # A fitted person further than this from every true one is nobody: a ghost, not a bad fit.
 _SAME_PERSON_M = 0.5
@@ -50,7 +50,7 @@ def match(fitted: Mapping[str, tuple[np.ndarray, np.ndarray]], true: Mapping[str
                 distance[row, column] = np.linalg.norm(joints[use] - true[other][use], axis=-1).mean()
     # Gate before the assignment: a pair that is nobody must not take a true person away from its own fit (numerics A03).
     admissible = distance <= _SAME_PERSON_M
-    rows, columns = linear_sum_assignment(np.where(admissible, distance, 1e6))
+    rows, columns = scipy.optimize.linear_sum_assignment(np.where(admissible, distance, 1e6))
     return {fitted_names[r]: true_names[c] for r, c in zip(rows, columns) if admissible[r, c]}
 
 
