@@ -80,7 +80,7 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
     node_of = {node: i for i, node in enumerate(nodes)}
     count = len(nodes)
     distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
-    rays = [_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
+    rays = [ray_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
     for a in range(len(cameras)):
         for b in range(a, len(cameras)):
             first, second = _same_frame(detections[a].frame, detections[b].frame)
@@ -91,7 +91,7 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
                 continue
             apart = ray_distances(cameras[a].centre_m, rays[a][0][first], cameras[b].centre_m, rays[b][0][second])
             shared = rays[a][1][first] & rays[b][1][second]
-            per_pair = _median_over(apart, shared, _MIN_SHARED)
+            per_pair = median_over_shared(apart, shared, _MIN_SHARED)
             for row, column in sorted(set(zip(rows.tolist(), columns.tolist()))):
                 seen = per_pair[(rows == row) & (columns == column)]
                 seen = seen[~np.isnan(seen)]
@@ -113,8 +113,16 @@ def groups_of(distance_m: np.ndarray, view: np.ndarray, together: np.ndarray, ga
     affinity = np.where(finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m), 1 - np.nan_to_num(distance_m, posinf=0.0) / gate_m, 0.0)
     forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
     forbidden |= (view[:, None] == view[None]) & together
-    np.fill_diagonal(forbidden, True)
-    left, found = set(range(len(view))), []
+    return groups_by_affinity(affinity, forbidden)
+
+
+def groups_by_affinity(affinity: np.ndarray, forbidden: np.ndarray) -> list[list[int]]:
+    """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not linked.
+
+    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out.
+    """
+    forbidden = forbidden | np.eye(len(affinity), dtype=bool)
+    left, found = set(range(len(affinity))), []
     while True:
         best = _best_group(sorted(left), affinity, forbidden)
         if len(best) < 2:
@@ -153,7 +161,7 @@ def _best_group(nodes: list[int], affinity: np.ndarray, forbidden: np.ndarray) -
     return list(best[0])
 
 
-def _directions(keypoints: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def ray_directions(keypoints: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present."""
     present = (keypoints[..., 2] > 0) & np.isfinite(keypoints[..., :2]).all(-1)
     pixels = np.where(present[..., None], keypoints[..., :2], 0.0)
@@ -166,7 +174,7 @@ def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
     return np.nonzero(first[:, None] == second[None])
 
 
-def _median_over(values: np.ndarray, present: np.ndarray, least: int) -> np.ndarray:
+def median_over_shared(values: np.ndarray, present: np.ndarray, least: int) -> np.ndarray:
     """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large."""
     count = present.sum(-1)
     ordered = np.sort(np.where(present, values, np.inf), axis=-1)

@@ -25,6 +25,9 @@ class Detections:
         frame: (D,) int, working frame of each detection.
         track: (D,) int, per-camera track id; a track lasts while the same person is followed in this camera.
         keypoints: (D, K, 3) float64: x, y, confidence in [0, 1]; confidence 0 = missing (x, y are then NaN).
+        body_pose: (D, 23, 3) axis-angle of a monocular body's joints without the root, NaN where a detection has none;
+            None when the detector estimates no bodies.
+        pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown; or None.
     """
 
     camera: str
@@ -32,6 +35,8 @@ class Detections:
     frame: np.ndarray
     track: np.ndarray
     keypoints: np.ndarray
+    body_pose: np.ndarray | None = None
+    pelvis: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -64,12 +69,14 @@ class Person:
 
 
 def write_detections(path: Path, detections: Detections) -> None:
-    write_npz(path, {name: getattr(detections, name) for name in Detections.__dataclass_fields__})
+    fields = {name: getattr(detections, name) for name in Detections.__dataclass_fields__}
+    write_npz(path, {name: value for name, value in fields.items() if value is not None})
 
 
 def read_detections(path: Path) -> Detections:
     with _open(path) as data:
-        return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"])
+        body = (data[name] if name in data.files else None for name in ("body_pose", "pelvis"))
+        return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body)
 
 
 def write_person(path: Path, person: Person) -> None:
