@@ -11,9 +11,21 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.cameras.formats import caliscope, colmap_files, easymocap, nerfstudio, pose2sim, qualisys
+from studiorecon.cameras.formats import (
+    caliscope,
+    colmap_files,
+    easymocap,
+    egoexo,
+    egohumans,
+    llff,
+    nerfstudio,
+    pose2sim,
+    qualisys,
+    train_meta,
+    zju,
+)
 from studiorecon.cameras.formats.raw import Reading
-from studiorecon.cameras.names import match_names
+from studiorecon.cameras.names import match_in_order, match_names
 from studiorecon.cameras.world import metres_per_unit, settled, z_up_from_world
 from studiorecon.errors import Refusal
 from studiorecon.progress import say
@@ -21,11 +33,25 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
 
 # Asked in this order; the first that recognises the files reads them.
-_READERS = (colmap_files, easymocap, qualisys, caliscope, pose2sim, nerfstudio)
+_READERS = {
+    "egohumans": egohumans,
+    "colmap": colmap_files,
+    "easymocap": easymocap,
+    "qualisys": qualisys,
+    "caliscope": caliscope,
+    "pose2sim": pose2sim,
+    "train_meta": train_meta,
+    "nerfstudio": nerfstudio,
+    "egoexo": egoexo,
+    "llff": llff,
+    "zju": zju,
+}
 _ACCEPTED = (
     "intri.yml + extri.yml (EasyMocap, EasyVolcap), sparse/0 (COLMAP text or binary), a Pose2Sim or Caliscope .toml, "
-    "a Qualisys .qca.txt or a nerfstudio transforms.json"
+    "a Qualisys .qca.txt, a nerfstudio transforms.json, colmap/workplace (EgoHumans, Harmony4D), a train_meta.json (Dynamic 3D "
+    "Gaussians, MonoFusion), gopro_calibs.csv (Ego-Exo4D), poses_bounds.npy (LLFF) or annots.npy (ZJU-MoCap)"
 )
+_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -33,18 +59,24 @@ class Settings:
     """What the file cannot say.
 
     Attributes:
+        format: "auto" (the first reader that recognises the files), or a reader's name.
+        poses: "as_read" (as the format defines them), or what they really are: "world_from_camera", "opengl" axes, or both.
         unit: "auto", or the unit of the calibration's lengths.
         up: "auto", or the signed axis of the calibration's world that points up.
         scale: factor on all lengths after that, for models of arbitrary scale (COLMAP without a known distance).
     """
 
+    format: Literal[
+        "auto", "egohumans", "colmap", "easymocap", "qualisys", "caliscope", "pose2sim", "train_meta", "nerfstudio", "egoexo", "llff", "zju"
+    ]
+    poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"]
     unit: Literal["auto", "m", "cm", "mm"]
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
     scale: float
 
 
-def read_calibration(files: Sequence[Path]) -> Reading:
-    """The calibration in whatever format it is; raises Refusal when there is none or nobody can read it."""
+def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
+    """The calibration in the format ``wanted``, or whatever format it is; raises Refusal when there is none or nobody can read it."""
     if not files:
         raise Refusal(
             f"the dataset has no calibration, and cameras this far apart cannot be calibrated from their pictures; bring {_ACCEPTED}"
@@ -52,8 +84,8 @@ def read_calibration(files: Sequence[Path]) -> Reading:
     for file in files:
         if not file.is_file():
             raise Refusal(f"calibration {file} is missing")
-    for reader in _READERS:
-        if reader.recognises(list(files)):
+    for name, reader in _READERS.items():
+        if name == wanted or (wanted == "auto" and reader.recognises(list(files))):
             reading = reader.read(list(files))
             if not reading.cameras:
                 raise Refusal(f"{files[0]} holds no cameras; it was read as {reading.format}")
@@ -65,14 +97,17 @@ def lenses_of(
     reading: Reading, source: str, cameras: Sequence[str], pixel_maps: Mapping[str, Sequence[float]], settings: Settings
 ) -> tuple[list[Lens], list[str], bool]:
     """Lenses in the order of ``cameras``, the sentences about every change, and whether z = 0 is known to be the floor."""
-    matched, note = match_names(cameras, [c.name for c in reading.cameras], source)
+    names = [c.name for c in reading.cameras]
+    matched, note = match_names(cameras, names, source) if reading.named else match_in_order(cameras, len(names), source)
     by_name = {c.name: c for c in reading.cameras}
     chosen = [by_name[matched[c]] for c in cameras]
     notes = [*reading.notes, *([note] if note else [])]
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
-    poses = [c.camera_from_world for c in chosen]
+    poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
+    if settings.poses != "as_read":
+        notes.append(f"the poses were read as {settings.poses}, as the setting cameras.poses says")
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
@@ -90,6 +125,14 @@ def lenses_of(
     return lenses, notes, floor_known
 
 
+def meant(pose: np.ndarray, poses: str) -> np.ndarray:
+    """(4, 4) ``camera_from_world`` with OpenCV axes of a pose that is really ``poses`` (see ``Settings``)."""
+    turned = _OPENGL @ pose if poses == "opengl" else pose
+    if poses.startswith("world_from_camera"):
+        turned = np.linalg.inv(pose @ _OPENGL if poses.endswith("opengl") else pose)
+    return turned
+
+
 def calibration_from_video(pixel_map: Sequence[float] | None) -> np.ndarray:
     """(2, 3) inverse of p_video = s · p_calibration + (x, y); the identity when there is no such map."""
     if pixel_map is None:
@@ -100,7 +143,7 @@ def calibration_from_video(pixel_map: Sequence[float] | None) -> np.ndarray:
 
 def run(settings: Settings, files: list[Path], cameras: list[str], pixel_maps: str, calibration: Path) -> None:
     """Read the calibration ``files`` for the footage names ``cameras``; write ``calibration`` (JSON)."""
-    reading = read_calibration(files)
+    reading = read_calibration(files, settings.format)
     lenses, notes, floor_known = lenses_of(reading, files[0].name, cameras, json.loads(pixel_maps or "{}"), settings)
     say(f"{len(lenses)} cameras from {files[0].name} ({reading.format})")
     for note in notes:

@@ -38,6 +38,23 @@ def match_names(footage: Sequence[str], calibrated: Sequence[str], source: str) 
     )
 
 
+def match_in_order(footage: Sequence[str], count: int, source: str) -> tuple[dict[str, str], str]:
+    """{footage name: number} for a calibration of ``count`` cameras without names: the sorted videos in its order.
+
+    Numbers sort as numbers (cam2 before cam10). Raises Refusal when the counts differ, since then nobody knows which is missing.
+    """
+    if len(footage) != count:
+        raise Refusal(
+            f"{source} has {count} cameras without names, the footage has {len(footage)} ({', '.join(footage)}); "
+            "bring all videos of the capture, or a calibration with names"
+        )
+    ordered = sorted(footage, key=lambda n: [(int(w), "") if w.isdigit() else (-1, w) for w in re.split(r"(\d+)", n)])
+    return (
+        {name: str(index) for index, name in enumerate(ordered)},
+        f"{source} has no camera names: its cameras were taken in the order {', '.join(ordered)}",
+    )
+
+
 def _parts(name: str) -> set[str]:
     """All runs of whole words of a name, so that cam01 is a part of int_cam01_img but cam0 is not."""
     words = re.findall(r"[^_\-. ]+|[_\-. ]+", name.casefold())

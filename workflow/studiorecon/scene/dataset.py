@@ -6,7 +6,7 @@ Importable without numpy-heavy modules: the workflow reads it while it makes its
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,8 +30,20 @@ _CALIBRATIONS = (
     ("sparse/0/cameras.bin", "sparse/0/images.bin"),
     ("sparse/cameras.txt", "sparse/images.txt"),
     ("cameras.txt", "images.txt"),
+    ("colmap/workplace/cameras.txt", "colmap/workplace/images.txt", "colmap/workplace/scale.npy"),
+    ("colmap/workplace/cameras.txt", "colmap/workplace/images.txt", "colmap/workplace/colmap_from_aria_transforms.pkl"),
     ("transforms.json",),
+    ("train_meta.json",),
+    ("trajectory/Dy_train_meta.json",),
+    ("Dy_train_meta.json",),
+    ("gopro_calibs.csv",),
+    ("trajectory/gopro_calibs.csv",),
+    ("poses_bounds.npy",),
+    ("annots.npy",),
 )
+# Where the footage lies in the captures that people have; the first that holds any counts.
+_VIDEO_FOLDERS = ("videos", "frame_aligned_videos")
+_PICTURE_FOLDERS = (("images", ""), ("ims", ""), ("exo", "images"))
 
 
 @dataclass(frozen=True)
@@ -135,20 +147,38 @@ def _read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]
 
 
 def _find_footage(folder: Path) -> dict[str, Path]:
-    videos = [p for p in sorted((folder / "videos").glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+    videos = _first_non_empty(
+        [p for p in sorted((folder / name).glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
+        for name in _VIDEO_FOLDERS
+    )
+    found = {} if videos else _picture_folders(folder)
+    if not videos and not found:
+        videos = [p for p in sorted(folder.glob("*")) if p.suffix.lower() in VIDEO_SUFFIXES and not p.name.startswith(".")]
     stems = [p.stem for p in videos]
     for stem in stems:
         if stems.count(stem) > 1:
-            raise Refusal(f"{folder / 'videos'} holds more than one video named {stem!r}; keep one per camera")
+            raise Refusal(f"{videos[0].parent} holds more than one video named {stem!r}; keep one per camera")
     if videos:
         return {p.stem: p for p in videos}
-    folders = [p for p in sorted((folder / "images").glob("*")) if p.is_dir()]
-    found = {p.name: p for p in folders if any(q.suffix.lower() in PICTURE_SUFFIXES for q in p.iterdir())}
     if not found:
         raise Refusal(
             f"dataset {folder} has neither videos/*.mp4 (or mov, mkv) nor images/<camera>/*.png (or jpg): put one video per camera there"
         )
     return found
+
+
+def _first_non_empty(lists: Iterable[list[Path]]) -> list[Path]:
+    return next((found for found in lists if found), [])
+
+
+def _picture_folders(folder: Path) -> dict[str, Path]:
+    """camera → its folder of pictures: ``images/<camera>``, ``ims/<camera>`` or ``exo/<camera>/images``."""
+    for outer, inner in _PICTURE_FOLDERS:
+        places = {p.name: p / inner for p in sorted((folder / outer).glob("*")) if (p / inner).is_dir()}
+        found = {name: p for name, p in places.items() if any(q.suffix.lower() in PICTURE_SUFFIXES for q in p.iterdir())}
+        if found:
+            return found
+    return {}
 
 
 def _names(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:

@@ -25,6 +25,11 @@ def recognises(files: list[Path]) -> bool:
 
 def read(files: list[Path]) -> Reading:
     """One static camera per picture folder (or picture); COLMAP's scale is arbitrary unless the model was aligned."""
+    return Reading("COLMAP", tuple(merged_static(posed_pictures(files), 0.01, 1.0)), "unknown", ())
+
+
+def posed_pictures(files: list[Path]) -> list[RawCamera]:
+    """One entry per registered picture, named after its camera."""
     paths = {f.stem: f for f in files}
     lenses = dict(_binary_cameras(paths["cameras"]) if paths["cameras"].suffix == ".bin" else _text_cameras(paths["cameras"]))
     images = _binary_images(paths["images"]) if paths["images"].suffix == ".bin" else _text_images(paths["images"])
@@ -37,7 +42,7 @@ def read(files: list[Path]) -> Reading:
         wh, intrinsics, model, distortion = lenses[camera_id]
         pose, _ = rigid_camera_from_world(rotation_from_quaternion(quaternion), translation, where)
         cameras.append(RawCamera(name, wh, intrinsics, model, distortion, pose))
-    return Reading("COLMAP", tuple(merged_static(cameras, 0.01, 1.0)), "unknown", ())
+    return cameras
 
 
 def camera_name(image: str) -> str:

@@ -59,8 +59,10 @@ def _camera(frame: dict, source_from_file: np.ndarray, path: Path) -> RawCamera:
         raise Refusal(f"{where}: {error.args[0]} is missing") from None
     fy = float(frame.get("fl_y", fx))
     fisheye = str(frame.get("camera_model", "OPENCV")).upper() == "OPENCV_FISHEYE"
-    k = [float(frame.get(key, 0)) for key in ("k1", "k2", "k3", "k4")]
-    p = [float(frame.get(key, 0)) for key in ("p1", "p2")]
+    # distortion_params, where a file has them, are nerfstudio's own order k1 k2 k3 k4 p1 p2.
+    listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), frame.get("distortion_params") or ()))
+    k = [float(frame.get(key, listed.get(key, 0))) for key in ("k1", "k2", "k3", "k4")]
+    p = [float(frame.get(key, listed.get(key, 0))) for key in ("p1", "p2")]
     world_from_camera = source_from_file @ np.vstack([pose[:3], [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
     return RawCamera(
         name=name,

@@ -33,12 +33,21 @@ class RawCamera:
 
 @dataclass(frozen=True)
 class Reading:
-    """The cameras of one calibration, its format's name, its unit of length ("m", "mm" or "unknown") and what was changed."""
+    """The cameras of one calibration.
+
+    Attributes:
+        format: the format's name.
+        cameras: in the file's order.
+        unit: of length, "m", "mm" or "unknown".
+        notes: what was changed, in sentences.
+        named: False where the format has no names and the cameras stand in the order of the sorted videos.
+    """
 
     format: str
     cameras: tuple[RawCamera, ...]
     unit: str
     notes: tuple[str, ...]
+    named: bool = True
 
 
 def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> np.ndarray:
