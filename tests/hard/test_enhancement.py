@@ -14,7 +14,19 @@ from studiorecon.errors import Refusal
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.warp import warp
 
-PAPER = Injection(history=3, strength=0.3, decay=0.5, error_threshold=30.0, blur_px=11, blur_sigma_px=2.0, form="residual")
+PAPER = Injection(
+    history=3,
+    strength=0.3,
+    decay=0.5,
+    error="mean",
+    error_threshold=30.0,
+    blurred="confidence",
+    blur_px=11,
+    blur_sigma_px=2.0,
+    form="residual",
+    flow="direct",
+    check=True,
+)
 SHAPE = (24, 32, 3)
 
 

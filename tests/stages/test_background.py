@@ -233,3 +233,12 @@ def test_the_random_start_knows_nothing_but_the_cameras(cameras: list[Camera]) -
     assert (made.means_m[:, 2] == 0).sum() == 250
     assert np.ptp(made.means_m[:, 0]) > 2 * 2.4
     assert np.all(made.sh == 0)
+
+
+def test_generated_frames_stand_aside_for_photos_or_beside_them(cameras: list[Camera], between: list[Camera], settings: Callable) -> None:
+    """U16: at the cameras' own poses the photos alone, or both."""
+    views = [cameras[0], between[0], cameras[1]]
+    pictures, supports = [np.zeros((*v.hw, 3), np.uint8) for v in views], [np.full(v.hw, 255, np.uint8) for v in views]
+    steps = [Step(v, 0.0, "00") for v in views]
+    kept = {way: train.view_targets(steps, pictures, supports, cameras, settings(photo_poses=way)) for way in ("photos", "both")}
+    assert [len(kept[way]) for way in ("photos", "both")] == [1, 3]

@@ -24,6 +24,19 @@ from studiorecon.scene.path import Step, read_path
 
 from tests.stages.made_scene import FRAMES, enhance_options, render_options, ring, write_scene
 
+INJECTION = enhance_shot.Injection(
+    history=3,
+    strength=0.3,
+    decay=0.5,
+    error="mean",
+    error_threshold=30.0,
+    blurred="confidence",
+    blur_px=11,
+    blur_sigma_px=2.0,
+    form="residual",
+    flow="direct",
+    check=True,
+)
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
 
 
@@ -151,7 +164,7 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     """History already carries the correction; adding it again in full would end at 1 / (1 - w) times the residual."""
     camera, view, depth, view_depth, photo = one_view()
     enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
-    section = enhance_shot.Injection(3, 0.3, 0.5, 60.0, 11, 2.0, "residual")
+    section = replace(INJECTION, error_threshold=60.0)
     picture = np.full((*view.hw, 3), 60, np.uint8)
     steps = [Step(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
@@ -167,7 +180,7 @@ def test_history_starts_anew_with_every_segment() -> None:
     pictures = [rng.integers(0, 255, (*view.hw, 3), dtype=np.uint8) for _ in range(2)]
     steps = [Step(view, 0.0, "a"), Step(view, 1.0, "b")]
     depths = [np.full(view.hw, 2000, np.uint16)] * 2
-    loose = enhance_shot.Injection(3, 0.3, 0.5, 255.0, 11, 2.0, "residual")
+    loose = replace(INJECTION, error_threshold=255.0)
     together = list(enhance_shot.enhanced(steps, pictures, depths, lambda c, f: pictures[0], Unchanged(), loose, "medium"))
     np.testing.assert_array_equal(together[1], pictures[1])
 
@@ -179,7 +192,7 @@ def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> Non
 
     view = ring([0], "view")[0]
     picture, depth = np.full((*view.hw, 3), 100, np.uint8), np.full(view.hw, 2000, np.uint16)
-    injection = enhance_shot.Injection(3, 0.3, 0.5, 30.0, 11, 2.0, "residual")
+    injection = INJECTION
     with pytest.raises(Refusal, match=r"1\.050"):
         next(enhance_shot.enhanced([Step(view, 0.0, "a")], [picture], [depth], lambda c, f: picture, Brighter(), injection, "medium"))
 
@@ -206,7 +219,7 @@ def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture()
     depth = np.full(view.hw, 2000, np.uint16)
 
     def flicker(history: int) -> float:
-        injection = enhance_shot.Injection(history, 0.3, 0.5, 30.0, 11, 2.0, "residual")
+        injection = replace(INJECTION, history=history)
         steps = [Step(view, float(i), "a") for i in range(20)]
         outputs = list(enhance_shot.enhanced(steps, [picture] * 20, [depth] * 20, lambda c, f: picture, Flickering(), injection, "medium"))
         return float(np.abs(np.diff(np.stack(outputs[4:]).astype(float), axis=0)).mean())

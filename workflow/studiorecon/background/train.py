@@ -59,6 +59,7 @@ class Settings:
     fill_limit: int
     views_share: float
     hole_weight: float
+    photo_poses: Literal["photos", "both"]
     plate_boost: float
     seed: int
     training: TrainingSettings
@@ -110,13 +111,14 @@ def view_targets(
 ) -> list[Target]:
     """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix C).
 
-    Views that stand where a photo does are left out: the photo is there already.
+    Views that stand where a photo does are left out, the photo is there already, unless ``photo_poses: both`` keeps them (U16).
     """
     cutoff = cutoff_angle(cameras)
     targets = []
     for step, rgb, support in zip(steps, pictures, supports, strict=True):
         nearest = min(angle_between_axes(step.camera, c) for c in cameras)
-        if min(np.linalg.norm(step.camera.centre_m - c.centre_m) for c in cameras) < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
+        beside = min(np.linalg.norm(step.camera.centre_m - c.centre_m) for c in cameras)
+        if settings.photo_poses == "photos" and beside < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
             continue
         weight = view_weight(nearest, cutoff, settings.plate_boost)
         targets.append(Target(step.camera, to_float(rgb), support_weight(support, settings.hole_weight) * np.float32(weight)))

@@ -17,7 +17,15 @@ from typing import Literal
 
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.images.blur import gaussian_blur
+
+# E11: of a grey difference of 20 levels the mean is 20, the norm 34.6 and the sum 60.
+_ERRORS = {
+    "mean": lambda difference: difference.mean(axis=-1),
+    "norm": lambda difference: np.sqrt((difference**2).sum(axis=-1)),
+    "sum": lambda difference: difference.sum(axis=-1),
+}
 
 
 @dataclass(frozen=True)
@@ -28,18 +36,26 @@ class Injection:
         history: K, the number of earlier outputs.
         strength: w, the overall share of history at full confidence.
         decay: weight of each frame relative to the one after it.
-        error_threshold: τ_e, mean absolute RGB difference in levels of 255 at which confidence reaches zero.
-        blur_px, blur_sigma_px: kernel that smooths the confidence.
-        form: ``residual`` keeps constants constant; ``literal`` is the printed formula.
+        error: how the RGB difference of a pixel becomes one number: ``mean`` over channels, ``norm`` or ``sum`` (U04).
+        error_threshold: τ_e, that number in levels of 255 at which confidence reaches zero.
+        blurred: what the blur smooths: the ``confidence``, or the ``error`` before it becomes confidence (U05).
+        blur_px, blur_sigma_px: kernel of that blur.
+        form: ``residual`` keeps constants constant; ``literal`` is the printed formula (U01).
+        flow: ``direct`` from the current render to each earlier one, or ``chained`` over the renders between them (U06).
+        check: no confidence where the flow does not lead back (U06, numerics E10).
     """
 
     history: int
     strength: float
     decay: float
+    error: Literal["mean", "norm", "sum"]
     error_threshold: float
+    blurred: Literal["confidence", "error"]
     blur_px: int
     blur_sigma_px: float
     form: Literal["residual", "literal"]
+    flow: Literal["direct", "chained"]
+    check: bool
 
 
 def history_weights(existing: int, decay: float) -> np.ndarray:
@@ -51,13 +67,21 @@ def history_weights(existing: int, decay: float) -> np.ndarray:
 def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, injection: Injection) -> np.ndarray:
     """(H, W) float32 confidence of one warped earlier output against the current render, both (H, W, 3) in [0, 1].
 
-    Order: error → confidence → blur → zero where ``valid`` (H, W) is False, so that the blur cannot carry confidence back into
-    uncovered pixels (U05, numerics E10). A non-finite error is no confidence (E04).
+    Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur cannot carry
+    confidence back into uncovered or undefined pixels (U05, numerics E04, E10). Raises ValueError for pictures of two sizes.
     """
-    error_levels = np.abs(warped - render).mean(axis=-1) * 255
+    sizes = require("render", render, ("H", "W", 3))
+    require("warped", warped, ("H", "W", 3), sizes)
+    require("valid", valid, ("H", "W"), sizes)
+    error_levels = _ERRORS[injection.error](255 * np.abs(warped - render))
+    usable = np.isfinite(error_levels) & valid
+    # What is not finite counts as certainly wrong: just past the threshold, so that a blurred error stays in proportion.
+    error_levels = np.where(usable, np.where(usable, error_levels, 0.0), injection.error_threshold)
+    if injection.blurred == "error":
+        error_levels = gaussian_blur(error_levels, injection.blur_px, injection.blur_sigma_px)
+        return (np.maximum(0.0, 1 - error_levels / injection.error_threshold) * usable).astype(np.float32)
     trust = np.maximum(0.0, 1 - error_levels / injection.error_threshold)
-    trust = np.where(np.isfinite(error_levels) & valid, np.nan_to_num(trust), 0.0)
-    return gaussian_blur(trust, injection.blur_px, injection.blur_sigma_px) * valid
+    return gaussian_blur(trust, injection.blur_px, injection.blur_sigma_px) * usable
 
 
 def inject(
@@ -65,8 +89,13 @@ def inject(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame first.
 
-    Without earlier frames the render itself and zeros. Constants stay constant in the residual form whatever the confidences.
+    Without earlier frames the render itself and zeros. Constants stay constant in the residual form whatever the confidences. Raises
+    ValueError for pictures of two sizes, or a confidence missing.
     """
+    sizes = require("render", render, ("H", "W", 3))
+    for picture, trust in zip(warped, confidences, strict=True):
+        require("warped", picture, ("H", "W", 3), sizes)
+        require("confidences", trust, ("H", "W"), sizes)
     shares = np.zeros(render.shape[:2], np.float32)
     added = np.zeros_like(render, dtype=np.float32)
     for weight, picture, trust in zip(history_weights(len(warped), injection.decay), warped, confidences, strict=True):

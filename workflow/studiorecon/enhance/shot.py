@@ -7,18 +7,19 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from studiorecon.enhance.alignment import Past, flows_back
 from studiorecon.enhance.enhancer import Enhancer, Moment, Unchanged, check_gain, loop_gain
 from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
-from studiorecon.images.flow import consistent, dis_flow, grey_levels, one_thread
+from studiorecon.images.flow import grey_levels, one_thread
 from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frames, to_bytes, to_float, write_lossless, write_watchable
 from studiorecon.images.warp import warp
@@ -102,7 +103,7 @@ def enhanced(
 
     Memory holds the K latest pictures whatever the length of the shot. Raises Refusal for an enhancer whose outputs may not be fed back.
     """
-    history: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=injection.history)
+    history: deque[Past] = deque(maxlen=injection.history)
     segment = None
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
         for step, picture, depth_mm in zip(steps, pictures, depths_mm, strict=True):
@@ -111,26 +112,29 @@ def enhanced(
             if segment is None and injection.history:
                 untouched = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
                 check_gain(loop_gain(enhancer, photo, untouched), injection.strength)
-            if step.segment != segment or (history and history[0][0].shape != picture.shape):
+            if step.segment != segment or (history and history[0].output.shape != picture.shape):
                 history.clear()
                 segment = step.segment
             render, grey = to_float(picture), grey_levels(picture)
-            found = list(pool.map(lambda past: _aligned(render, grey, past, injection, flow_preset), history))  # noqa: B023
+            flows = flows_back(grey, history, injection, flow_preset, pool)
+            found = list(pool.map(partial(_aligned, render, injection), history, flows))
             blended, injected = inject(render, [w for w, _ in found], [c for _, c in found], injection)
             output = enhancer.enhance(blended, photo, Moment(step.camera, step.frame, depth_m, injected))
-            output = np.clip(output, 0, 1).astype(np.float32)
-            history.appendleft((output, grey))
+            bad = ~np.isfinite(output).all(axis=-1)
+            if bad.any():
+                say(
+                    f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels are not finite after the enhancer, kept as rendered"
+                )
+            output = np.clip(np.where(bad[..., None], render, output), 0, 1).astype(np.float32)
+            history.appendleft(Past(output, grey, *(flows[0] if flows else (None, None))))
             yield to_bytes(output)
 
 
-def _aligned(
-    render: np.ndarray, grey: np.ndarray, past: tuple[np.ndarray, np.ndarray], injection: Injection, preset: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """An earlier output on the current picture, and its confidence; the flow is that of the raw renders (U06)."""
-    output, past_grey = past
-    backward, forward = dis_flow(grey, past_grey, preset), dis_flow(past_grey, grey, preset)
-    warped, inside = warp(output, backward)
-    return warped, confidence(render, warped, inside & consistent(backward, forward), injection)
+def _aligned(render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """An earlier output on the current picture, and its confidence there."""
+    backward, valid = flow
+    warped, inside = warp(past.output, backward)
+    return warped, confidence(render, warped, inside & valid, injection)
 
 
 def run(

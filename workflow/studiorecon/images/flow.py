@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.errors import Refusal
 from studiorecon.images.warp import warp
 
@@ -59,12 +60,27 @@ def dis_flow(first_grey: np.ndarray, second_grey: np.ndarray, preset: str) -> np
     return cv2.DISOpticalFlow_create(PRESETS[preset]).calc(first_grey, second_grey, None)
 
 
+def chained(flow: np.ndarray, valid: np.ndarray, further: np.ndarray, further_valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flow (H, W, 2) from a first picture to a third and (H, W) bool where it holds, from first to second and second to third.
+
+    F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises ValueError for flows
+    of two sizes.
+    """
+    sizes = require("flow", flow, ("H", "W", 2))
+    require("further", further, ("H", "W", 2), sizes)
+    onward, inside = warp(further, flow)
+    known, _ = warp(further_valid, flow, "nearest")
+    return flow + onward, valid & inside & known
+
+
 def consistent(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
     """(H, W) bool: pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
     |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It is what
-    finds uncovered background, where colours may agree by chance (numerics E10). Non-finite flow is inconsistent (E13).
+    finds uncovered background, where colours may agree by chance (numerics E10). Non-finite flow is inconsistent (E13). Raises
+    ValueError for flows of two sizes.
     """
+    require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
     back, inside = warp(np.nan_to_num(reverse_flow, nan=_NOWHERE_PX, posinf=_NOWHERE_PX, neginf=_NOWHERE_PX), flow)
     safe = np.where(inside[..., None], flow, 0)
     gap = ((safe + back) ** 2).sum(axis=-1)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``python -m tests.hard.table`` writes README.md beside it: every hard case with its test, every reading with its setting.
+
+The rows and their owners stand in ``rows.tsv``, the readings in ``readings.tsv``; the tests are asked from pytest, where a test carries
+a row when the row's id is part of its pytest id or name. ``--check`` writes nothing and fails when the file is out of date.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+README = HERE / "README.md"
+PACKAGE = ROOT / "workflow" / "studiorecon"
+# How many rows each letter of the design's table has.
+ROW_COUNTS = {"C": 12, "R": 21, "T": 16, "S": 7, "D": 7, "A": 15, "M": 7, "F": 9, "L": 8, "G": 16, "I": 14, "O": 8, "E": 14, "V": 7}
+READING_COUNT = 60
+
+_ROW_ID = re.compile(r"(?<![A-Za-z0-9])([CRTSDAMFLGIOEVcrtsdamflgioev]\d\d)(?![0-9])")
+
+HEAD = """# Hard cases and readings
+
+Made by `python -m tests.hard.table`; do not edit by hand. The first table holds every case in which the method's arithmetic is known to
+break, with the test that holds it and the module that owns it. The second lists every place where the paper leaves room, the reading that
+is taken, and the setting that chooses it.
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One hard case: its id, a few words, and the module of ``studiorecon`` that owns it."""
+
+    id: str
+    what: str
+    module: str
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading of an ambiguous passage.
+
+    Attributes:
+        id: U01 to U60.
+        settings: ``key=value`` of config.yaml, several with ``; ``; empty when nothing is to be switched.
+        reading: what is taken and, without a setting, why there is none.
+        module: where in ``studiorecon`` it is.
+    """
+
+    id: str
+    settings: str
+    reading: str
+    module: str
+
+
+def rows() -> list[Row]:
+    """The hard cases in the order of ``rows.tsv``."""
+    return [Row(**line) for line in _lines("rows.tsv")]
+
+
+def readings() -> list[Reading]:
+    """The readings in the order of ``readings.tsv``."""
+    return [Reading(**line) for line in _lines("readings.tsv")]
+
+
+def _lines(name: str) -> list[dict[str, str]]:
+    with (HERE / name).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def module_path(module: str) -> Path:
+    """The file of ``geometry.path`` under the package."""
+    return PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
+
+
+def collected() -> list[str]:
+    """The pytest ids of all tests, slow ones included; RuntimeError when a test file cannot be imported."""
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "", "-p", "no:cacheprovider", "tests"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode != 0:
+        raise RuntimeError(f"pytest cannot collect the tests:\n{listing.stdout[-2000:]}{listing.stderr[-2000:]}")
+    return [line for line in listing.stdout.splitlines() if "::" in line]
+
+
+def rows_of(test: str) -> set[str]:
+    """The row ids in a pytest id: ``tests/hard/test_a.py::test_d01_x[E03-1]`` carries D01 and E03; the file's name does not count."""
+    return {match.upper() for match in _ROW_ID.findall(test.partition("::")[2].replace("_", " "))}
+
+
+def tests_by_row(tests: Sequence[str]) -> dict[str, Counter[str]]:
+    """Row id → test function (``hard/test_a.py::test_x``) → number of its cases that carry the id."""
+    found: dict[str, Counter[str]] = {}
+    for test in tests:
+        for row in rows_of(test):
+            found.setdefault(row, Counter())[test.partition("[")[0].removeprefix("tests/")] += 1
+    return found
+
+
+def state(row: Row, tests: Mapping[str, Counter[str]]) -> str:
+    """``held``, or what the row waits for."""
+    if row.id in tests:
+        return "held"
+    path = module_path(row.module)
+    return "missing: no test carries its id" if path.is_file() else f"missing: waits for {path.relative_to(PACKAGE)}"
+
+
+def written(tests: Mapping[str, Counter[str]]) -> str:
+    """The text of README.md."""
+    listed = rows()
+    held = sum(state(row, tests) == "held" for row in listed)
+    lines = [HEAD, f"## Hard cases ({held} of {len(listed)} held)\n", "| id | what | test | module | state |", "|---|---|---|---|---|"]
+    for row in listed:
+        named = "<br>".join(f"`{test}`" + (f" ×{count}" if count > 1 else "") for test, count in sorted(tests.get(row.id, {}).items()))
+        lines.append(f"| {row.id} | {row.what} | {named} | `{row.module}` | {state(row, tests)} |")
+    lines += ["", "## Readings\n", "| id | reading | setting (default) | module |", "|---|---|---|---|"]
+    for reading in readings():
+        keys = "<br>".join(f"`{one.strip()}`" for one in reading.settings.split(";")) if reading.settings else "–"
+        lines.append(f"| {reading.id} | {reading.reading} | {keys} | `{reading.module}` |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str]) -> int:
+    text = written(tests_by_row(collected()))
+    if "--check" in arguments:
+        return int(README.read_text(encoding="utf-8") != text)
+    README.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

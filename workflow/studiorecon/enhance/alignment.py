@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where earlier pictures of a film lie on the current one: flow of the raw renders, straight to each or over those between (U06)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.enhance.injection import Injection
+from studiorecon.images.flow import chained, consistent, dis_flow
+
+
+@dataclass(frozen=True)
+class Past:
+    """An earlier picture of the film.
+
+    Attributes:
+        output: (H, W, 3) float32 what the enhancer made of it.
+        grey: (H, W) uint8 luminance of its raw render.
+        flow, valid: (H, W, 2) flow to the picture before it and (H, W) where that holds; None for the first of a segment.
+    """
+
+    output: np.ndarray
+    grey: np.ndarray
+    flow: np.ndarray | None
+    valid: np.ndarray | None
+
+
+def backward_flow(grey: np.ndarray, past_grey: np.ndarray, preset: str, check: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be checked."""
+    backward = dis_flow(grey, past_grey, preset)
+    if not check:
+        return backward, np.isfinite(backward).all(axis=-1)
+    return backward, consistent(backward, dis_flow(past_grey, grey, preset))
+
+
+def flows_back(
+    grey: np.ndarray, history: Sequence[Past], injection: Injection, preset: str, pool: Executor
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Flow and validity from the current picture to every earlier one, latest first.
+
+    ``chained`` costs one search per picture whatever the history and adds up the errors of its links; ``direct`` searches once per
+    earlier picture. Either way every stored output is warped once (numerics E08).
+    """
+    if injection.flow == "direct":
+        return list(pool.map(lambda past: backward_flow(grey, past.grey, preset, injection.check), history))
+    found = [backward_flow(grey, past.grey, preset, injection.check) for past in list(history)[:1]]
+    for past in list(history)[:-1]:
+        if past.flow is None or past.valid is None:
+            raise ValueError("history holds a picture without its flow to the picture before it")
+        found.append(chained(*found[-1], past.flow, past.valid))
+    return found
