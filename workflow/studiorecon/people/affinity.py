@@ -1,36 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Affinity of detections that come with a monocular body: position and pose, as in the paper, with every unit stated.
+"""Affinity of two detections, or of two tracks, from how far apart they are and how much their poses differ.
 
-affinity = exp(-(d / sigma_p)²/2) · exp(-(θ / sigma_θ)²/2), d between pelvises in metres, θ the mean angle of the body joints
-without the root (numerics U27). The pelvis is lifted by depth and moved inside the body (U26, C11).
+Paper, equation of the affinity and appendix: A = w_p exp(-d/σ_p) + w_θ exp(-θ/σ_θ). d in metres (numerics A04, A05), θ the mean
+angle over the body joints without the root (A06-A08, U27); a pair past its gate has no affinity, before any assignment (U29, A03).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from studiorecon.geometry.rotations import angle
-from studiorecon.scene.camera import Camera
-
-# A depth map shows the skin; the pelvis joint lies this far behind it along the ray (numerics C11).
-PELVIS_DEPTH_M = 0.13
 
 
-def lift_pelvis(camera: Camera, pixels: np.ndarray, depth_patches_m: np.ndarray, near_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """World pelvises (D, 3) of pixels (D, 2), NaN and valid=False where no depth of its patch (D, P) is finite and past ``near_m``.
+@dataclass(frozen=True)
+class AssociationLimits:
+    """How tracks become people, and who counts as one; see ``config.yaml`` for each value's meaning and source."""
 
-    The depth is the median of the usable patch depths (C04); 0.13 m are added along the ray, not in z.
-    """
-    usable = np.isfinite(depth_patches_m) & (depth_patches_m > near_m)
-    ordered = np.sort(np.where(usable, depth_patches_m, np.inf), axis=-1)
-    middle = np.take_along_axis(ordered, np.maximum((usable.sum(-1) - 1) // 2, 0)[:, None], axis=-1)[:, 0]
-    valid = usable.any(-1) & np.isfinite(pixels).all(-1)
-    surface = camera.unproject(np.where(valid[:, None], pixels, 0.0), np.where(valid, middle, 1.0))
-    ray = surface - camera.centre_m
-    pelvis = surface + PELVIS_DEPTH_M * ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    return np.where(valid[:, None], pelvis, np.nan), valid
+    method: Literal["tracks", "star"]
+    affinity: Literal["both", "position", "pose"]
+    position: Literal["rays", "pelvis"]
+    gate_m: float
+    pelvis_gate_m: float
+    pose_gate_rad: float
+    position_weight: float
+    pose_weight: float
+    sigma_m: float
+    sigma_rad: float
+    undecided_margin: float
+    track_agreement: float
+    camera_share: float
+    least_frames: int
+    least_share: float
+    torso_m: tuple[float, float]
+    reentry_speed_m_s: float
+    reentry_s: float
 
 
 def pose_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -38,15 +45,32 @@ def pose_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return angle(first[:, None], second[None]).mean(-1)
 
 
-def affinities(distance_m: np.ndarray, pose_rad: np.ndarray | None, gate_m: float, sigma_m: float, sigma_rad: float) -> np.ndarray:
-    """Affinity in [0, 1] of distances, 0 where past the gate or not finite, so that neither is ever assigned (A02, A03, A13)."""
+def gated(distance: np.ndarray, gate: float) -> np.ndarray:
+    """``distance`` where it is finite and below ``gate``, else NaN: what is past its gate was never a candidate (A02, A03)."""
     with np.errstate(invalid="ignore"):
-        inside = np.isfinite(distance_m) & (distance_m < gate_m)
-    value = np.exp(-0.5 * (np.where(inside, distance_m, 0.0) / sigma_m) ** 2)
-    if pose_rad is not None:
-        inside &= np.isfinite(pose_rad)
-        value = value * np.exp(-0.5 * (np.where(inside, pose_rad, 0.0) / sigma_rad) ** 2)
-    return np.where(inside, value, 0.0)
+        return np.where(np.isfinite(distance) & (distance < gate), distance, np.nan)
+
+
+def affinities(distance_m: np.ndarray, pose_rad: np.ndarray, gate_m: float, limits: AssociationLimits) -> np.ndarray:
+    """The paper's affinity in [0, 1] of gated pairs (any shape); exactly 0 for pairs that must not be matched (A02, A03, A13).
+
+    With ``affinity: both`` the position must pass its gate; a pair whose poses are unknown is judged by its position alone, on the
+    same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``, ``limits.pose_gate_rad``).
+    """
+    near, alike = gated(distance_m, gate_m), gated(pose_rad, np.inf)
+    position = np.exp(-near / limits.sigma_m)
+    return combined(position, np.exp(-alike / limits.sigma_rad), gated(pose_rad, limits.pose_gate_rad), limits)
+
+
+def combined(position: np.ndarray, pose: np.ndarray, pose_rad: np.ndarray, limits: AssociationLimits) -> np.ndarray:
+    """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which decides alone for ``pose``."""
+    if limits.affinity == "pose":
+        return np.where(np.isfinite(pose_rad), np.nan_to_num(pose), 0.0)
+    if limits.affinity == "position":
+        return np.nan_to_num(position)
+    total = limits.position_weight + limits.pose_weight
+    both = (limits.position_weight * position + limits.pose_weight * np.nan_to_num(pose)) / total
+    return np.nan_to_num(np.where(np.isfinite(pose), both, position))
 
 
 def window_distances(positions_m: Sequence[np.ndarray]) -> np.ndarray:
@@ -63,11 +87,3 @@ def window_distances(positions_m: Sequence[np.ndarray]) -> np.ndarray:
                 offset = (positions_m[i][shared] - positions_m[j][shared]).mean(0)
                 distance[i, j] = distance[j, i] = np.linalg.norm(offset)
     return distance
-
-
-def margin(affinity: np.ndarray) -> np.ndarray:
-    """(A,) best minus second best of every row of (A, B): below 0.05 the row is undecided and needs more frames (A12)."""
-    if affinity.shape[1] < 2:
-        return affinity.max(-1, initial=0.0)
-    ordered = np.sort(affinity, axis=-1)
-    return ordered[:, -1] - ordered[:, -2]

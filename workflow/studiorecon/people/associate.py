@@ -15,10 +15,11 @@ from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
 from studiorecon.people import fit
+from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.corrected import read_corrected, rows_of
 from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, person_share, sampled_frames
 from studiorecon.people.foreground import open_view
-from studiorecon.people.grouping import AssociationLimits, Group, group_tracks, torso_m
+from studiorecon.people.grouping import Group, group_tracks, torso_m
 from studiorecon.people.standing import HullSettings, Standing, find_standing, write_standing
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera

@@ -8,24 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, groups_of, stable_detections, track_graph
+from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, groups_by_affinity, stable_detections
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.people.affinity import AssociationLimits
+from studiorecon.people.pairs import TrackPairs, margins, sights, track_pairs
+from studiorecon.people.star import star_groups
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
-
-
-@dataclass(frozen=True)
-class AssociationLimits:
-    """Which tracks are one person, and who counts as one; see ``config.yaml`` for each value's meaning."""
-
-    gate_m: float
-    track_agreement: float
-    camera_share: float
-    least_frames: int
-    least_share: float
-    torso_m: tuple[float, float]
-    reentry_speed_m_s: float
-    reentry_s: float
 
 
 @dataclass(frozen=True)
@@ -62,20 +51,35 @@ class Group:
 def group_tracks(
     detections: Sequence[Detections], cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits, agree: Limits
 ) -> list[Group]:
-    """All groups of at least two cameras, whoever they are; ``judge`` decides who counts."""
+    """All groups of at least two cameras, whoever they are; ``judge`` decides who counts.
+
+    ``limits.method`` "tracks": whole tracks of all views together, checked by triangulation, joined over gaps. "star": the paper's
+    single frame and reference view, as it stands.
+    """
     stable = stable_detections(detections)
-    graph = track_graph(stable, cameras)
-    chosen = [
-        [(int(graph.view[n]), int(graph.track[n])) for n in g]
-        for g in groups_of(graph.distance_m, graph.view, graph.together, limits.gate_m)
-    ]
+    seen = sights(detections, stable, cameras, limits)
+    if limits.method == "star":
+        return [_group(members, stable, cameras, frames, agree) for members in star_groups(seen, limits)]
+    pairs = track_pairs(seen, stable, cameras, limits)
     groups = []
-    for members in chosen:
+    for nodes in groups_by_affinity(pairs.affinity, pairs.forbidden):
+        members = [(int(pairs.view[n]), int(pairs.track[n])) for n in nodes]
         group = _without_strangers(_group(members, stable, cameras, frames, agree), stable, cameras, frames, limits, agree)
         if group is not None:
             groups.append(group)
     groups = _with_leftovers(groups, stable, cameras, frames, limits, agree)
     return _joined_over_gaps(groups, stable, cameras, frames, fps, limits, agree)
+
+
+def track_margins(
+    groups: Sequence[Group], detections: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
+) -> dict[tuple[int, int], float]:
+    """By how much every grouped (view, track) prefers its group to the next best one (A12); below ``undecided_margin`` it is undecided."""
+    stable = stable_detections(detections)
+    pairs: TrackPairs = track_pairs(sights(detections, stable, cameras, limits), stable, cameras, limits)
+    node = {(int(v), int(t)): n for n, (v, t) in enumerate(zip(pairs.view, pairs.track))}
+    found = margins(pairs, [[node[m] for m in g.members] for g in groups])
+    return {m: float(found[node[m]]) for g in groups for m in g.members}
 
 
 def torso_m(group: Group) -> float:
