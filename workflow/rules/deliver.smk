@@ -10,6 +10,8 @@ rule deliver_export:
         avatars=human_avatars,
         fits=fits,
         body=BODY,
+        detections=detections,
+        identities=branch(DATASET.people, then="results/{scene}/people/identities.tsv"),
         films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
     output:
         contents="results/{scene}/deliver/manifest.json",
@@ -29,4 +31,4 @@ rule deliver_export:
         "python -m studiorecon deliver.export --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --background {input.background}"
         " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --fits {input.fits:q} --body {input.body}"
-        " --films {input.films:q} --contents {output.contents}"
+        " --films {input.films:q} --detections {input.detections:q} --identities {input.identities:q} --contents {output.contents}"

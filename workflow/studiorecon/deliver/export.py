@@ -11,29 +11,34 @@ from pathlib import Path
 
 from studiorecon.body.avatar import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.deliver import camera_files, keypoint_files
 from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model, read_points
 from studiorecon.scene.files import complete, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.people import read_detections, read_identities
 
-CAMERA_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 README = """{scene}: a 4D scene of {people} and a static room, exported by studiorecon.
 
 background.ply    the static room: 3D Gaussians, binary PLY in the layout of the original 3DGS code
-{still}{persons}cameras/          COLMAP text model of the training cameras: undistorted pinholes, names as in the capture
-films/            H.264 films, enhanced: {films}
+{still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
+{keypoints}films/            H.264 films, enhanced: {films}
 manifest.json     size and SHA-256 of every file here
 
 World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward; pixel centres
-at +0.5. Time is counted from 0, {frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities and spherical
-harmonics; quaternions are (w, x, y, z).
+at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those tools do; nerfstudio's axes are OpenGL's). Time is counted from 0,
+{frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities and spherical harmonics; quaternions are (w, x, y, z).
 
 What is not here: the Gaussians are what the cameras' pictures support. Surfaces that no camera saw were inferred or invented
 (the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is in bodies/.
 """
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
+_KEYPOINTS = (
+    "keypoints/        2D keypoints with identities, in pixels of the exported cameras: OpenPose JSON and EasyMocap annots ({layouts})\n"
+)
 _PERSONS = (
     "people/           each person at frame {frame}, in the world, same layout\n"
     "bodies/           each person's motion: AMASS-style npz (poses, trans, betas, joints; SMPL's 24-joint order; trans = pelvis)\n"
@@ -52,13 +57,16 @@ def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) 
     return {"background.ply": background, **still, **posed}
 
 
-def readme(scene: str, people: Sequence[str], films: Sequence[str], frame: int, frames: int, fps: float) -> str:
+def readme(
+    scene: str, people: Sequence[str], films: Sequence[str], frame: int, frames: int, fps: float, layouts: Sequence[str] = ()
+) -> str:
     """The text that says what is what; it mentions only what is there."""
     return README.format(
         scene=scene,
         people=f"{len(people)} people" if len(people) != 1 else "one person",
         still=_STILL.format(frame=frame) if people else "",
         persons=_PERSONS.format(frame=frame) if people else "",
+        keypoints=_KEYPOINTS.format(layouts=", ".join(layouts)) if layouts else "",
         films=", ".join(films) if films else "none",
         frames=frames,
         fps=fps,
@@ -91,6 +99,8 @@ def run(
     fits: list[Path],
     body: Path | None,
     films: list[Path],
+    detections: list[Path],
+    identities: list[Path],
     contents: Path,
 ) -> None:
     """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one does not have."""
@@ -103,13 +113,22 @@ def run(
     written = gaussian_files(read_ply(background), people, frame)
     for name, one in written.items():
         write_ply(folder / name, one)
-    copies = {model.parent / name: folder / "cameras" / name for name in CAMERA_FILES}
-    copies |= {film: folder / "films" / film.name for film in films}
+    cameras, seen = read_model(model.parent), [read_detections(p) for p in detections]
+    points_m = read_points(model.parent)
+    other = [p for form, write in camera_files.WRITERS.items() for p in write(folder / "cameras" / form, cameras, points_m)]
+    by_name, names = {c.name: c for c in cameras}, [p.person for p in people]
+    known = {k: v for path in identities for k, v in read_identities(path).items()}
+    for form, write in keypoint_files.WRITERS.items():
+        for d in seen:
+            numbers = keypoint_files.numbers_of(d.camera, known, names)
+            other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
+    copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
     copy_files(copies)
-    text = readme(scene, [p.person for p in people], [f.stem for f in films], frame, capture.frames, capture.fps)
+    layouts = sorted({d.layout for d in seen})
+    text = readme(scene, names, [f.stem for f in films], frame, capture.frames, capture.fps, layouts)
     write_text(folder / "README.txt", text)
-    delivered = sorted(["README.txt", *written, *(str(target.relative_to(folder)) for target in copies.values())])
+    delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])])
     for stale in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in delivered]:
         stale.unlink()
     write_json(contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}})

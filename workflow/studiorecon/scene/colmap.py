@@ -86,6 +86,12 @@ def read_model(folder: Path) -> list[Camera]:
     return cameras
 
 
+def read_points(folder: Path) -> np.ndarray:
+    """(N, 3) points of a model written by ``write_model``."""
+    rows = [line.split()[1:4] for line in _lines(folder / "points3D.txt")]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
 def _lines(path: Path) -> list[str]:
     if not path.is_file():
         raise Refusal(f"{path} is missing")

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""2D keypoints with identities in the files of other tools: OpenPose JSON and EasyMocap annots, in pixels of the exported cameras."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_text
+from studiorecon.scene.people import Detections
+
+# Both tools count pixels from the first one's centre.
+_CENTRE = 0.5
+
+
+def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
+    """``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, empty ones too; ``person_id`` is the identity or -1."""
+    written = []
+    for frame in range(frames):
+        entries = [
+            {"person_id": [people.get(int(seen.track[d]), -1)], "pose_keypoints_2d": np.round(_triples(seen, d), 9).reshape(-1).tolist()}
+            for d in np.flatnonzero(seen.frame == frame)
+        ]
+        path = folder / f"{seen.camera}_json" / f"{seen.camera}_{frame:012d}_keypoints.json"
+        _write(path, {"version": 1.3, "people": entries})
+        written.append(path)
+    return written
+
+
+def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
+    """``annots/<camera>/<frame>.json``, one per frame, empty ones too; ``personID`` is the identity or -1."""
+    written = []
+    for frame in range(frames):
+        annots = []
+        for d in np.flatnonzero(seen.frame == frame):
+            points = _triples(seen, d)
+            present = points[:, 2] > 0
+            low, high = points[present, :2].min(0), points[present, :2].max(0)
+            box = [*low.tolist(), *high.tolist(), float(points[present, 2].mean())]
+            annots.append({"personID": people.get(int(seen.track[d]), -1), "bbox": box, "keypoints": points.tolist(), "isKeyframe": False})
+        content = {"filename": f"images/{seen.camera}/{frame:06d}.jpg", "height": camera.wh[1], "width": camera.wh[0], "annots": annots}
+        path = folder / "annots" / seen.camera / f"{frame:06d}.json"
+        _write(path, content)
+        written.append(path)
+    return written
+
+
+WRITERS: dict[str, Callable[[Path, Detections, Camera, int, Mapping[int, int]], list[Path]]] = {
+    "openpose": openpose,
+    "easymocap": easymocap,
+}
+
+
+def numbers_of(camera: str, identities: Mapping[tuple[str, int], str], people: Sequence[str]) -> dict[int, int]:
+    """track → place of its person in ``people``; rejected tracks are absent."""
+    return {track: people.index(p) for (name, track), p in identities.items() if name == camera and p in people}
+
+
+def _triples(seen: Detections, d: int) -> np.ndarray:
+    """(K, 3) x, y, confidence; a missing point is 0, 0, 0, as both tools have it."""
+    present = seen.keypoints[d, :, 2] > 0
+    shifted = seen.keypoints[d] - [_CENTRE, _CENTRE, 0.0]
+    return np.where(present[:, None], shifted, 0.0)
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    write_text(path, json.dumps(content, separators=(",", ":")) + "\n")
