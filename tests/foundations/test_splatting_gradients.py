@@ -3,59 +3,183 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians import Gaussians, concatenate, empty
 from studiorecon.splatting.blocks import block, morton_order, repose
-from studiorecon.splatting.rasterise import Rasteriser, rasterise
+from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+from studiorecon.splatting.rasterise import Rasteriser, Rendering, rasterise
 
-from tests.foundations.splatting_scenes import camera, hard, room
+from tests.foundations.gsplat_stand_in import rasterization
+from tests.foundations.splatting_scenes import camera, from_values, hard, room
 
 NEAR_M = 0.01
 BACKGROUND = (0.2, 0.5, 0.7)
+EXACT: Mapping[str, float] = {}
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 
 
-def reference(gaussians: Gaussians, view: Camera, by: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """rgb, alpha, expected depth, and gradients of Σ by·(rgb, alpha, depth), all by float64 autograd."""
+Pictures = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def reference(gaussians: Gaussians, view: Camera, by: np.ndarray, antialias: bool = False) -> tuple[Pictures, dict[str, np.ndarray]]:
+    """(rgb, alpha, expected depth) and the gradients of Σ by·(rgb, alpha, depth), all by float64 autograd."""
     import torch
     from studiorecon.splatting.reference import leaves, render
 
     parameters = leaves(gaussians)
-    rgb, alpha, depth_sum = render(parameters, view, BACKGROUND, NEAR_M)
+    background = torch.tensor(BACKGROUND, dtype=torch.float64, requires_grad=True)
+    rgb, alpha, depth_sum = render(parameters, view, background, NEAR_M, antialias)
     depth = torch.where(alpha > 1e-4, depth_sum / alpha.clamp_min(1e-9), torch.zeros_like(alpha))
     weights = torch.tensor(by, dtype=torch.float64)
     ((rgb * weights[..., :3]).sum() + (alpha * weights[..., 3]).sum() + (depth * weights[..., 4]).sum()).backward()
-    gradients = {name: parameters[name].grad.numpy() for name in FIELDS}
-    return rgb.detach().numpy(), alpha.detach().numpy(), depth.detach().numpy(), gradients
+    gradients = {name: parameters[name].grad.numpy() for name in FIELDS} | {"background_rgb": background.grad.numpy()}
+    return (rgb.detach().numpy(), alpha.detach().numpy(), depth.detach().numpy()), gradients
+
+
+def assert_close(
+    rendering: Rendering, gradients: object, expected: tuple[Pictures, dict[str, np.ndarray]], limits: Mapping[str, float] = EXACT
+) -> None:
+    """Mean absolute errors of images and relative L2 errors of every gradient."""
+    for found, wanted, limit in zip((rendering.rgb, rendering.alpha, rendering.depth_m), expected[0], (1e-6, 1e-6, 1e-5), strict=True):
+        assert np.abs(found - wanted).mean() < limit
+    for name, wanted in expected[1].items():
+        error = np.linalg.norm(getattr(gradients, name) - wanted) / np.linalg.norm(wanted)
+        assert error < limits.get(name, 1e-4), f"{name}: relative error {error:.1e}"
 
 
 # The seeds are such that no pixel lies within rounding of the 1/255 threshold, where image and gradients jump.
-@pytest.mark.parametrize(
-    ("gaussians", "view"),
-    [
-        pytest.param(room(1500, 5), camera(96, 56), id="room"),
-        pytest.param(hard(600, 1), camera(96, 56), id="hard"),
-        pytest.param(hard(900, 7), camera(160, 90), id="hard, not whole tiles"),
-        pytest.param(room(777, 9).with_sh_degree(1), camera(83, 41, (11.3, -6.2)), id="odd size, off-centre, SH 1"),
-    ],
-)
-def test_image_and_gradients_agree_with_float64_autograd(gaussians: Gaussians, view: Camera) -> None:
+SCENES = [
+    pytest.param(room(1500, 5), camera(96, 56), id="room"),
+    pytest.param(hard(600, 1), camera(96, 56), id="hard"),
+    pytest.param(hard(900, 7), camera(160, 90), id="hard, not whole tiles"),
+    pytest.param(room(777, 9).with_sh_degree(1), camera(83, 41, (11.3, -6.2)), id="odd size, off-centre, SH 1"),
+    pytest.param(room(400, 2).with_sh_degree(0), camera(48, 48), id="SH 0"),
+    pytest.param(room(400, 3).with_sh_degree(2), camera(48, 48), id="SH 2"),
+]
+
+
+@pytest.mark.parametrize("antialias", [pytest.param(False, id="as 3DGS"), pytest.param(True, id="G04 G06 compensated")])
+@pytest.mark.parametrize(("gaussians", "view"), SCENES)
+def test_image_and_gradients_agree_with_float64_autograd(gaussians: Gaussians, view: Camera, antialias: bool) -> None:
     by = np.random.default_rng(3).normal(size=(*view.hw, 5)).astype(np.float32)
-    rgb, alpha, depth, expected = reference(gaussians, view, by)
-    rasteriser = Rasteriser(near_m=NEAR_M, threads=2)
+    rasteriser = Rasteriser(near_m=NEAR_M, threads=2, antialias=antialias)
     rendering = rasteriser.forward(gaussians, view, BACKGROUND)
-    assert np.abs(rendering.rgb - rgb).mean() < 1e-6
-    assert np.abs(rendering.alpha - alpha).mean() < 1e-6
-    assert np.abs(rendering.depth_m - depth).mean() < 1e-5
     gradients = rasteriser.backward(by[..., :3], by[..., 3], by[..., 4])
+    assert_close(rendering, gradients, reference(gaussians, view, by, antialias))
+
+
+@pytest.mark.parametrize("antialias", [False, True])
+@pytest.mark.parametrize(("gaussians", "view"), SCENES)
+def test_the_gsplat_back_end_hands_over_and_takes_back_what_the_cpu_does(gaussians: Gaussians, view: Camera, antialias: bool) -> None:
+    """With gsplat's function replaced by the reference: camera, axes, order of harmonics, background, depth, masks, screen gradient."""
+    by = np.random.default_rng(3).normal(size=(*view.hw, 5)).astype(np.float32)
+    ours = Rasteriser(near_m=NEAR_M, threads=1, antialias=antialias)
+    theirs = GsplatRasteriser(near_m=NEAR_M, antialias=antialias, place="cpu", function=rasterization)
+    ours.forward(gaussians, view, BACKGROUND)
+    rendering = theirs.forward(gaussians, view, BACKGROUND)
+    assert (theirs.refused, theirs.visible_count) == (ours.refused, pytest.approx(ours.visible_count, abs=0.03 * gaussians.count))
+    gradients = theirs.backward(by[..., :3], by[..., 3], by[..., 4])
+    assert_close(rendering, gradients, reference(gaussians, view, by, antialias))
+    screen = ours.backward(by[..., :3], by[..., 3], by[..., 4]).screen
+    assert np.linalg.norm(gradients.screen - screen) < 1e-4 * np.linalg.norm(screen)
+    with pytest.raises(ValueError, match="each takes one"):
+        theirs.backward(by[..., :3])
+
+
+def test_the_autograd_function_agrees_with_float64_autograd() -> None:
+    import torch
+    from studiorecon.splatting.autograd import rasterise as rasterise_tensors
+
+    gaussians, view = hard(600, 1), camera(96, 56)
+    by = np.random.default_rng(3).normal(size=(*view.hw, 5)).astype(np.float32)
+    # Double inputs too: gradients come back in the inputs' own type, and scaling the inputs' gradient chains through.
+    leaves = {name: torch.tensor(getattr(gaussians, name), dtype=torch.float64, requires_grad=True) for name in FIELDS}
+    background = torch.tensor(BACKGROUND, requires_grad=True)
+    pictures = rasterise_tensors(*(2 * (leaf / 2) for leaf in leaves.values()), view, background, near_m=NEAR_M, threads=2)
+    weights = torch.from_numpy(by)
+    sum((picture * weight).sum() for picture, weight in zip(pictures, (weights[..., :3], weights[..., 3], weights[..., 4]))).backward()
+    found = SimpleNamespace(**{name: leaf.grad.numpy() for name, leaf in leaves.items()}, background_rgb=background.grad.numpy())
+    assert_close(Rendering(*(picture.detach().numpy() for picture in pictures)), found, reference(gaussians, view, by))
+    assert leaves["sh"].grad.dtype == torch.float64
+
+
+def back_ends(antialias: bool = False) -> list[Rasteriser | GsplatRasteriser]:
+    return [
+        Rasteriser(near_m=NEAR_M, threads=2, antialias=antialias),
+        GsplatRasteriser(near_m=NEAR_M, antialias=antialias, place="cpu", function=rasterization),
+    ]
+
+
+@pytest.mark.parametrize("rasteriser", back_ends(), ids=["cpu", "gsplat"])
+@pytest.mark.parametrize("box", [(16, 16, 64, 48), (13, 5, 50, 41), (0, 0, 1, 1), (95, 40, 96, 56)])
+def test_a_crop_is_a_piece_of_the_whole_picture_with_its_gradients(rasteriser, box: tuple[int, int, int, int]) -> None:
+    gaussians, view = hard(600, 1), camera(96, 56)
+    piece = (slice(box[1], box[3]), slice(box[0], box[2]))
+    by = np.zeros((*view.hw, 5), np.float32)
+    by[piece] = np.random.default_rng(3).normal(size=by[piece].shape)
+    whole = rasteriser.forward(gaussians, view, BACKGROUND)
+    expected = rasteriser.backward(by[..., :3], by[..., 3], by[..., 4])
+    part = rasteriser.forward(gaussians, view, BACKGROUND, crop=box)
+    found = rasteriser.backward(by[piece][..., :3], by[piece][..., 3], by[piece][..., 4])
+    np.testing.assert_allclose(part.rgb, whole.rgb[piece], atol=2e-5)
+    np.testing.assert_allclose(part.depth_m, whole.depth_m[piece], rtol=1e-4, atol=1e-4)
     for name in FIELDS:
-        found, wanted = getattr(gradients, name), expected[name]
-        error = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
-        assert error < 1e-4, f"{name}: relative error {error:.1e}"
+        wanted = getattr(expected, name)
+        assert np.linalg.norm(getattr(found, name) - wanted) <= 1e-4 * max(np.linalg.norm(wanted), 1e-3), name
+
+
+def test_a_crop_outside_the_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="does not lie in its 96×56 pixels"):
+        rasterise(room(10, 1), camera(96, 56), near_m=NEAR_M, crop=(90, 0, 97, 5))
+
+
+@pytest.mark.parametrize("rasteriser", back_ends(), ids=["cpu", "gsplat"])
+def test_several_sets_are_one_picture_and_every_pixel_says_which_set_it_shows(rasteriser) -> None:
+    view = camera(64, 48)
+    scene = room(500, 5).with_sh_degree(1)
+    scene = scene.take(scene.means_m[:, 0] < 0.5)  # nothing on the right: there the background shows
+    wall = scene.means_m[:, 2] > 5
+    sets = [scene.take(wall), empty(0), scene.take(~wall)]
+    rendering = rasteriser.forward(sets, view, BACKGROUND, sides=("set_id", "normals"))
+    gradients = rasteriser.backward(rendering.rgb)
+    alone = rasterise(concatenate(sets), view, near_m=NEAR_M, background_rgb=BACKGROUND, threads=1)
+    np.testing.assert_allclose(rendering.rgb, alone.rgb, atol=2e-6)
+    parts = gradients.split([s.count for s in sets])
+    assert [len(part.sh) for part in parts] == [s.count for s in sets]
+    np.testing.assert_array_equal(parts[2].means_m, gradients.means_m[sets[0].count :])
+    # Each set in white over black, with the others in black, is its share of every pixel.
+    together, shares = concatenate(sets), []
+    member = np.repeat(np.arange(3), [s.count for s in sets])
+    for index in range(3):
+        white = together.with_colours((member == index)[:, None].repeat(3, 1))
+        shares.append(rasterise(white, view, near_m=NEAR_M, threads=1).rgb[..., 0])
+    shares = np.stack([1 - rendering.alpha, *shares], axis=-1)
+    clear = np.sort(shares, axis=-1)[..., -1] - np.sort(shares, axis=-1)[..., -2] > 1e-4
+    np.testing.assert_array_equal(rendering.set_id[clear], shares.argmax(-1)[clear] - 1)
+    assert set(np.unique(rendering.set_id)) == {-1, 0, 2}
+    with pytest.raises(ValueError, match="no side output 'ids'"):
+        rasteriser.forward(sets, view, sides=("ids",))
+
+
+@pytest.mark.parametrize("rasteriser", back_ends(), ids=["cpu", "gsplat"])
+def test_normals_are_the_shortest_axes_in_the_world_turned_towards_the_camera(rasteriser) -> None:
+    view = camera(64, 48)
+    tilt = 0.3
+    # A disc facing the camera, turned by ±0.3 rad about the world's x, its shortest axis z first pointing away and then towards us.
+    for turn in (tilt, np.pi + tilt):
+        half = [np.cos(turn / 2), np.sin(turn / 2), 0, 0]
+        disc = from_values(np.array([[0, 0, 3.0]]), np.array([[0.8, 0.8, 0.01]]), np.array([half]), np.array([0.9]), np.zeros((1, 1, 3)))
+        rendering = rasteriser.forward(disc, view, sides=("normals",))
+        shown = rendering.alpha > 0.1
+        assert shown.sum() > 100
+        np.testing.assert_allclose(rendering.normals[shown], np.tile([0, np.sin(tilt), -np.cos(tilt)], (shown.sum(), 1)), atol=1e-5)
+        assert not rendering.normals[rendering.alpha == 0].any()
 
 
 def test_screen_gradient_is_the_gradient_by_the_projected_centre() -> None:

@@ -39,9 +39,10 @@ BLOCK_FLOATS = ROWS * LANES
 X, Y, ELLIPSE_A, ELLIPSE_K, ELLIPSE_C, OPACITY_LOG2, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT = range(12)
 RECORD = 16
 
-# The camera vector that kernels take: rotation (row-major, 0–8), translation (9–11), focal lengths, principal point, size, near, centre.
-FOCAL, PRINCIPAL, SIZE, NEAR, CENTRE = 12, 14, 16, 18, 19
-CAMERA_FLOATS = 22
+# The camera vector that kernels take: rotation (row-major, 0–8), translation (9–11), focal lengths, principal point, size, near, centre,
+# tangents (left, right, top, bottom) where the projection stops being linearised further out, and 1 for energy compensation.
+FOCAL, PRINCIPAL, SIZE, NEAR, CENTRE, LIMITS, COMPENSATED = 12, 14, 16, 18, 19, 22, 26
+CAMERA_FLOATS = 27
 
 SANE = np.float32(1e7)
 """Metres, pixels or colour beyond which a Gaussian is refused: float32 has no resolution left, and integer pixel indices overflow."""

@@ -25,14 +25,19 @@ def planes_to_images(planes, rgb, alpha, depth_m):
 
 
 @njit(parallel=True, **KERNEL)
-def gradients_into_planes(planes, by_rgb, by_alpha, by_depth, plane_gradients):
-    """Flat gradients by rgb, alpha and expected depth (an empty array means 0) → gradients by rgb, depth sum and alpha (5, H, W)."""
+def gradients_into_planes(planes, by_rgb, by_alpha, by_depth, plane_gradients, behind):
+    """Flat gradients by rgb, alpha and expected depth (an empty array means 0) → gradients by rgb, depth sum and alpha (5, H, W).
+
+    Adds each row's gradient by the background colour to ``behind`` (H, 3).
+    """
     height, width = planes.shape[1], planes.shape[2]
     for y in prange(height):
         for x in range(width):
             at = y * width + x
             for channel in range(3):
-                plane_gradients[channel, y, x] = by_rgb[3 * at + channel] if len(by_rgb) else float32(0)
+                by_channel = by_rgb[3 * at + channel] if len(by_rgb) else float32(0)
+                plane_gradients[channel, y, x] = by_channel
+                behind[y, channel] += planes[4, y, x] * by_channel
             plane_gradients[3, y, x] = float32(0)
             plane_gradients[4, y, x] = by_alpha[at] if len(by_alpha) else float32(0)
             covered = float32(1) - planes[4, y, x]

@@ -4,6 +4,9 @@
 A splat is the ellipse q = A·(dx − k·dy)² + c·dy² with alpha = 2^(log2 opacity − q); A = s·Syy/det, k = Sxy/Syy, c = s/Syy with
 s = log2(e)/2 and det = |m1×m2|² + e(|m1|² + |m2|²) + e², where m1, m2 are the rows of J·W·R·S and e is the dilation. Unlike the usual
 conic from a·c − b², nothing cancels: on 300:1 needles in float32 the worst error is 1e-5 instead of 19 %.
+
+Dilation makes small splats brighter than what they stand for (121 times at σ 0.05 px, numerics G06). With energy compensation
+(Mip-Splatting) the opacity is multiplied by √(|m1×m2|² / det), the ratio of the two areas; as a sum of squares it is never negative.
 """
 
 from __future__ import annotations
@@ -15,12 +18,13 @@ from studiorecon.splatting.conventions import (
     ALPHA_LOG2_MIN,
     BLOCK_FLOATS,
     CENTRE,
+    COMPENSATED,
     DILATION_PX2,
     FOCAL,
-    FRAME_MARGIN,
     INLINE,
     KERNEL,
     LANES,
+    LIMITS,
     LOG2_E,
     NEAR,
     OPACITY,
@@ -70,15 +74,6 @@ def in_camera(parameters, base, camera):
 
 
 @njit(**INLINE)
-def frame_limits(camera):
-    """Tangents (left, right, top, bottom) beyond which the projection is linearised at the limit instead."""
-    fx, fy, cx, cy = camera[FOCAL], camera[FOCAL + 1], camera[PRINCIPAL], camera[PRINCIPAL + 1]
-    width, height = camera[SIZE], camera[SIZE + 1]
-    margin_x, margin_y = FRAME_MARGIN * width / fx, FRAME_MARGIN * height / fy
-    return -(cx / fx) - margin_x, (width - cx) / fx + margin_x, -(cy / fy) - margin_y, (height - cy) / fy + margin_y
-
-
-@njit(**INLINE)
 def unit_quaternion(parameters, base):
     """Normalised (w, x, y, z) of the block, one over the norm, and the squared norm. A zero quaternion acts as no rotation."""
     row = base + QUATERNION * LANES
@@ -121,11 +116,15 @@ def axes_in_image(t, r):
 
 @njit(**INLINE)
 def covariance(a0, a1, a2, b0, b1, b2):
-    """Dilated Sxx, Syy, Sxy and the determinant (without cancellation) of the image covariance with rows m1 = a, m2 = b."""
+    """Dilated Sxx, Syy, Sxy and determinant of the image covariance with rows m1 = a, m2 = b, and its determinant before dilation.
+
+    Both determinants are sums of squares, so nothing cancels (numerics G03, G04).
+    """
     xx, yy, xy = a0 * a0 + a1 * a1 + a2 * a2, b0 * b0 + b1 * b1 + b2 * b2, a0 * b0 + a1 * b1 + a2 * b2
     c0, c1, c2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    determinant = c0 * c0 + c1 * c1 + c2 * c2 + DILATION_PX2 * (xx + yy) + DILATION_PX2 * DILATION_PX2
-    return xx + DILATION_PX2, yy + DILATION_PX2, xy, determinant
+    sharp = c0 * c0 + c1 * c1 + c2 * c2
+    determinant = sharp + DILATION_PX2 * (xx + yy) + DILATION_PX2 * DILATION_PX2
+    return xx + DILATION_PX2, yy + DILATION_PX2, xy, determinant, sharp
 
 
 @njit(**INLINE)
@@ -155,7 +154,7 @@ def project(parameters, camera, degree, splats, depth_m, visible, refused):
 
     Lanes that are not visible keep whatever their record held before.
     """
-    left, right, top, bottom = frame_limits(camera)
+    left, right, top, bottom = camera[LIMITS], camera[LIMITS + 1], camera[LIMITS + 2], camera[LIMITS + 3]
     one, zero, limit = broadcast(np.float32(1)), zeros(), broadcast(SANE)
     for block in prange(len(visible) // LANES):
         first, base = block * LANES, block * BLOCK_FLOATS
@@ -169,9 +168,12 @@ def project(parameters, camera, degree, splats, depth_m, visible, refused):
         a0, a1, a2, b0, b1, b2 = axes_in_image(image_from_world(camera, ax, ay, inverse_depth), rotation(qw, qx, qy, qz))
         row = base + SCALE * LANES
         s0, s1, s2 = load(parameters, row), load(parameters, row + LANES), load(parameters, row + 2 * LANES)
-        xx, yy, xy, determinant = covariance(a0 * s0, a1 * s1, a2 * s2, b0 * s0, b1 * s1, b2 * s2)
+        xx, yy, xy, determinant, sharp = covariance(a0 * s0, a1 * s1, a2 * s2, b0 * s0, b1 * s1, b2 * s2)
         a, k, c = HALF_LOG2_E * yy / determinant, xy / yy, HALF_LOG2_E / yy
-        opacity = log2(most(load(parameters, base + OPACITY * LANES), broadcast(OPACITY_MIN)))
+        opacity = load(parameters, base + OPACITY * LANES)
+        if camera[COMPENSATED] > 0:
+            opacity = opacity * root(sharp / determinant)
+        opacity = log2(most(opacity, broadcast(OPACITY_MIN)))
         # The ellipse where alpha falls to 1/255, and its bounding box.
         reach = opacity - ALPHA_LOG2_MIN
         square_radius = most(reach, zero) * (np.float32(2) / LOG2_E)

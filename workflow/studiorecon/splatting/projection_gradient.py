@@ -9,12 +9,14 @@ from numba import float32, int64, njit, prange
 from studiorecon.splatting.conventions import (
     BLOCK_FLOATS,
     BLUE,
+    COMPENSATED,
     DILATION_PX2,
     FOCAL,
     GREEN,
     INLINE,
     KERNEL,
     LANES,
+    LIMITS,
     NEAR,
     OPACITY,
     QUATERNION,
@@ -28,7 +30,6 @@ from studiorecon.splatting.projection import (
     axes_in_image,
     covariance,
     direction,
-    frame_limits,
     image_from_world,
     in_camera,
     rotation,
@@ -68,6 +69,22 @@ def _across(e, h, a1, b1, a2, b2):
 
 
 @njit(**INLINE)
+def _compensation_gradient(m0, trace, determinant, sharp, a0, a1, a2, b0, b1, b2):
+    """m0 times the gradient of ln √(sharp / determinant) by the rows a and b.
+
+    With s = |a×b|² it is (b×(a×b), (a×b)×a)·(1/s − 1/det) − e·(a, b)/det. Where s → 0 it diverges, but there the splat fades below
+    1/255 and is not drawn, so every drawn splat has s > 1e-6.
+    """
+    c0, c1, c2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+    outer = m0 * DILATION_PX2 / determinant
+    inner = outer * (trace - DILATION_PX2) / sharp
+    return (
+        inner * (b1 * c2 - b2 * c1) - outer * a0, inner * (b2 * c0 - b0 * c2) - outer * a1, inner * (b0 * c1 - b1 * c0) - outer * a2,
+        inner * (c1 * a2 - c2 * a1) - outer * b0, inner * (c2 * a0 - c0 * a2) - outer * b1, inner * (c0 * a1 - c1 * a0) - outer * b2,
+    )  # fmt: skip
+
+
+@njit(**INLINE)
 def _quaternion_gradient(w, x, y, z, t0, t1, t2):
     """2·q⊗(0, t): gradient by a unit quaternion, tangent to the sphere, of a torque about the Gaussian's own axes."""
     return (
@@ -84,7 +101,7 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
     """
     size = len(visible)
     shares = len(moments) // (RECORD * size)
-    left, right, top, bottom = frame_limits(camera)
+    left, right, top, bottom = camera[LIMITS], camera[LIMITS + 1], camera[LIMITS + 2], camera[LIMITS + 3]
     fx, fy = camera[FOCAL], camera[FOCAL + 1]
     for block in prange(size // LANES):
         first, base = block * LANES, block * BLOCK_FLOATS
@@ -109,7 +126,7 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
         row = base + SCALE * LANES
         s0, s1, s2 = load(parameters, row), load(parameters, row + LANES), load(parameters, row + 2 * LANES)
         a0, a1, a2, b0, b1, b2 = e0 * s0, e1 * s1, e2 * s2, h0 * s0, h1 * s1, h2 * s2
-        _, yy, xy, determinant = covariance(a0, a1, a2, b0, b1, b2)
+        xx, yy, xy, determinant, sharp = covariance(a0, a1, a2, b0, b1, b2)
         ellipse_a, inverse_yy = yy / determinant, float32(1) / yy
         k = xy * inverse_yy
         # Moments → gradients by the centre and by the ellipse (A, k, c), here without the factor log2(e)/2.
@@ -128,6 +145,10 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
         p, q, v = -2 * ellipse_a * ellipse_a * by_a, inverse_yy * by_k, -2 * inverse_yy * inverse_yy * by_c
         ga0, ga1, ga2 = p * w0 + q * b0, p * w1 + q * b1, p * w2 + q * b2
         z0, z1, z2 = q * w0 + v * b0, q * w1 + v * b1, q * w2 + v * b2
+        if camera[COMPENSATED] > 0:
+            x0, x1, x2, y0, y1, y2 = _compensation_gradient(m0, xx + yy, determinant, sharp, a0, a1, a2, b0, b1, b2)
+            ga0, ga1, ga2 = ga0 + x0, ga1 + x1, ga2 + x2
+            z0, z1, z2 = z0 + y0 + k * x0, z1 + y1 + k * x1, z2 + y2 + k * x2
         gb0, gb1, gb2 = z0 - k * ga0, z1 - k * ga1, z2 - k * ga2
         store(gradient, row, where(seen, ga0 * f0 + z0 * h0))
         store(gradient, row + LANES, where(seen, ga1 * f1 + z1 * h1))

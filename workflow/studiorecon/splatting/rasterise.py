@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other packages call: render Gaussians from a camera, and gradients of that.
+"""What other packages call: render Gaussians from a camera, and gradients of that. This is the CPU's back end; ``device`` picks one.
 
 Conventions are gsplat's: dilation 0.3 px², pixel centres at +0.5, alpha below 1/255 skipped and cut at 0.999, blending stops when the
 transmittance would fall to 1e-4, colour max(0, 0.5 + harmonics).
@@ -7,75 +7,86 @@ transmittance would fall to 1e-4, colour max(0, 0.5 + harmonics).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting import blocks, tiles
 from studiorecon.splatting.blocks import BlockedGaussians, aligned
-from studiorecon.splatting.conventions import BLOCK_FLOATS, CAMERA_FLOATS, LANES, PAIRS_MAX, RECORD, TILE_PX
+from studiorecon.splatting.conventions import (
+    BLOCK_FLOATS,
+    CAMERA_FLOATS,
+    COMPENSATED,
+    FRAME_MARGIN,
+    LANES,
+    LIMITS,
+    MEAN,
+    PAIRS_MAX,
+    QUATERNION,
+    RECORD,
+    SCALE,
+    TILE_PX,
+)
+from studiorecon.splatting.features import in_threes, paint
 from studiorecon.splatting.forward import LANE_OFFSETS, blend
 from studiorecon.splatting.planes import gradients_into_planes, planes_to_images
 from studiorecon.splatting.projection import project
+from studiorecon.splatting.rendering import (
+    Drawable,
+    GaussianGradients,
+    Rendering,
+    check_sides,
+    checked_crop,
+    facing_normals,
+    largest_share,
+    together,
+    unit_or_zero,
+)
 
-
-@dataclass(frozen=True)
-class Rendering:
-    """One rendered view.
-
-    Attributes:
-        rgb: (H, W, 3) float32 over the background; not clamped above.
-        alpha: (H, W) float32, 1 − transmittance.
-        depth_m: (H, W) float32 expected z-depth (the blended depth over alpha), 0 where alpha is below 1e-4.
-    """
-
-    rgb: np.ndarray
-    alpha: np.ndarray
-    depth_m: np.ndarray
-
-
-@dataclass(frozen=True)
-class GaussianGradients:
-    """Gradients by the stored form of N Gaussians (log scales, logit opacities); 0 for the invisible.
-
-    Attributes:
-        screen: (N,) length of the gradient by the projected centre, per pixel. 3DGS' densification threshold is for normalised
-            coordinates: multiply by half the image width.
-    """
-
-    means_m: np.ndarray
-    quaternions: np.ndarray
-    log_scales: np.ndarray
-    logit_opacities: np.ndarray
-    sh: np.ndarray
-    screen: np.ndarray
+__all__ = ["GaussianGradients", "Rasteriser", "Rendering", "camera_vector", "rasterise"]
 
 
 def rasterise(
-    gaussians: Gaussians | BlockedGaussians,
+    gaussians: Drawable,
     camera: Camera,
     *,
     background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
     near_m: float,
     threads: int | None = None,
+    antialias: bool = False,
+    crop: tuple[int, int, int, int] | None = None,
+    sides: Collection[str] = (),
+    device: str = "cpu",
 ) -> Rendering:
-    """One view of the Gaussians; nothing nearer than ``near_m`` is drawn. For many views keep a ``Rasteriser``."""
-    return Rasteriser(near_m=near_m, threads=threads).forward(gaussians, camera, background_rgb)
+    """One view of one or several sets; nothing nearer than ``near_m`` is drawn. For many views keep a rasteriser (``device.rasteriser``).
+
+    ``device`` is auto, cpu or cuda; the other arguments as for ``Rasteriser.forward``.
+    """
+    from studiorecon.splatting.device import rasteriser
+
+    chosen = rasteriser(device, near_m=near_m, threads=threads, antialias=antialias)
+    return chosen.forward(gaussians, camera, background_rgb, crop=crop, sides=sides)
 
 
-def camera_vector(camera: Camera, near_m: float) -> np.ndarray:
-    """The camera as kernels take it, (22,) float32; the centre is computed in float64."""
+def camera_vector(camera: Camera, near_m: float, antialias: bool = False, crop: tuple[int, int, int, int] | None = None) -> np.ndarray:
+    """The camera as kernels take it, (27,) float32; the centre is computed in float64.
+
+    A crop moves the principal point, but the projection is linearised as in the whole frame, so the picture is a piece of that.
+    """
+    left, top, right, bottom = checked_crop(camera, crop)
+    (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.wh
+    margin_x, margin_y = float(FRAME_MARGIN) * width / fx, float(FRAME_MARGIN) * height / fy
     vector = np.empty(CAMERA_FLOATS, np.float64)
     vector[0:9] = camera.rotation_camera_from_world.ravel()
     vector[9:12] = camera.camera_from_world[:3, 3]
-    vector[12:14], vector[14:16], vector[16:18] = camera.focal_px, camera.principal_px, camera.wh
+    vector[12:14], vector[14:16], vector[16:18] = (fx, fy), (cx - left, cy - top), (right - left, bottom - top)
     vector[18], vector[19:22] = near_m, camera.centre_m
+    vector[LIMITS : LIMITS + 4] = -cx / fx - margin_x, (width - cx) / fx + margin_x, -cy / fy - margin_y, (height - cy) / fy + margin_y
+    vector[COMPENSATED] = antialias
     return vector.astype(np.float32)
 
 
@@ -99,13 +110,14 @@ class Rasteriser:
     Attributes:
         near_m: Gaussians at or before this depth are not drawn.
         threads: shares of the work.
+        antialias: whether opacities are compensated for the dilation of small splats (``projection``).
         refused: Gaussians of the last view left out for NaN, infinite or absurd values (1e7 metres or pixels).
         visible_count: Gaussians of the last view that can touch a pixel.
         pair_count: splat–tile pairs of the last view.
     """
 
-    def __init__(self, *, near_m: float, threads: int | None = None) -> None:
-        self.near_m = float(near_m)
+    def __init__(self, *, near_m: float, threads: int | None = None, antialias: bool = False) -> None:
+        self.near_m, self.antialias = float(near_m), bool(antialias)
         self.threads = numba.get_num_threads() if threads is None else int(threads)
         if self.threads < 1 or not self.near_m > 0:
             raise ValueError(f"threads ({threads}) must be at least 1 and near_m ({near_m}) above 0")
@@ -120,16 +132,53 @@ class Rasteriser:
         return _threads(self.threads)
 
     def forward(
-        self, gaussians: Gaussians | BlockedGaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
+        self,
+        gaussians: Drawable,
+        camera: Camera,
+        background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        crop: tuple[int, int, int, int] | None = None,
+        sides: Collection[str] = (),
     ) -> Rendering:
-        """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first."""
+        """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first.
+
+        Several sets are composited in one pass. ``crop`` (left, top, right, bottom in pixels) draws that piece of the frame and nothing
+        else. ``sides`` asks for "set_id" and "normals", each of which costs further blending passes.
+        """
+        check_sides(sides)
+        drawn, starts = together(gaussians)
         with self.own_threads():
-            blocked = gaussians if isinstance(gaussians, BlockedGaussians) else blocks.block(gaussians)
-            self.draw(blocked, camera, background_rgb)
+            blocked = drawn if isinstance(drawn, BlockedGaussians) else blocks.block(drawn)
+            self.draw(blocked, camera, background_rgb, crop)
             height, width = self.planes.shape[1:]
             rgb, alpha, depth_m = (np.empty(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width)))
             planes_to_images(self.planes, rgb, alpha, depth_m)
-        return Rendering(rgb, alpha, depth_m)
+        set_id = normals = None
+        if "set_id" in sides:
+            member = np.searchsorted(starts[1:], np.arange(blocked.count), side="right")[:, None] == np.arange(len(starts) - 1)
+            set_id = largest_share(self.features(member), 1 - alpha)
+        if "normals" in sides:
+            rows = blocked.parameters.reshape(-1, BLOCK_FLOATS // LANES, LANES)
+            means, quaternions, scales = (
+                rows[:, first : first + size].transpose(0, 2, 1).reshape(-1, size)[: blocked.count]
+                for first, size in ((MEAN, 3), (QUATERNION, 4), (SCALE, 3))
+            )
+            normals = unit_or_zero(self.features(facing_normals(means, quaternions, scales, camera.centre_m)))
+        return Rendering(rgb, alpha, depth_m, set_id, normals)
+
+    def features(self, values: np.ndarray) -> np.ndarray:
+        """Values (N, C) of the Gaussians of the last view blended like its colours, over 0: (H, W, C) float32; they may be negative."""
+        if self._blocked is None or len(values) != self._blocked.count or values.ndim != 2:
+            raise ValueError(f"features of shape {values.shape} do not fit the Gaussians that were drawn last")
+        splats, planes = self._splats.copy(), np.empty_like(self.planes)
+        lists = (self._starts, self._pairs, self._touched, self._ends)
+        drawn = []
+        with self.own_threads():
+            for three in in_threes(values):
+                paint(three, self.visible, splats)
+                blend(self.threads, *self._grid, splats, *lists, np.zeros(3, np.float32), LANE_OFFSETS, planes, self._ticket)
+                drawn.append(planes[:3].transpose(1, 2, 0).copy())
+        return np.concatenate(drawn, axis=2)[..., : values.shape[1]]
 
     def backward(
         self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
@@ -147,10 +196,12 @@ class Rasteriser:
                 raise ValueError(f"grad_{name} has shape {gradient.shape}, expected {shape}")
         n, bands = self._blocked.count, (self._blocked.degree + 1) ** 2
         shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, bands, 3), (n,))
-        gradients = GaussianGradients(*(np.empty(shape, np.float32) for shape in shapes))
+        gradients = GaussianGradients(*(np.empty(shape, np.float32) for shape in shapes), np.zeros(3, np.float32))
         with self.own_threads():
             plane_gradients = np.empty_like(self.planes)
-            gradients_into_planes(self.planes, *(g.reshape(-1) for g in given), plane_gradients)
+            behind = np.zeros((hw[0], 3), np.float32)
+            gradients_into_planes(self.planes, *(g.reshape(-1) for g in given), plane_gradients, behind)
+            gradients.background_rgb[:] = behind.sum(axis=0, dtype=np.float64)
             self.gather(plane_gradients)
             blocks.take_gradients(
                 self.gradient, self._blocked.parameters, self.visible, self.screen, gradients.means_m, gradients.quaternions,
@@ -158,14 +209,17 @@ class Rasteriser:
             )  # fmt: skip
         return gradients
 
-    def draw(self, blocked: BlockedGaussians, camera: Camera, background_rgb: Sequence[float]) -> np.ndarray:
+    def draw(
+        self, blocked: BlockedGaussians, camera: Camera, background_rgb: Sequence[float], crop: tuple[int, int, int, int] | None = None
+    ) -> np.ndarray:
         """Inner loop of training: fills and returns ``planes`` (5, H, W): red, green, blue, depth sum, transmittance.
 
         The next call overwrites them.
         """
-        self._resize(blocked.padded, camera.hw)
+        left, top, right, bottom = checked_crop(camera, crop)
+        self._resize(blocked.padded, (bottom - top, right - left))
         columns, rows = self._grid
-        self._blocked, self._camera = blocked, camera_vector(camera, self.near_m)
+        self._blocked, self._camera = blocked, camera_vector(camera, self.near_m, self.antialias, crop)
         splats, visible = self._splats, self.visible
         project(blocked.parameters, self._camera, blocked.degree, splats, self._depth_m, visible, self._refused)
         self.refused = int(self._refused.sum())

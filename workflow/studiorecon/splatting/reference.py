@@ -7,6 +7,7 @@ Every Gaussian is evaluated at every pixel, so cost and memory are Gaussians × 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 
@@ -23,11 +24,37 @@ def leaves(gaussians: Gaussians) -> dict[str, torch.Tensor]:
 
 
 def render(
-    parameters: dict[str, torch.Tensor], camera: Camera, background_rgb: Sequence[float], near_m: float
+    parameters: dict[str, torch.Tensor],
+    camera: Camera,
+    background_rgb: Sequence[float] | torch.Tensor,
+    near_m: float,
+    antialias: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """rgb (H, W, 3), alpha (H, W) and depth sum (H, W), differentiable."""
-    centres, covariances, depth, colours = _project(parameters, camera, near_m)
-    opacity = torch.sigmoid(parameters["logit_opacities"])
+    """rgb (H, W, 3), alpha (H, W) and depth sum (H, W), differentiable; also by a background that is a tensor."""
+    scales = torch.exp(parameters["log_scales"])
+    splats = project(parameters["means_m"], parameters["quaternions"], scales, camera, near_m)
+    opacity = torch.sigmoid(parameters["logit_opacities"]) * (splats.compensation if antialias else 1)
+    colours = colours_towards(parameters["means_m"], parameters["sh"], camera)
+    drawn, alpha, depth_sum = blend(splats, opacity, colours, camera, near_m)
+    rest = (1 - alpha)[..., None]
+    return drawn + rest * torch.as_tensor(background_rgb, dtype=torch.float64), alpha, depth_sum
+
+
+@dataclass(frozen=True)
+class Splats:
+    """Gaussians in the image: centres (N, 2) and dilated covariances (N, 2, 2) in pixels, √(det/det′) (N,), z-depth (N,)."""
+
+    centres: torch.Tensor
+    covariances: torch.Tensor
+    compensation: torch.Tensor
+    depth: torch.Tensor
+
+
+def blend(
+    splats: Splats, opacity: torch.Tensor, colours: torch.Tensor, camera: Camera, near_m: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Colours (N, C) blended over nothing (H, W, C), alpha (H, W) and depth sum (H, W)."""
+    depth, covariances, centres = splats.depth, splats.covariances, splats.centres
     drawn = torch.nonzero((depth > near_m) & (opacity >= 1 / 255)).flatten()
     # The order is float32's, as in the kernels, so that near ties resolve alike.
     drawn = drawn[torch.sort(depth.detach()[drawn].float(), stable=True).indices]
@@ -46,16 +73,15 @@ def render(
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
     weight = alpha * before
     rest = torch.prod(1 - alpha, 0)
-    background = torch.as_tensor(background_rgb, dtype=torch.float64)
-    rgb = weight.T @ colours[drawn] + rest[:, None] * background
     depth_sum = (weight * depth[drawn, None]).sum(0)
-    return rgb.reshape(*camera.hw, 3), (1 - rest).reshape(camera.hw), depth_sum.reshape(camera.hw)
+    return (weight.T @ colours[drawn]).reshape(*camera.hw, -1), (1 - rest).reshape(camera.hw), depth_sum.reshape(camera.hw)
 
 
-def _project(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float) -> tuple[torch.Tensor, ...]:
+def project(means_m: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor, camera: Camera, near_m: float) -> Splats:
+    """EWA projection as in 3DGS, linearised at most at the limits of ``conventions.FRAME_MARGIN``."""
     camera_from_world = torch.as_tensor(camera.camera_from_world)
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
-    in_camera = parameters["means_m"] @ rotation.T + translation
+    in_camera = means_m @ rotation.T + translation
     depth = in_camera[:, 2]
     safe = torch.where(depth > near_m, depth, torch.ones_like(depth))
     (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.wh
@@ -64,15 +90,19 @@ def _project(parameters: dict[str, torch.Tensor], camera: Camera, near_m: float)
     ay = (in_camera[:, 1] / safe).clamp(-cy / fy - margin * height / fy, (height - cy) / fy + margin * height / fy)
     zero = torch.zeros_like(safe)
     jacobian = torch.stack([fx / safe, zero, -fx * ax / safe, zero, fy / safe, -fy * ay / safe], -1).reshape(-1, 2, 3)
-    axes = _rotations(parameters["quaternions"]) * torch.exp(parameters["log_scales"])[:, None, :]
-    in_image = jacobian @ (rotation @ axes)
+    in_image = jacobian @ (rotation @ (_rotations(quaternions) * scales[:, None, :]))
     covariances = in_image @ in_image.transpose(1, 2) + float(DILATION_PX2) * torch.eye(2, dtype=torch.float64)
+    sharp = torch.linalg.cross(in_image[:, 0], in_image[:, 1]).square().sum(-1)
+    compensation = torch.sqrt(sharp / (covariances[:, 0, 0] * covariances[:, 1, 1] - covariances[:, 0, 1] ** 2))
     centres = torch.stack([fx * in_camera[:, 0] / safe + cx, fy * in_camera[:, 1] / safe + cy], -1)
-    directions = parameters["means_m"] + rotation.T @ translation
+    return Splats(centres, covariances, compensation, depth)
+
+
+def colours_towards(means_m: torch.Tensor, sh: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """(N, 3) colours of harmonics (N, K, 3) as the camera sees them."""
+    directions = means_m - torch.as_tensor(camera.centre_m)
     directions = directions / directions.norm(dim=-1, keepdim=True)
-    bands = parameters["sh"].shape[1]
-    colours = (_harmonics(directions)[:, :bands, None] * parameters["sh"]).sum(1) + 0.5
-    return centres, covariances, depth, colours.clamp_min(0)
+    return ((_harmonics(directions)[:, : sh.shape[1], None] * sh).sum(1) + 0.5).clamp_min(0)
 
 
 def _rotations(quaternions: torch.Tensor) -> torch.Tensor:

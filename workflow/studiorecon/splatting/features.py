@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Any values blended like colours: the splats of a drawn view once more, in other colours.
+
+Projection, order and tile lists stay, so three channels cost one blending pass, a quarter to a half of a forward pass.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from studiorecon.splatting.conventions import KERNEL, RECORD, RED
+
+
+@njit(parallel=True, **KERNEL)
+def paint(values, visible, splats):
+    """Writes values (N, 3) into the colour fields of the visible splats' records (N·16)."""
+    for i in prange(len(values)):
+        if visible[i]:
+            for channel in range(3):
+                splats[i * RECORD + RED + channel] = values[i, channel]
+
+
+def in_threes(values: np.ndarray) -> list[np.ndarray]:
+    """(N, C) → arrays (N, 3) of float32, the last padded with zeros."""
+    count, channels = values.shape
+    padded = np.zeros((count, -(-channels // 3) * 3), np.float32)
+    padded[:, :channels] = values
+    return [np.ascontiguousarray(padded[:, first : first + 3]) for first in range(0, padded.shape[1], 3)]
