@@ -121,6 +121,7 @@ def render_options(folder: Path, shot: str, people: int = 1) -> dict:
         "truth": folder / f"render/{shot}.truth.mkv",
         "depth": folder / f"render/{shot}.depth.mkv",
         "path": folder / f"render/{shot}.json",
+        "ledger": folder / f"render/{shot}.tsv",
     }
 
 

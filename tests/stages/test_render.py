@@ -17,14 +17,23 @@ from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
 from studiorecon.render.canvas import Canvas, together
 from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
-from studiorecon.render.shots import Orbit, azimuths, every_frame, film_times, orbit_steps, smooth_dips
+from studiorecon.render.ledger import LEDGER_COLUMNS
+from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
+from studiorecon.render.planning import smooth_dips
+from studiorecon.render.shots import every_frame, film_times
+from studiorecon.render.subjects import Subjects
+from studiorecon.scene.files import read_table
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
 
 from tests.stages.made_scene import FRAMES, WH, avatar, render_options, ring, room, write_scene
 
-ORBIT = Orbit(kind="orbit", frames=24, radius=0.8, rise_m=0.0, zoom=1.0, turn_deg=360.0, start_deg=0.0, time="stretch")
+ORBIT = Orbit(kind="orbit", frames=24, target="scene", radius=0.8, rise_m=0.0, zoom=1.0, turn_deg=360.0, start_deg=0.0, time="stretch")
+
+
+def subjects(target_m: np.ndarray) -> Subjects:
+    return Subjects({}, {}, target_m, FRAMES, 15.0)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +53,7 @@ def settings(default_settings: Callable) -> render_shot.Settings:
 def test_orbit_goes_once_around_inside_the_ring_and_looks_at_its_target() -> None:
     cameras = ring([10, 95, 185, 280], "cam")
     target = np.array([0.3, -0.2, 0.9])
-    steps = orbit_steps(ORBIT, "orbit", cameras, target, WH, FRAMES, np.ones(24))
+    steps = orbit_steps(ORBIT, "orbit", cameras, subjects(target), WH, np.ones(24))
     eyes = np.array([s.camera.centre_m for s in steps])
     assert np.linalg.norm(eyes[:, :2], axis=1) == pytest.approx(0.8 * 2.4, abs=1e-5)
     assert eyes[:, 2] == pytest.approx(1.6)
@@ -70,7 +79,7 @@ def test_cameras_on_an_arc_are_not_orbited_beyond_it() -> None:
 
 def test_an_oblong_ring_is_orbited_oblong() -> None:
     cameras = [*ring([0, 180], "far", 4.0), *ring([90, 270], "near", 2.0)]
-    steps = orbit_steps(ORBIT, "orbit", cameras, np.array([0, 0, 1.0]), WH, FRAMES, np.ones(24))
+    steps = orbit_steps(ORBIT, "orbit", cameras, subjects(np.array([0, 0, 1.0])), WH, np.ones(24))
     radius = np.array([np.linalg.norm(s.camera.centre_m[:2]) for s in steps])
     assert radius.max() == pytest.approx(3.2, abs=0.05)
     assert radius.min() == pytest.approx(1.6, abs=0.05)
@@ -87,7 +96,7 @@ def test_cameras_of_different_sizes_share_a_film_with_their_picture_at_the_top_l
 
 def test_one_camera_cannot_be_orbited() -> None:
     with pytest.raises(Refusal, match="at least two"):
-        orbit_steps(ORBIT, "orbit", ring([0], "cam"), np.zeros(3), WH, FRAMES, np.ones(24))
+        orbit_steps(ORBIT, "orbit", ring([0], "cam"), subjects(np.zeros(3)), WH, np.ones(24))
 
 
 @pytest.mark.parametrize(
@@ -97,9 +106,11 @@ def test_one_camera_cannot_be_orbited() -> None:
         ("loop", [0, 1, 2, 0, 1]),
         ("swing", [0, 1, 2, 1, 0]),
         ("hold", [0, 0, 0, 0, 0]),
+        (1.0, [1, 1, 1, 1, 1]),
+        (9.0, [2, 2, 2, 2, 2]),
     ],
 )
-def test_time_advances_as_named_and_stays_inside_the_capture(kind: str, expected: list[float]) -> None:
+def test_time_advances_as_named_and_stays_inside_the_capture(kind: str | float, expected: list[float]) -> None:
     assert film_times(kind, 5, 3) == pytest.approx(expected)
     assert (film_times(kind, 5, 1) == 0).all()
 
@@ -117,6 +128,12 @@ def test_a_shot_leaves_pictures_depth_truth_and_path(scene: Path, settings: rend
     assert set(np.unique(truth)) == {0, 128, 255}
     depth = read_stack(options["depth"])
     assert depth.dtype == np.uint16
+    rows = read_table(options["ledger"], LEDGER_COLUMNS)
+    assert [(row["segment"], float(row["frame"])) for row in rows] == [(s.segment, s.frame) for s in steps]
+    shares = np.array([[float(row[name]) for name in ("measured", "inferred", "invented")] for row in rows])
+    assert shares.sum(axis=1) == pytest.approx(1, abs=2e-4)
+    assert shares[:, 0] == pytest.approx((truth == 255).mean(axis=(1, 2)), abs=1e-4)
+    assert float(rows[0]["angle_deg"]) == pytest.approx(45, abs=10), "held out half way between two training cameras"
     centre = depth[0, WH[1] // 2, WH[0] // 2]
     assert 1500 < centre < 2600, "the person stands about two metres in front of the camera"
 
@@ -136,7 +153,7 @@ def test_the_same_inputs_give_the_same_bytes(scene: Path, settings: render_shot.
     contents = []
     for _ in range(2):
         render_shot.run(settings, **options)
-        contents.append([options[name].read_bytes() for name in ("video", "truth", "depth", "path")])
+        contents.append([options[name].read_bytes() for name in ("video", "truth", "depth", "path", "ledger")])
     assert contents[0] == contents[1]
 
 

@@ -161,6 +161,12 @@ def given_depth(wildcards):
     return str(DATASET.depth[wildcards.camera])
 
 
+def shot_path(wildcards):
+    """The camera path file that a shot follows, if it is of that kind."""
+    file = config["render"]["shots"].get(wildcards.shot, {}).get("file")
+    return [file] if file else []
+
+
 def scene_products():
     """Every stage's product that needs no knowledge of who is in the scene."""
     scene = f"results/{SCENE}"

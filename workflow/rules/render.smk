@@ -11,11 +11,14 @@ rule render_shot:
         gaussians=human_gaussians,
         avatars=human_avatars,
         body=BODY,
+        # Camera paths that shots follow: an edited path makes its film again.
+        followed=shot_path,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
         depth="results/{scene}/render/{shot}.depth.mkv",
         path="results/{scene}/render/{shot}.json",
+        ledger="results/{scene}/render/{shot}.tsv",
     log:
         "logs/{scene}/render/shot/{shot}.log",
     benchmark:
@@ -34,3 +37,4 @@ rule render_shot:
         " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
         " --avatars {input.avatars:q} --body {input.body}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
+        " --ledger {output.ledger}"

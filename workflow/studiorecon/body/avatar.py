@@ -76,6 +76,17 @@ class Avatar:
         first, second = (rotations.exp(self.poses[t].reshape(-1, 3)) for t in (low, low + 1))
         return rotations.log(rotations.slerp(first, second, share)).reshape(-1), (1 - share) * self.trans[low] + share * self.trans[low + 1]
 
+    def joints_m(self, frame: float) -> np.ndarray:
+        """(24, 3) world joints at a 0-based, possibly fractional frame, metres."""
+        pose, trans = self.pose_at(frame)
+        return self.model.joints(pose[None], self.betas, trans[None])[0]
+
+    def facing(self) -> np.ndarray:
+        """(T, 2) horizontal unit vectors in which the pelvis faces; x where it faces straight up or down."""
+        forward = rotations.exp(np.asarray(self.poses[:, :3], np.float64))[:, :2, 2]
+        length = np.linalg.norm(forward, axis=1, keepdims=True)
+        return np.where(length > 1e-6, forward / np.maximum(length, 1e-6), [1.0, 0.0])
+
     def posed(self, frame: float) -> Gaussians:
         """The person's Gaussians in the world at a 0-based, possibly fractional frame."""
         pose, trans = self.pose_at(frame)

@@ -20,12 +20,15 @@ _SOLID_GROUP = 10
 
 
 class Posed(Protocol):
-    """What a composite needs of an avatar: Gaussians at a time, their classes (N,), and the frames (T,) that were measured."""
+    """What a composite needs of an avatar: Gaussians and joints at a time, their classes (N,), and the frames (T,) that were measured."""
 
+    person: str
     provenance: np.ndarray
     valid: np.ndarray
 
     def posed(self, frame: float) -> Gaussians: ...
+
+    def joints_m(self, frame: float) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)

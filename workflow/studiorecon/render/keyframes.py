@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``spline``: a smooth camera path through keyframes, each with its own lens and its own time (bullet time, slow motion)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import scipy
+
+from studiorecon import settings as settings_module
+from studiorecon.errors import Refusal
+from studiorecon.geometry.path import look_at, with_pose
+from studiorecon.render.moves import camera_named
+from studiorecon.render.shots import usual_focal
+from studiorecon.render.subjects import Subjects, Target
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.path import Step
+
+
+@dataclass(frozen=True)
+class Spline:
+    """Settings of a ``spline`` shot.
+
+    Attributes:
+        keys: keyframes (``CameraKey`` or ``FreeKey``) in the order of their pictures, at least two.
+    """
+
+    kind: Literal["spline"]
+    keys: tuple[dict, ...]
+
+
+@dataclass(frozen=True)
+class CameraKey:
+    """A keyframe that stands where a training camera stands and looks where it looks.
+
+    Attributes:
+        picture: number of the picture in the film, from 0.
+        frame: capture frame that is shown; equal frames at two keys stop time between them.
+        camera: name of the training camera.
+        zoom: focal length as a multiple of the training cameras' mean.
+    """
+
+    picture: int
+    frame: float
+    camera: str
+    zoom: float
+
+
+@dataclass(frozen=True)
+class FreeKey:
+    """A keyframe anywhere.
+
+    Attributes:
+        picture: number of the picture in the film, from 0.
+        frame: capture frame that is shown.
+        eye_m: world position of the camera, metres.
+        target: what is in the middle of the picture.
+        zoom: focal length as a multiple of the training cameras' mean.
+    """
+
+    picture: int
+    frame: float
+    eye_m: tuple[float, float, float]
+    target: Target
+    zoom: float
+
+
+def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
+    """The keyframes of shot ``name``; raises Refusal when there are fewer than two or their pictures do not increase from 0."""
+    keys = [
+        settings_module.load(CameraKey if "camera" in value else FreeKey, value, f"render.shots.{name}.keys[{index}]")
+        for index, value in enumerate(values)
+    ]
+    pictures = [key.picture for key in keys]
+    if len(keys) < 2 or pictures[0] != 0 or any(np.diff(pictures) <= 0):
+        raise Refusal(f"shot {name} needs at least two keys whose pictures start at 0 and increase; they are {pictures}")
+    return keys
+
+
+def spline_steps(
+    keys: Sequence[CameraKey | FreeKey], name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
+) -> list[Step]:
+    """One step per picture, from the first key's to the last key's.
+
+    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key; time and the logarithm of the
+    focal length follow monotone curves, so that time never runs backwards between keys that do not. When all keys name a target, the
+    camera looks at targets (who may walk) on the way, too. Raises Refusal for an unknown camera or person.
+    """
+    at = np.array([key.picture for key in keys], np.float64)
+    pictures = np.arange(keys[-1].picture + 1, dtype=np.float64)
+    times = np.clip(_monotone(at, [key.frame for key in keys], pictures), 0, subjects.frames - 1)
+    zooms = np.exp(_monotone(at, [np.log(key.zoom) for key in keys], pictures))
+    places = np.array([_eye(key, cameras, name) for key in keys])
+    eyes = _curve(at, places, pictures)
+    if all(isinstance(key, FreeKey) for key in keys):
+        targets = np.stack([subjects.at(key.target, times, name) for key in keys])
+        aims = _handed_over(at, targets, pictures)
+        turned = np.stack([look_at(eye, aim) for eye, aim in zip(eyes, aims)])
+    else:
+        rotations = scipy.spatial.transform.Rotation.from_matrix(np.stack([_rotation(key, cameras, subjects, name) for key in keys]))
+        turned = scipy.spatial.transform.RotationSpline(at, rotations)(pictures).as_matrix()
+    steps = []
+    for zoom, eye, rotation, time in zip(zooms, eyes, turned, times):
+        focal = zoom * usual_focal(cameras, wh[0])
+        intrinsics = np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]])
+        steps.append(Step(with_pose(Camera(name, wh, intrinsics, np.eye(4)), rotation, eye), float(time), "00"))
+    return steps
+
+
+def _eye(key: CameraKey | FreeKey, cameras: Sequence[Camera], name: str) -> np.ndarray:
+    return camera_named(key.camera, cameras, name).centre_m if isinstance(key, CameraKey) else np.asarray(key.eye_m, np.float64)
+
+
+def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: Subjects, name: str) -> np.ndarray:
+    if isinstance(key, CameraKey):
+        return camera_named(key.camera, cameras, name).world_from_camera[:3, :3]
+    return look_at(np.asarray(key.eye_m, np.float64), subjects.at(key.target, np.array([key.frame]), name)[0])
+
+
+def _handed_over(at: np.ndarray, targets: np.ndarray, pictures: np.ndarray) -> np.ndarray:
+    """(P, 3) from each key's target (K, P, 3) over to the next one's, starting and ending gently."""
+    last = np.clip(np.searchsorted(at, pictures, side="right") - 1, 0, len(at) - 2)
+    share = (pictures - at[last]) / (at[last + 1] - at[last])
+    share = (share**2 * (3 - 2 * share))[:, None]
+    count = np.arange(len(pictures))
+    return (1 - share) * targets[last, count] + share * targets[last + 1, count]
+
+
+def _monotone(at: np.ndarray, values: Sequence[float], pictures: np.ndarray) -> np.ndarray:
+    return np.asarray(scipy.interpolate.PchipInterpolator(at, np.asarray(values, np.float64))(pictures))
+
+
+def _curve(at: np.ndarray, places: np.ndarray, pictures: np.ndarray) -> np.ndarray:
+    if len(at) == 2:
+        return places[0] + ((pictures - at[0]) / (at[1] - at[0]))[:, None] * (places[1] - places[0])
+    # The modified form does not overshoot where a camera rests between two equal keys.
+    return np.asarray(scipy.interpolate.Akima1DInterpolator(at, places, method="makima")(pictures))

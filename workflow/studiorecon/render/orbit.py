@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``orbit``: once around the scene inside the ring of training cameras.
+
+Where they cover only an arc, it swings along that arc and back, because beyond it nothing was filmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.path import scene_centre
+from studiorecon.render.shots import Time, film_times, level_step, usual_focal
+from studiorecon.render.subjects import Subjects, Target
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.path import Step
+
+# A gap between neighbouring cameras beyond this leaves the ring open (the same limit as for the views' path, U18).
+_LARGEST_GAP = np.radians(150)
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Settings of an ``orbit`` shot.
+
+    Attributes:
+        frames: number of pictures.
+        target: what stays in the middle of the picture.
+        radius: distance to the centre as a share of the training cameras' at the same azimuth.
+        rise_m: metres above the training cameras' mean height.
+        zoom: focal length as a multiple of the training cameras' mean.
+        turn_deg: angle travelled when the ring is closed.
+        start_deg: azimuth of the first picture, relative to the first training camera.
+        time: how time advances, see ``render/shots.py``.
+    """
+
+    kind: Literal["orbit"]
+    frames: int
+    target: Target
+    radius: float
+    rise_m: float
+    zoom: float
+    turn_deg: float
+    start_deg: float
+    time: Time
+
+
+def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+    """(frames,) azimuth of each picture about the centre: once around, or along the filmed arc and back."""
+    filmed = _azimuth_of(cameras, centre_m)
+    ordered = np.sort(filmed)
+    gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] < _LARGEST_GAP:
+        return filmed[0] + np.radians(orbit.start_deg) + np.arange(orbit.frames) / orbit.frames * np.radians(orbit.turn_deg)
+    first = ordered[(widest + 1) % len(ordered)]
+    swing = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(orbit.frames) / orbit.frames)
+    return first + (2 * np.pi - gaps[widest]) * swing
+
+
+def orbit_steps(
+    orbit: Orbit, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
+) -> list[Step]:
+    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and furniture.
+
+    The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays oblong.
+    Raises Refusal without at least two cameras.
+    """
+    if len(cameras) < 2:
+        raise Refusal(f"shot {name} needs at least two training cameras to go around")
+    centre = scene_centre(cameras)
+    offsets = np.array([camera.centre_m - centre for camera in cameras])
+    angles = azimuths(orbit, cameras, centre)
+    distances = np.interp(angles, _azimuth_of(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi)
+    height = float(np.mean([camera.centre_m[2] for camera in cameras])) + orbit.rise_m
+    radius = distances * orbit.radius * shrink
+    eyes = np.stack([centre[0] + radius * np.cos(angles), centre[1] + radius * np.sin(angles), np.full(len(angles), height)], axis=1)
+    times = film_times(orbit.time, orbit.frames, subjects.frames)
+    targets = subjects.at(orbit.target, times, name)
+    focal = orbit.zoom * usual_focal(cameras, wh[0])
+    return [level_step(name, wh, focal, *picture) for picture in zip(eyes, targets, times)]
+
+
+def _azimuth_of(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+    offsets = np.array([camera.centre_m - centre_m for camera in cameras])
+    return np.arctan2(offsets[:, 1], offsets[:, 0])

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a shot looks at: the people, one person wherever they go, the middle of the scene, or a point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from studiorecon.errors import Refusal
+
+# ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in metres.
+Target = str | tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Subjects:
+    """Where a camera may look.
+
+    Attributes:
+        pelvis_m: person → (T, 3) world positions of the pelvis.
+        facing: person → (T, 2) horizontal unit vectors in which the pelvis faces.
+        scene_m: (3,) point that the training cameras look at.
+        frames: T.
+        fps: frames per second of the capture.
+    """
+
+    pelvis_m: Mapping[str, np.ndarray]
+    facing: Mapping[str, np.ndarray]
+    scene_m: np.ndarray
+    frames: int
+    fps: float
+
+    def still(self, target: Target, shot: str) -> np.ndarray:
+        """(3,) one point for a whole film: of people the median over all frames.
+
+        Without people ``people`` means ``scene``. Raises Refusal for a person who is not there.
+        """
+        if not isinstance(target, str):
+            return np.asarray(target, np.float64)
+        if target == "scene" or (target == "people" and not self.pelvis_m):
+            return np.asarray(self.scene_m, np.float64)
+        if target == "people":
+            return np.median(np.concatenate(list(self.pelvis_m.values())), axis=0)
+        return np.median(self._of(self.pelvis_m, target, shot), axis=0)
+
+    def at(self, target: Target, times: np.ndarray, shot: str, smooth_s: float = 0.5) -> np.ndarray:
+        """(P, 3) where the target is at capture frames ``times`` (P,): a person wherever they go, smoothed over ``smooth_s`` seconds.
+
+        Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step. All other targets stand still.
+        """
+        if not isinstance(target, str) or target in ("scene", "people"):
+            return np.tile(self.still(target, shot), (len(times), 1))
+        return _sampled(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
+
+    def facing_at(self, person: str, times: np.ndarray, shot: str, smooth_s: float) -> np.ndarray:
+        """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as angles."""
+        smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
+        return np.arctan2(smooth[:, 1], smooth[:, 0])
+
+    def _of(self, tracks: Mapping[str, np.ndarray], person: str, shot: str) -> np.ndarray:
+        if person not in tracks:
+            known = ", ".join(tracks) or "nobody"
+            raise Refusal(f"shot {shot} looks at {person!r}, but people, scene, a point [x, y, z] and {known} are what there is")
+        return tracks[person]
+
+
+def _smooth(track: np.ndarray, sigma_frames: float) -> np.ndarray:
+    if sigma_frames <= 0 or len(track) < 3:
+        return track
+    return scipy.ndimage.gaussian_filter1d(track, sigma_frames, axis=0, mode="nearest")
+
+
+def _sampled(track: np.ndarray, times: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(times, np.arange(len(track)), column) for column in track.T], axis=1)
