@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
@@ -172,6 +173,40 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     _, cover = carried_over(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     added = outputs[-1][..., 0].astype(float) - 60
     np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
+
+
+@pytest.mark.parametrize("flow", ["direct", "chained"])
+def test_a_film_that_pans_keeps_its_confidence_with_either_flow(flow: str) -> None:
+    """U06: fresh noise on a panning texture is steadied by three earlier pictures, whichever way they are reached."""
+    view, rng = ring([0], "view")[0], np.random.default_rng(3)
+    height, width = view.hw
+    texture = cv2.GaussianBlur(rng.random((height, width + 40, 3)).astype(np.float32), (0, 0), 2.0)
+    texture = (texture - texture.min()) / np.ptp(texture)
+    clean = [texture[:, 2 * k : 2 * k + width] for k in range(12)]
+    noisy = [np.rint(255 * np.clip(c + rng.normal(0, 4 / 255, c.shape), 0, 1)).astype(np.uint8) for c in clean]
+    steps, depths = [Step(view, float(k), "a") for k in range(12)], [np.full(view.hw, 2000, np.uint16)] * 12
+    reading = replace(INJECTION, flow=flow)
+    outputs = list(enhance_shot.enhanced(steps, noisy, depths, lambda c, f: noisy[0], Unchanged(), reading, "medium"))
+    inner = np.s_[:, 30:-30]
+    before, after = (np.std([(p[k] / 255 - clean[k])[inner] for k in range(4, 12)]) for p in (noisy, outputs))
+    assert after < 0.93 * before
+
+
+def test_pixels_that_an_enhancer_breaks_are_left_as_rendered_and_counted(capsys: pytest.CaptureFixture) -> None:
+    class Breaking:
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            broken = image.copy()
+            if moment.frame >= 0 and not (image == image[0, 0]).all():
+                broken[5, 5:8, 0] = np.nan
+            return broken
+
+    view, rng = ring([0], "view")[0], np.random.default_rng(3)
+    picture, depth = rng.integers(40, 200, (*view.hw, 3), dtype=np.uint8), np.full(view.hw, 2000, np.uint16)
+    steps = [Step(view, float(k), "a") for k in range(3)]
+    outputs = list(enhance_shot.enhanced(steps, [picture] * 3, [depth] * 3, lambda c, f: picture, Breaking(), INJECTION, "medium"))
+    for output in outputs:
+        np.testing.assert_array_equal(output, picture)
+    assert "3 pixels not finite" in "".join(capsys.readouterr())
 
 
 def test_history_starts_anew_with_every_segment() -> None:

@@ -123,7 +123,7 @@ def enhanced(
             bad = ~np.isfinite(output).all(axis=-1)
             if bad.any():
                 say(
-                    f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels are not finite after the enhancer, kept as rendered"
+                    f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered"
                 )
             output = np.clip(np.where(bad[..., None], render, output), 0, 1).astype(np.float32)
             history.appendleft(Past(output, grey, *(flows[0] if flows else (None, None))))

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sizes that RAFT (Teed & Deng 2020) can work on: what goes into the network, and its flow back at the pictures' own size.
+
+These are the two ends of an adapter; the network between them is not here, because it needs weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# The correlation pyramid halves an eighth-size feature map three times: below 128 px its top is one value, and the lookup divides by
+# its size minus one (numerics E12).
+SMALLEST_PX = 128
+# The encoder's stride.
+MULTIPLE_PX = 8
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """How pictures were made to fit: their size (H, W), the whole number of times they were enlarged, rows and columns put before them."""
+
+    hw: tuple[int, int]
+    enlarged: int
+    before: tuple[int, int]
+
+
+def pre(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, Fitted]:
+    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and how to come back.
+
+    Pictures under 128 px a side are enlarged by a whole number, by repeating pixels; the rest up to multiples of 8 is filled with
+    the border's colours on both sides, as the authors do. Raises ValueError for pictures that differ in shape, are not RGB, not uint8
+    or empty.
+    """
+    if first.shape != second.shape or first.ndim != 3 or first.shape[2] != 3 or first.size == 0:
+        raise ValueError(f"first and second have shapes {first.shape} and {second.shape}, expected one shape (H, W, 3)")
+    if first.dtype != np.uint8 or second.dtype != np.uint8:
+        raise ValueError(f"first and second are {first.dtype} and {second.dtype}, expected uint8")
+    height, width = first.shape[:2]
+    enlarged = -(-SMALLEST_PX // min(height, width)) if min(height, width) < SMALLEST_PX else 1
+    missing = [-(side * enlarged) % MULTIPLE_PX for side in (height, width)]
+    before = (missing[0] // 2, missing[1] // 2)
+    pair = np.stack([first, second]).repeat(enlarged, axis=1).repeat(enlarged, axis=2)
+    pair = np.pad(pair, ((0, 0), *((b, m - b) for b, m in zip(before, missing)), (0, 0)), mode="edge")
+    return np.ascontiguousarray(pair.transpose(0, 3, 1, 2).astype(np.float32) / 127.5 - 1), Fitted((height, width), enlarged, before)
+
+
+def post(flow: np.ndarray, fitted: Fitted) -> np.ndarray:
+    """(H, W, 2) float32 flow in pixels of the pictures from the network's (2, h, w): cropped, averaged over enlarged pixels, rescaled.
+
+    Raises ValueError when the flow is smaller than what ``pre`` handed out.
+    """
+    height, width = (side * fitted.enlarged for side in fitted.hw)
+    top, left = fitted.before
+    if flow.ndim != 3 or flow.shape[0] != 2 or flow.shape[1] < top + height or flow.shape[2] < left + width:
+        raise ValueError(f"flow has shape {flow.shape}, expected (2, h, w) with h ≥ {top + height}, w ≥ {left + width}")
+    own = flow[:, top : top + height, left : left + width].astype(np.float32)
+    blocks = own.reshape(2, fitted.hw[0], fitted.enlarged, fitted.hw[1], fitted.enlarged)
+    return np.ascontiguousarray(blocks.mean(axis=(2, 4)).transpose(1, 2, 0)) / np.float32(fitted.enlarged)
