@@ -11,18 +11,21 @@ from studiorecon.errors import Refusal
 from studiorecon.scene.gaussians import Gaussians, empty
 from studiorecon.splatting.adam import Adam
 from studiorecon.splatting.growth import grow
+from studiorecon.splatting.perceptual import PerceptualSettings
 from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.schedule import TrainingSettings, exponential
 from studiorecon.splatting.state import gaussians_of, lower_opacities, regrown, start
-from studiorecon.splatting.targets import Target, draws, scene_extent
-from studiorecon.splatting.training import TrainingSettings, exponential, train
+from studiorecon.splatting.targets import DrawOrder, Target, scene_extent
+from studiorecon.splatting.training import train
 
 from tests.foundations.splatting_scenes import camera_on_ring, room
 
 SETTINGS = TrainingSettings(
     iterations=200, l1=0.7, ssim=0.3, density=0.0, depth=0.0, opacity_pull=0.0, position_lr_start=1.6e-4, position_lr_end=1.6e-6,
     scale_lr=5e-3, rotation_lr=1e-3, opacity_lr=5e-2, sh_lr=2.5e-3, sh_rest_lr=1.25e-4, adam_epsilon=1e-6, sh_degree=1, sh_degree_every=0,
-    warmup_half_resolution=0.3, near_m=0.01, largest_scale_m=0.0, cap=3000, densify_every=0, densify_from=50, densify_until=200,
-    densify_gradient=2e-4, densify_scale=0.01, prune_opacity=0.01, opacity_reset_every=0,
+    warmup_half_resolution=0.3, near_m=0.01, largest_scale_m=0.0, densify="none", cap=3000, densify_every=50, densify_from=50,
+    densify_until=200, densify_gradient=2e-4, densify_scale=0.01, prune_opacity=0.01, opacity_reset_every=0, relocate_growth=0.0,
+    relocate_noise=0.0, checkpoint_every_s=0.0, lpips=PerceptualSettings(weight=0.0, every=1, crop_px=0, weights=""),
 )  # fmt: skip
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 
@@ -63,7 +66,7 @@ def test_training_learns_and_keeps_the_order(lesson: tuple[Gaussians, list[Targe
 
 def test_training_repeats_bit_for_bit(lesson: tuple[Gaussians, list[Target]]) -> None:
     begin, targets = lesson
-    settings = replace(SETTINGS, iterations=30, densify_every=10, densify_from=10)
+    settings = replace(SETTINGS, iterations=30, densify="gradient", densify_every=10, densify_from=10)
     runs = [train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=2) for _ in range(2)]
     for name in FIELDS:
         assert getattr(runs[0].gaussians, name).tobytes() == getattr(runs[1].gaussians, name).tobytes()
@@ -75,8 +78,8 @@ def test_every_regulariser_can_be_on_at_once(lesson: tuple[Gaussians, list[Targe
     depths = [rasteriser.forward(room(1200, 3), t.camera).depth_m for t in targets]
     weighted = [replace(t, depth_m=depth, weight=np.full(t.camera.hw, 2.0)) for t, depth in zip(targets, depths, strict=True)]
     settings = replace(
-        SETTINGS, iterations=120, density=0.1, depth=0.2, opacity_pull=0.01, largest_scale_m=0.3, sh_degree_every=40, densify_every=30,
-        densify_from=30, densify_until=60,
+        SETTINGS, iterations=120, density=0.1, depth=0.2, opacity_pull=0.01, largest_scale_m=0.3, sh_degree_every=40, densify="gradient",
+        densify_every=30, densify_from=30, densify_until=60,
     )  # fmt: skip
     trained = train(begin, weighted, settings, np.random.default_rng(0), extent_m=1.0, threads=1)
     assert trained.gaussians.log_scales.max() <= np.log(0.3) + 1e-6
@@ -97,14 +100,14 @@ def test_an_opacity_reset_lowers_opacities_and_forgets_their_moments() -> None:
 def test_densification_grows_to_the_cap_and_labels_follow(lesson: tuple[Gaussians, list[Target]]) -> None:
     begin, targets = lesson
     few = begin.take(np.arange(0, begin.count, 4))
-    settings = replace(SETTINGS, densify_every=50, cap=800, iterations=220)
+    settings = replace(SETTINGS, densify="gradient", cap=800, iterations=220)
     trained = train(few, targets, settings, np.random.default_rng(0), extent_m=1.0, threads=1)
     assert few.count < trained.gaussians.count <= 800
     assert (np.diff(trained.source) >= 0).all()
     # Descendants stay near their ancestors.
     moved = np.linalg.norm(trained.gaussians.means_m - few.means_m[trained.source], axis=1)
     assert np.median(moved) < 0.5
-    fixed = train(few, targets, replace(settings, densify_every=0), np.random.default_rng(0), extent_m=1.0, threads=1)
+    fixed = train(few, targets, replace(settings, densify="none"), np.random.default_rng(0), extent_m=1.0, threads=1)
     assert psnr_db(trained.gaussians, targets) > psnr_db(fixed.gaussians, targets)
 
 
@@ -124,9 +127,11 @@ def test_training_needs_gaussians_and_images(lesson: tuple[Gaussians, list[Targe
 
 
 def test_targets_are_drawn_by_share() -> None:
-    drawn = np.array(list(draws([1.0, 3.0, 0.0, 2.0], 6000, np.random.default_rng(0))))
+    order = DrawOrder([1.0, 3.0, 0.0, 2.0], np.random.default_rng(0))
+    drawn = np.array([order.draw() for _ in range(6000)])
     np.testing.assert_allclose(np.bincount(drawn, minlength=4) / 6000, [1 / 6, 1 / 2, 0, 1 / 3], atol=0.01)
-    rounds = np.array(list(draws([1.0] * 7, 70, np.random.default_rng(0)))).reshape(10, 7)
+    order = DrawOrder([1.0] * 7, np.random.default_rng(0))
+    rounds = np.array([order.draw() for _ in range(70)]).reshape(10, 7)
     np.testing.assert_array_equal(np.sort(rounds, axis=1), np.tile(np.arange(7), (10, 1)))
 
 

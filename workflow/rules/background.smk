@@ -46,3 +46,4 @@ rule background_train:
         " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
         " --threads {threads} --background {output.background} --provenance {output.provenance}"
+        " --previews logs/{wildcards.scene}/background/train"

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from studiorecon import code
 from studiorecon.background import shell as room
 from studiorecon.background.seeding import random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
@@ -32,6 +33,8 @@ from studiorecon.scene.gaussians_ply import write_ply
 from studiorecon.scene.path import Step, read_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.shell import Shell, read_shell
+from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
+from studiorecon.splatting.perceptual import Perceptual
 from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.splatting.targets import Target, scene_extent
 from studiorecon.splatting.training import TrainingSettings, train
@@ -168,6 +171,17 @@ def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Setti
     return [psnr(rasteriser.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
 
 
+def _network(settings: Settings, threads: int) -> Perceptual | None:
+    """The network of the perceptual term; None when its weight is 0."""
+    lpips = settings.training.lpips
+    if lpips.weight == 0:
+        say("LPIPS is off (background.training.lpips.weight is 0)")
+        return None
+    from studiorecon.models.lpips import read_lpips
+
+    return read_lpips(Path(lpips.weights), threads)
+
+
 def run(
     settings: Settings,
     model: Path,
@@ -180,8 +194,12 @@ def run(
     threads: int,
     background: Path,
     provenance: Path,
+    previews: Path | None = None,
 ) -> None:
-    """Train the background and write it with its provenance."""
+    """Train the background and write it with its provenance.
+
+    A killed run goes on from ``.checkpoint`` beside ``background``; pictures of how it goes are put into ``previews``.
+    """
     cameras = read_model(model.parent)
     box = read_shell(shell)
     photos = _read_photos(cameras, plates, depth, box, settings)
@@ -199,9 +217,16 @@ def run(
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
     shares = draw_shares(len(real), len(synthesized), settings.views_share)
     targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
-    trained = train(start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background")
+    inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports]
+    mark = fingerprint(settings, inputs, code.digest("background.train"), threads)
+    checkpoint = Checkpoint(background.parent / ".checkpoint" / f"{background.stem}.npz", mark, settings.training.checkpoint_every_s)
+    trained = train(
+        start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background",
+        network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
+    )  # fmt: skip
     marks = marks[trained.source]
     scores = _plate_scores(trained.gaussians, photos, settings, threads)
     say(f"{trained.gaussians.count} Gaussians after training; plates at {np.mean(scores):.2f} dB on average, {min(scores):.2f} at worst")
     write_ply(background, trained.gaussians)
     write_npz(provenance, {"provenance": marks})
+    checkpoint.remove()

@@ -60,11 +60,11 @@ def grow(
 def _half(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     """Smaller Gaussians drawn from inside the given ones."""
     offsets = rng.normal(size=gaussians.means_m.shape) * np.exp(gaussians.log_scales.astype(np.float64))
-    means = gaussians.means_m + np.einsum("nij,nj->ni", _rotations(gaussians.quaternions.astype(np.float64)), offsets)
+    means = gaussians.means_m + np.einsum("nij,nj->ni", rotations_of(gaussians.quaternions.astype(np.float64)), offsets)
     return Gaussians(means, gaussians.quaternions, gaussians.log_scales - SPLIT_SHRINK, gaussians.logit_opacities, gaussians.sh)
 
 
-def _rotations(quaternions: np.ndarray) -> np.ndarray:
+def rotations_of(quaternions: np.ndarray) -> np.ndarray:
     """(N, 3, 3) from (w, x, y, z) of any norm."""
     w, x, y, z = (quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), 1e-12)).T
     rows = [

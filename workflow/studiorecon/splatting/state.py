@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.adam import RAW_ROWS
 from studiorecon.splatting.blocks import BlockedGaussians, aligned, block, morton_order
 from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, MEAN, OPACITY, QUATERNION, ROWS, SH
+
+STORED = ("raw", "first", "second", "source", "gradient_sum", "gradient_count")
+"""Fields of a TrainingState that a checkpoint holds beside the blocks."""
 
 
 @dataclass
@@ -60,6 +64,29 @@ def _laid_out(gaussians: Gaussians, source: np.ndarray, first: np.ndarray, secon
     move_lanes(second, lanes, moments[1])
     sums = (np.zeros(blocked.padded, np.float32), np.zeros(blocked.padded, np.float32))
     return TrainingState(blocked, raw, *moments, source[order], *sums)
+
+
+def arrays_of(state: TrainingState) -> dict[str, np.ndarray]:
+    """The whole state as named arrays, for a checkpoint."""
+    arrays = {name: getattr(state, name) for name in STORED}
+    return {**arrays, "parameters": state.blocked.parameters, "shape": np.array([state.blocked.count, state.blocked.degree])}
+
+
+def restored(arrays: Mapping[str, np.ndarray]) -> TrainingState:
+    """The state of ``arrays_of``, bit for bit."""
+    count, degree = arrays["shape"].tolist()
+    laid = {name: aligned(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}
+    for name, place in laid.items():
+        place[:] = arrays[name]
+    blocked = BlockedGaussians(laid["parameters"], count, degree)
+    rest = (arrays[name].copy() for name in ("source", "gradient_sum", "gradient_count"))
+    return TrainingState(blocked, laid["raw"], laid["first"], laid["second"], *rest)
+
+
+def finite(gaussians: Gaussians) -> np.ndarray:
+    """(N,) bool: nothing of a Gaussian is NaN or infinite."""
+    arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
+    return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)
 
 
 def gaussians_of(state: TrainingState) -> Gaussians:

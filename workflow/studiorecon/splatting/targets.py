@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -32,6 +32,16 @@ class Target:
     background_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_m: np.ndarray | None = None
 
+    def sound(self) -> tuple[Target, int]:
+        """The target with every pixel masked whose colour or weight is not finite, and how many that were; unknown depth becomes 0."""
+        weight = np.ones(self.rgb.shape[:2], np.float32) if self.weight is None else self.weight
+        finite = np.isfinite(weight)
+        finite &= np.isfinite(self.rgb).all(axis=-1) | (weight == 0)
+        depth = None if self.depth_m is None else np.where(np.isfinite(self.depth_m), self.depth_m, 0).astype(np.float32)
+        if finite.all():
+            return replace(self, depth_m=depth), 0
+        return replace(self, weight=np.where(finite, weight, 0).astype(np.float32), depth_m=depth), int(np.count_nonzero(~finite))
+
     def halved(self) -> Target:
         """The target at half the size; a pixel is masked when any pixel under it is, and depth is taken, never averaged."""
         width, height = max(1, self.camera.wh[0] // 2), max(1, self.camera.wh[1] // 2)
@@ -47,19 +57,28 @@ class Target:
         return replace(self, camera=self.camera.resized((width, height)), rgb=small, weight=weight, depth_m=depth)
 
 
-def draws(shares: Sequence[float], count: int, rng: np.random.Generator) -> Iterator[int]:
-    """``count`` target indices, each target as often as its share says, spread evenly: with equal shares every round visits all once."""
-    cumulative = np.cumsum(np.asarray(shares, np.float64))
-    if not (np.isfinite(cumulative[-1]) and cumulative[-1] > 0 and min(shares) >= 0):
-        raise ValueError(f"shares of targets must be at least 0 and not all 0, not {list(shares)}")
-    drawn = 0
-    while drawn < count:
-        points = (rng.random() + np.arange(len(shares))) / len(shares) * cumulative[-1]
-        for index in rng.permutation(np.searchsorted(cumulative, points, side="right").clip(max=len(shares) - 1)):
-            if drawn == count:
-                return
-            drawn += 1
-            yield int(index)
+class DrawOrder:
+    """Which target comes next: each as often as its share says, spread evenly; with equal shares every round visits all once.
+
+    Attributes:
+        pending: the rest of the round, in order; with the generator's state it is all that a resumed run needs.
+    """
+
+    def __init__(self, shares: Sequence[float], rng: np.random.Generator) -> None:
+        cumulative = np.cumsum(np.asarray(shares, np.float64))
+        if not (np.isfinite(cumulative[-1]) and cumulative[-1] > 0 and min(shares) >= 0):
+            raise ValueError(f"shares of targets must be at least 0 and not all 0, not {list(shares)}")
+        self._cumulative, self._rng = cumulative, rng
+        self.pending: list[int] = []
+
+    def draw(self) -> int:
+        """The next target's index."""
+        if not self.pending:
+            count = len(self._cumulative)
+            points = (self._rng.random() + np.arange(count)) / count * self._cumulative[-1]
+            once = np.searchsorted(self._cumulative, points, side="right").clip(max=count - 1)
+            self.pending = self._rng.permutation(once).tolist()
+        return self.pending.pop(0)
 
 
 def scene_extent(cameras: Sequence[Camera]) -> float:

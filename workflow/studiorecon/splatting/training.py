@@ -3,81 +3,40 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting import growth, state
+from studiorecon.splatting import growth, relocation, state
 from studiorecon.splatting.adam import step_blocks
+from studiorecon.splatting.checkpoint import Checkpoint
 from studiorecon.splatting.conventions import LANES, OPACITY, QUATERNION, ROWS, SCALE, SH
+from studiorecon.splatting.feedback import Feedback
 from studiorecon.splatting.losses import Photometric, PreparedTarget, add_coverage, add_depth
+from studiorecon.splatting.perceptual import Perceptual, perceptual
+from studiorecon.splatting.planes import planes_to_images
 from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.schedule import TrainingSettings, exponential, rates_at
 from studiorecon.splatting.state import TrainingState
-from studiorecon.splatting.targets import Target, draws
+from studiorecon.splatting.targets import DrawOrder, Target
+
+__all__ = ["TrainedGaussians", "TrainingSettings", "exponential", "train"]
 
 STATISTICS_BYTES_MAX = 1 << 30
 """Targets' SSIM statistics kept in memory; those beyond are computed again at every use (a third of the loss's time)."""
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """What a stage's configuration section says about training.
-
-    Attributes:
-        iterations: steps of one image each.
-        l1, ssim: weights of mean absolute error and of 1 − SSIM (U10, U11).
-        density: weight of the prior that rendered alpha is 0 or 1 (U13).
-        depth: weight of the relative depth error where targets have depth.
-        opacity_pull: weight of the mean opacity, the alternative to ``density`` (U13).
-        position_lr_start, position_lr_end: exponential schedule, per metre of scene extent.
-        scale_lr, rotation_lr, opacity_lr: steps of log scales, quaternions and logit opacities.
-        sh_lr, sh_rest_lr: steps of the constant harmonic and of the others.
-        adam_epsilon: relative to the first steps' root mean square gradient of each kind of parameter.
-        sh_degree: of the result, 0 to 3.
-        sh_degree_every: iterations between raising the degree by one from 0; 0 = all degrees from the start.
-        warmup_half_resolution: share of the iterations, from the first on, at half the image size.
-        near_m: nothing nearer is drawn.
-        largest_scale_m: scales are cut here; 0 = no limit.
-        cap: most Gaussians that densification may lead to.
-        densify_every, densify_from, densify_until: iterations; ``densify_every`` 0 = fixed number.
-        densify_gradient: mean screen gradient, in half image widths, above which a Gaussian is cloned or split.
-        densify_scale: share of the scene extent above which it is split rather than cloned.
-        prune_opacity: Gaussians fainter than that are removed when densifying.
-        opacity_reset_every: iterations between resets to opacity 0.01 while densifying; 0 = never (U54).
-    """
-
-    iterations: int
-    l1: float
-    ssim: float
-    density: float
-    depth: float
-    opacity_pull: float
-    position_lr_start: float
-    position_lr_end: float
-    scale_lr: float
-    rotation_lr: float
-    opacity_lr: float
-    sh_lr: float
-    sh_rest_lr: float
-    adam_epsilon: float
-    sh_degree: int
-    sh_degree_every: int
-    warmup_half_resolution: float
-    near_m: float
-    largest_scale_m: float
-    cap: int
-    densify_every: int
-    densify_from: int
-    densify_until: int
-    densify_gradient: float
-    densify_scale: float
-    prune_opacity: float
-    opacity_reset_every: int
+BETA_1, BETA_2 = 0.9, 0.999
+EPSILON_STEPS = 4
+EPSILON_LEAST = 1e-30
+"""Keeps 0 / 0 away where a kind of parameter has had no gradient at all."""
+RESET_OPACITY = 0.01
+NOISE_OF_RATE = 5e5
+"""What ``relocate_noise`` 1 means, as a multiple of the position learning rate (3DGS-MCMC's value)."""
 
 
 @dataclass(frozen=True)
@@ -87,68 +46,61 @@ class TrainedGaussians:
     source: (N,) index of the initial Gaussian each descends from: what labels such as provenance are carried over with.
     psnr_db: mean over the last tenth of the iterations, on the pixels that counted.
     refused: gradient entries that were not finite and were skipped.
+    left_out: Gaussians, given or trained, that were not finite and are not in the result.
+    masked: pixels of targets that were not finite and did not count.
     """
 
     gaussians: Gaussians
     source: np.ndarray
     psnr_db: float
     refused: int
-
-
-def exponential(begin: float, end: float, done: float) -> float:
-    """The schedule ``begin``^(1 − done) · ``end``^done, both raised to 1e-12 so that a rate of 0 is no logarithm of 0 (numerics O07)."""
-    begin, end = max(begin, RATE_LEAST), max(end, RATE_LEAST)
-    return float(begin * (end / begin) ** done)
+    left_out: int
+    masked: int
 
 
 def train(
-    initial: Gaussians,
-    targets: Sequence[Target],
-    settings: TrainingSettings,
-    rng: np.random.Generator,
-    *,
-    extent_m: float,
-    span: tuple[int, int] | None = None,
-    threads: int | None = None,
-    label: str = "training",
-) -> TrainedGaussians:
+    initial: Gaussians, targets: Sequence[Target], settings: TrainingSettings, rng: np.random.Generator, *, extent_m: float,
+    span: tuple[int, int] | None = None, threads: int | None = None, label: str = "training", network: Perceptual | None = None,
+    checkpoint: Checkpoint | None = None, previews: Path | None = None,
+) -> TrainedGaussians:  # fmt: skip
     """Gaussians fitted to the targets.
 
     ``extent_m`` (``targets.scene_extent``) scales position steps. ``span`` runs only those iterations of the schedule, for loops that
-    change the targets in between (Adam's moments start anew). The same inputs, generator state and ``threads`` give the same bytes.
-    Raises Refusal without Gaussians or targets.
+    change the targets in between (Adam's moments start anew). ``network`` is asked when ``settings.lpips.weight`` is above 0.
+    ``previews`` is the folder that receives a picture of the first target at every tenth of the way. The same inputs, generator state
+    and ``threads`` give the same bytes, also when a killed run is taken up at its ``checkpoint``. Gaussians and pixels that are not
+    finite are left out and counted. Raises Refusal without Gaussians or targets.
     """
-    if initial.count == 0 or not targets:
-        raise Refusal(f"{label}: there are {initial.count} Gaussians and {len(targets)} images; training needs some of both")
     initial = initial.with_sh_degree(settings.sh_degree)
+    given = np.flatnonzero(state.finite(initial))
+    if len(given) == 0 or not targets:
+        raise Refusal(f"{label}: there are {len(given)} finite Gaussians and {len(targets)} images; training needs some of both")
+    left_out, initial = initial.count - len(given), initial.take(given)
+    targets, masked = zip(*(target.sound() for target in targets))
     if settings.largest_scale_m > 0:
         initial = replace(initial, log_scales=np.minimum(initial.log_scales, np.float32(np.log(settings.largest_scale_m))))
-    run = _Run(state.start(initial), targets, settings, rng, extent_m, threads)
+    run = _Run(state.start(initial), targets, settings, rng, extent_m, threads, network)
     first, last = span or (0, settings.iterations)
+    feedback, order = Feedback(label, first, last, previews), DrawOrder([target.share for target in targets], rng)
     say(f"{label}: {initial.count} Gaussians on {len(targets)} images, iterations {first} to {last}")
-    began = told = time.perf_counter()
-    losses, psnrs, telling = [], [0.0], max(1, (last - first) // 10)
-    order = draws([target.share for target in targets], last - first, rng)
-    for iteration, index in enumerate(progress(order, label, last - first), start=first):
-        loss, psnr_db = run.step(iteration, index)
-        losses.append(loss)
-        psnrs.append(psnr_db)
-        done = iteration + 1 - first
-        if done % telling == 0:
-            now = time.perf_counter()
-            left = (now - began) / done * (last - first - done)
-            say(
-                f"{label}: {iteration + 1} of {settings.iterations}, {telling / (now - told):.0f} it/s,"
-                f" loss {np.mean(losses[-telling:]):.4f}, PSNR {np.mean(psnrs[-telling:]):.2f} dB,"
-                f" {run.state.blocked.count} Gaussians, {left:.0f} s left"
-            )
-            told = now
+    begin = first
+    if checkpoint is not None and (stored := checkpoint.load()) is not None:
+        begin = run.resume(*stored, feedback, order)
+        say(f"{label}: goes on at iteration {begin}, where it was interrupted")
+    for iteration in progress(range(begin, last), label, last - begin):
+        if feedback.add(*run.step(iteration, order.draw())):
+            feedback.tell(run.state.blocked.count, targets[0].camera.name, *run.look())
+        if checkpoint is not None and checkpoint.due():
+            checkpoint.save(*run.snapshot(iteration + 1, feedback, order))
     back = np.argsort(run.state.source, kind="stable")
-    if run.refused:
-        say(f"{label}: {run.refused} gradient entries were not finite and were skipped")
-    return TrainedGaussians(
-        state.gaussians_of(run.state).take(back), run.state.source[back], float(np.mean(psnrs[-telling:])), run.refused
-    )  # fmt: skip
+    trained = state.gaussians_of(run.state).take(back)
+    kept = state.finite(trained)
+    left_out += int(np.count_nonzero(~kept))
+    for count, what in ((sum(masked), "pixels of targets"), (left_out, "Gaussians"), (run.refused, "gradient entries")):
+        if count:
+            say(f"{label}: {count} {what} were not finite and were left out")
+    source = given[run.state.source[back]]
+    return TrainedGaussians(trained.take(kept), source[kept], feedback.last_psnr_db, run.refused, left_out, int(sum(masked)))
 
 
 class _Run:
@@ -156,9 +108,9 @@ class _Run:
 
     def __init__(
         self, begin: TrainingState, targets: Sequence[Target], settings: TrainingSettings, rng: np.random.Generator, extent_m: float,
-        threads: int | None,
+        threads: int | None, network: Perceptual | None = None,
     ) -> None:  # fmt: skip
-        self.state, self.settings, self.rng, self.extent_m = begin, settings, rng, extent_m
+        self.state, self.settings, self.rng, self.extent_m, self.network = begin, settings, rng, extent_m, network
         self.refused, self.steps = 0, 0
         self._rasteriser = Rasteriser(near_m=settings.near_m, threads=threads)
         self._targets = {False: list(targets), True: [None] * len(targets)}
@@ -166,6 +118,29 @@ class _Run:
         self._losses: dict[tuple[int, int], tuple[Photometric, np.ndarray]] = {}
         self._statistics_bytes = 0
         self._squares, self._epsilons = np.zeros(ROWS), np.zeros(ROWS, np.float32)
+
+    def snapshot(self, iteration: int, feedback: Feedback, order: DrawOrder) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """All that the iterations from ``iteration`` on depend on: arrays, and JSON facts."""
+        arrays = {"squares": self._squares, "epsilons": self._epsilons, **feedback.record(), **state.arrays_of(self.state)}
+        drawing = {"generator": self.rng.bit_generator.state, "pending": order.pending}
+        return arrays, {"iteration": iteration, "steps": self.steps, "refused": self.refused, **drawing}
+
+    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any], feedback: Feedback, order: DrawOrder) -> int:
+        """Puts a ``snapshot`` back; returns the iteration to go on with."""
+        self.state, self._squares, self._epsilons = state.restored(arrays), arrays["squares"], arrays["epsilons"]
+        self.steps, self.refused, self.rng.bit_generator.state = facts["steps"], facts["refused"], facts["generator"]
+        order.pending = facts["pending"]
+        feedback.resume(arrays)
+        return facts["iteration"]
+
+    def look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The first target as it is rendered now (H, W, 3), as it should be, and which pixels count (H, W) bool."""
+        target = self._targets[False][0]
+        shape = target.camera.hw
+        rgb, alpha, depth_m = (np.empty(s, np.float32) for s in ((*shape, 3), shape, shape))
+        with self._rasteriser.own_threads():
+            planes_to_images(self._rasteriser.draw(self.state.blocked, target.camera, target.background_rgb), rgb, alpha, depth_m)
+        return rgb, target.rgb, np.ones(shape, bool) if target.weight is None else target.weight > 0
 
     def step(self, iteration: int, index: int) -> tuple[float, float]:
         """One iteration on one target; returns loss and PSNR."""
@@ -181,8 +156,12 @@ class _Run:
                 loss += add_coverage(planes, None, target.weight, 0.0, s.density, gradient)
             if s.depth > 0 and target.depth_m is not None:
                 loss += add_depth(planes, target.depth_m, target.weight, s.depth, gradient)
-            by_blocks = self._rasteriser.gather(gradient)
-            self._adam(iteration, degree, by_blocks)
+            if s.lpips.weight > 0 and self.network is not None and iteration % s.lpips.every == 0:
+                rendered = np.ascontiguousarray(planes[:3].transpose(1, 2, 0))
+                distance, slope = perceptual(self.network, s.lpips, rendered, target.rgb, target.weight, self.rng)
+                loss += distance
+                gradient[:3] += slope.transpose(2, 0, 1)
+            self._adam(iteration, degree, self._rasteriser.gather(gradient))
             self._grow(iteration, target.camera.wh[0])
         return loss, terms.psnr_db
 
@@ -205,16 +184,12 @@ class _Run:
         self.steps += 1
         if self.steps <= EPSILON_STEPS:
             self._settle_epsilons(by_blocks, visible)
-        rates = np.empty(ROWS, np.float32)
-        rates[:SCALE] = self.extent_m * exponential(s.position_lr_start, s.position_lr_end, iteration / s.iterations)
-        rates[SCALE:QUATERNION], rates[QUATERNION:OPACITY], rates[OPACITY] = s.scale_lr, s.rotation_lr, s.opacity_lr
-        rates[SH : SH + 3], rates[SH + 3 :] = s.sh_lr, s.sh_rest_lr
         refused = np.empty(len(visible) // LANES, np.int32)
         f32 = np.float32
         step_blocks(
-            self.state.blocked.parameters, self.state.raw, by_blocks, self.state.first, self.state.second, rates, self._epsilons,
-            f32(BETA_1), f32(BETA_2), f32(1 - BETA_1**self.steps), f32(1 - BETA_2**self.steps), visible, SH + 3 * (degree + 1) ** 2,
-            f32(s.opacity_pull / max(1, self._rasteriser.visible_count)),
+            self.state.blocked.parameters, self.state.raw, by_blocks, self.state.first, self.state.second,
+            rates_at(s, iteration, self.extent_m), self._epsilons, f32(BETA_1), f32(BETA_2), f32(1 - BETA_1**self.steps),
+            f32(1 - BETA_2**self.steps), visible, SH + 3 * (degree + 1) ** 2, f32(s.opacity_pull / max(1, self._rasteriser.visible_count)),
             f32(np.log(s.largest_scale_m)) if s.largest_scale_m > 0 else f32(np.inf), refused,
         )  # fmt: skip
         self.refused += int(refused.sum())
@@ -229,27 +204,28 @@ class _Run:
             self._epsilons[rows] = max(self.settings.adam_epsilon * typical, EPSILON_LEAST)
 
     def _grow(self, iteration: int, width: int) -> None:
-        s = self.settings
-        done = iteration + 1
-        if s.densify_every == 0 or done > s.densify_until:
+        """Density control after the step of ``iteration``, as ``densify`` says."""
+        s, done, before = self.settings, iteration + 1, self.state
+        if s.densify == "none" or done > s.densify_until:
             return
-        before = self.state
-        state.add_screen_gradient(
-            self._rasteriser.visible, self._rasteriser.screen, np.float32(width / 2), before.gradient_sum, before.gradient_count
-        )  # fmt: skip
-        if done >= s.densify_from and done % s.densify_every == 0:
+        due = done >= s.densify_from and done % s.densify_every == 0
+        if s.densify == "gradient":
+            state.add_screen_gradient(
+                self._rasteriser.visible, self._rasteriser.screen, np.float32(width / 2), before.gradient_sum, before.gradient_count
+            )  # fmt: skip
+        elif s.relocate_noise > 0:
+            relocation.wander(before.blocked, s.relocate_noise * NOISE_OF_RATE * float(rates_at(s, iteration, self.extent_m)[0]), self.rng)
+        if due and s.densify == "gradient":
             mean = before.gradient_sum / np.maximum(before.gradient_count, 1)
             grown = growth.grow(
                 state.gaussians_of(before), mean[: before.blocked.count], threshold=s.densify_gradient,
                 large_m=s.densify_scale * self.extent_m, prune_opacity=s.prune_opacity, cap=s.cap, rng=self.rng,
             )  # fmt: skip
+        elif due:
+            grown = relocation.relocate(
+                state.gaussians_of(before), dead_opacity=s.prune_opacity, growth=s.relocate_growth, cap=s.cap, rng=self.rng
+            )
+        if due:
             self.state = state.regrown(before, grown.gaussians, grown.parent, grown.fresh)
         if s.opacity_reset_every > 0 and done % s.opacity_reset_every == 0:
-            state.lower_opacities(self.state, 0.01)
-
-
-BETA_1, BETA_2 = 0.9, 0.999
-EPSILON_STEPS = 4
-RATE_LEAST = 1e-12
-EPSILON_LEAST = 1e-30
-"""Keeps 0 / 0 away where a kind of parameter has had no gradient at all."""
+            state.lower_opacities(self.state, RESET_OPACITY)
