@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
+from studiorecon.body.model import BodyModel
 from studiorecon.cameras.calibration import read_calibration
 from studiorecon.deliver import camera_files, export, keypoint_files
 from studiorecon.errors import Refusal
@@ -30,10 +31,11 @@ def settings(default_settings: Callable) -> export.Settings:
 
 
 def options(folder: Path, people: int) -> dict:
+    identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
     fits = [folder / f"people/p{i}.npz" for i in range(people)]
     for fit in fits:
         person = Person(
-            fit.stem, "any", FPS, np.zeros((FRAMES, 72)), np.zeros((FRAMES, 3)), np.zeros(10), np.zeros((FRAMES, 24, 3)),
+            fit.stem, identity, FPS, np.zeros((FRAMES, 72)), np.zeros((FRAMES, 3)), np.zeros(10), np.zeros((FRAMES, 24, 3)),
             np.ones(FRAMES, bool), np.zeros((FRAMES, 24)), True,
         )  # fmt: skip
         write_person(fit, person)

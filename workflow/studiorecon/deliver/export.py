@@ -11,7 +11,8 @@ from pathlib import Path
 
 from studiorecon.body.avatar import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.deliver import camera_files, keypoint_files
+from studiorecon.deliver import camera_files, keypoint_files, motion_files
+from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -19,7 +20,7 @@ from studiorecon.scene.colmap import read_model, read_points
 from studiorecon.scene.files import complete, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.scene.people import Person, read_detections, read_identities, read_person
 
 README = """{scene}: a 4D scene of {people} and a static room, exported by studiorecon.
 
@@ -41,7 +42,9 @@ _KEYPOINTS = (
 )
 _PERSONS = (
     "people/           each person at frame {frame}, in the world, same layout\n"
-    "bodies/           each person's motion: AMASS-style npz (poses, trans, betas, joints; SMPL's 24-joint order; trans = pelvis)\n"
+    "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's 24-joint order, trans = pelvis, which frames\n"
+    "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, centimetres), .trc (OpenSim markers, y up,\n"
+    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (mesh, skeleton and animation, y up) are for other programs\n"
 )
 
 
@@ -88,6 +91,17 @@ def copy_files(copies: Mapping[Path, Path]) -> None:
             shutil.copyfile(source, partial)
 
 
+def motion(folder: Path, person: Person, body: BodyModel) -> list[Path]:
+    """One person's motion in every format, ``<folder>/<person>.<ending>``; raises Refusal when the fit is of another body model."""
+    if person.body != body.identity:
+        raise Refusal(f"{person.name} was fitted with the body model {person.body}, but {body.identity} was given; use the same body file")
+    written = []
+    for ending, write in {**motion_files.WRITERS, "glb": write_glb}.items():
+        written.append(folder / f"{person.name}.{ending}")
+        write(written[-1], person, body)
+    return written
+
+
 def run(
     settings: Settings,
     scene: str,
@@ -122,6 +136,8 @@ def run(
         for d in seen:
             numbers = keypoint_files.numbers_of(d.camera, known, names)
             other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
+    for fit in fits:
+        other += motion(folder / "bodies", read_person(fit), body_model)
     copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
     copy_files(copies)

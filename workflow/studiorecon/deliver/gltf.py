@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation, for Blender, Unity and web viewers.
+
+glTF is y up, metres, (x, y, z, w) quaternions, little endian; everything is in one file. The specification allows four bones per
+vertex in one attribute set, so that of each vertex' weights the four largest are kept and renormalised.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.body.model import JOINT_NAMES, BodyModel
+from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
+from studiorecon.geometry import rotations
+from studiorecon.scene.files import complete
+from studiorecon.scene.people import Person
+
+_FLOAT, _UBYTE, _UINT = 5126, 5121, 5125
+_ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
+_BONES = 4
+
+
+class Buffer:
+    """The binary chunk, and the views and accessors into it."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None) -> int:
+        """Index of a new accessor over ``values`` (count, …); minima and maxima are given, as positions and times require."""
+        raw = np.ascontiguousarray(values).tobytes()
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
+        self.views.append(view | ({"target": target} if target else {}))
+        self.data += raw + b"\0" * (-len(raw) % 4)
+        flat = values.reshape(len(values), -1)
+        accessor = {"bufferView": len(self.views) - 1, "componentType": component, "count": len(values), "type": kind}
+        if component == _FLOAT and kind in ("SCALAR", "VEC3"):
+            accessor |= {"min": flat.min(0).tolist(), "max": flat.max(0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def strongest_bones(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification asks."""
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
+    kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
+    kept /= kept.sum(axis=1, keepdims=True)
+    return np.where(kept > 0, joints, 0).astype(np.uint8), kept.astype(np.float32)
+
+
+def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) float32 unit normals, faces weighted by area; straight up where a vertex has no face."""
+    corners = vertices_m[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros_like(vertices_m)
+    for corner in range(3):
+        np.add.at(total, faces[:, corner], across)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0]).astype(np.float32)
+
+
+def write_glb(path: Path, person: Person, body: BodyModel) -> None:
+    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are included."""
+    rest, joints = body.rest_vertices(person.betas), body.rest_joints(person.betas)
+    buffer = Buffer()
+    bones, weights = strongest_bones(body.weights)
+    attributes = {
+        "POSITION": buffer.add(rest.astype(np.float32), "VEC3", _FLOAT, _ARRAY_BUFFER),
+        "NORMAL": buffer.add(vertex_normals(rest, body.faces), "VEC3", _FLOAT, _ARRAY_BUFFER),
+        "JOINTS_0": buffer.add(bones, "VEC4", _UBYTE, _ARRAY_BUFFER),
+        "WEIGHTS_0": buffer.add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER),
+    }
+    indices = buffer.add(body.faces.reshape(-1, 1).astype(np.uint32), "SCALAR", _UINT, _ELEMENT_BUFFER)
+    inverse_bind = np.tile(np.eye(4, dtype=np.float32), (24, 1, 1))
+    inverse_bind[:, 3, :3] = -joints  # column-major: the translation is the last row here
+    bind = buffer.add(inverse_bind.reshape(24, 16), "MAT4", _FLOAT)
+    nodes = []
+    for j, (name, parent) in enumerate(zip(JOINT_NAMES, body.parents)):
+        offset = joints[j] - (joints[parent] if parent >= 0 else 0)
+        children = [k for k, p in enumerate(body.parents) if p == j]
+        nodes.append({"name": name, "translation": offset.tolist()} | ({"children": children} if children else {}))
+    nodes.append({"name": person.name, "mesh": 0, "skin": 0})
+    document = {
+        "asset": {"version": "2.0", "generator": "studiorecon"},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 24]}],
+        "nodes": nodes,
+        "meshes": [{"name": person.body, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.7, 0.7, 0.7, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}}],
+        "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
+        "animations": [_animation(buffer, person)],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": len(buffer.data)}],
+    }
+    text = json.dumps(document, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    with complete(path) as partial, open(partial, "wb") as file:
+        file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(buffer.data)))
+        file.write(struct.pack("<I4s", len(text), b"JSON") + text)
+        file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
+
+
+def _animation(buffer: Buffer, person: Person) -> dict[str, Any]:
+    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
+    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
+    turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
+    quaternions = _continued(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
+    places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
+    outputs = [buffer.add(places, "VEC3", _FLOAT), *(buffer.add(quaternions[:, j], "VEC4", _FLOAT) for j in range(24))]
+    samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
+    paths = [(0, "translation"), *((j, "rotation") for j in range(24))]
+    channels = [{"sampler": i, "target": {"node": node, "path": what}} for i, (node, what) in enumerate(paths)]
+    return {"name": "capture", "samplers": samplers, "channels": channels}
+
+
+def _continued(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations with signs that never flip from frame to frame: viewers interpolate components (R03)."""
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
+    signs = np.cumprod(np.where(flips, -1.0, 1.0), axis=0)
+    return np.concatenate([quaternions[:1], quaternions[1:] * signs])

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person's motion in the files of other tools: AMASS npz, BVH, TRC and OpenPose's 3D JSON.
+
+BVH, TRC and glTF viewers have y up, this project has z up: their files hold the world turned by −90 degrees about x, and say so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import JOINT_NAMES, BodyModel
+from studiorecon.geometry import rotations
+from studiorecon.scene.files import write_npz, write_text
+from studiorecon.scene.people import Person
+
+# Carries the z-up world to a y-up one: (x, y, z) → (x, z, −y).
+Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+# Unit of BVH files: none is written in them, centimetres are what most programs assume.
+_CENTIMETRES = 100.0
+# Points of TRC and OpenPose files, in OpenPose's order and under OpenPose's names.
+_BODY_25 = LAYOUTS["body_25"].keypoints
+
+
+def amass(path: Path, person: Person, body: BodyModel) -> None:
+    """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ + trans.
+
+    The project's own files have the pelvis itself as ``trans``; programs that load AMASS expect this one.
+    """
+    arrays = {
+        "poses": person.poses,
+        "trans": person.trans - body.rest_joints(person.betas)[0],
+        "betas": person.betas,
+        "mocap_framerate": person.fps,
+        "gender": "neutral",
+        "body": person.body,
+        "valid": person.valid,
+    }
+    write_npz(path, arrays)
+
+
+def bvh(path: Path, person: Person, body: BodyModel) -> None:
+    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, centimetres, degrees.
+
+    Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled frames are
+    included: a film must not blink.
+    """
+    rest = _CENTIMETRES * body.rest_joints(person.betas)
+    children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
+    lines, order = ["HIERARCHY"], []
+
+    def describe(joint: int, depth: int) -> None:
+        pad = "\t" * depth
+        order.append(joint)
+        offset = rest[joint] - rest[body.parents[joint]] if depth else np.zeros(3)
+        place = "Xposition Yposition Zposition " if not depth else ""
+        lines.extend([f"{pad}{'JOINT' if depth else 'ROOT'} {JOINT_NAMES[joint]}", pad + "{", f"{pad}\tOFFSET {_numbers(offset)}"])
+        lines.append(f"{pad}\tCHANNELS {6 if not depth else 3} {place}Zrotation Xrotation Yrotation")
+        for child in children[joint]:
+            describe(child, depth + 1)
+        if not children[joint]:
+            # A leaf ends half as far beyond it as its own bone is long.
+            lines.extend([f"{pad}\tEnd Site", pad + "\t{", f"{pad}\t\tOFFSET {_numbers(0.5 * offset)}", pad + "\t}"])
+        lines.append(pad + "}")
+
+    describe(0, 0)
+    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
+    turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
+    angles = euler_zxy_deg(turned)[:, order].reshape(len(turned), -1)
+    places = _CENTIMETRES * person.trans @ Y_UP_FROM_Z_UP.T
+    lines += ["MOTION", f"Frames: {len(angles)}", f"Frame Time: {1 / person.fps:.9f}"]
+    lines += [f"{_numbers(place)} {_numbers(row)}" for place, row in zip(places, angles)]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def trc(path: Path, person: Person, body: BodyModel) -> None:
+    """OpenSim's marker file: the body's surface points under OpenPose BODY_25 names; y up, metres, frames from 1.
+
+    Frames that were not measured are left empty, which OpenSim reads as missing.
+    """
+    points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans) @ Y_UP_FROM_Z_UP.T
+    count, fps = len(_BODY_25), f"{person.fps:g}"
+    names = "\t".join(f"{name}\t\t" for name in map(openpose_name, _BODY_25))
+    axes = "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, count + 1))
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{fps}\t{fps}\t{len(points)}\t{count}\tm\t{fps}\t1\t{len(points)}",
+        f"Frame#\tTime\t{names}".rstrip("\t") + "\t\t",
+        f"\t\t{axes}",
+        "",
+    ]
+    for frame, (values, measured) in enumerate(zip(points, person.valid)):
+        cells = [f"{v:.6f}" for v in values.reshape(-1)] if measured else [""] * (3 * count)
+        lines.append("\t".join([str(frame + 1), f"{frame / person.fps:.6f}", *cells]))
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
+    """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled, 0).
+
+    One file for the clip, a list with one OpenPose document per frame.
+    """
+    points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
+    confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
+    rows = np.round(np.concatenate([points, confident], axis=2), 6).reshape(len(points), -1)
+    frames = [{"version": 1.3, "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}]} for row in rows]
+    write_text(path, json.dumps(frames, separators=(",", ":")) + "\n")
+
+
+WRITERS: dict[str, Callable[[Path, Person, BodyModel], None]] = {
+    "amass.npz": amass,
+    "bvh": bvh,
+    "trc": trc,
+    "openpose3d.json": openpose_3d,
+}
+
+
+def euler_zxy_deg(rotation: np.ndarray) -> np.ndarray:
+    """(..., 3) angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
+
+    Only for BVH, whose channels are Euler angles (nothing here computes with them, R21).
+    """
+    sine = np.clip(rotation[..., 2, 1], -1, 1)
+    locked = np.abs(sine) > 1 - 1e-12
+    z = np.where(locked, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), np.arctan2(-rotation[..., 0, 1], rotation[..., 1, 1]))
+    cosine = np.hypot(rotation[..., 0, 1], rotation[..., 1, 1])
+    y = np.where(locked, 0.0, np.arctan2(-rotation[..., 2, 0], rotation[..., 2, 2]))
+    return np.degrees(np.stack([z, np.arctan2(sine, cosine), y], axis=-1))
+
+
+def openpose_name(keypoint: str) -> str:
+    """``left_big_toe`` → ``LBigToe``, ``mid_hip`` → ``MidHip``."""
+    words = keypoint.split("_")
+    side = {"left": "L", "right": "R"}.get(words[0])
+    return "".join([side or words[0].capitalize(), *(word.capitalize() for word in words[1:])])
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{v:.6f}" for v in values)
