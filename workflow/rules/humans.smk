@@ -38,3 +38,4 @@ rule humans_train:
         " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
         " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"
+        " --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"

@@ -7,6 +7,8 @@ SO(3): each step is a small rotation put in front of the joint's own, so nothing
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from studiorecon.geometry import rotations
@@ -14,6 +16,8 @@ from studiorecon.geometry import rotations
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
 _HELD = (10, 11, 15, 22, 23)  # feet (toes), head, hands
+
+_STORED = {"local": "local", "trans_m": "trans_m", "turn_first": "_first", "turn_second": "_second", "turn_steps": "_steps"}
 
 
 class Motion:
@@ -33,6 +37,15 @@ class Motion:
             self._subtree[parents[joint]] |= self._subtree[joint]
         self._first, self._second = np.zeros((len(self.local), 25, 3)), np.zeros((len(self.local), 25, 3))
         self._steps = np.zeros(len(self.local), np.int64)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Rotations, positions and Adam's state, for a checkpoint."""
+        return {name: getattr(self, attribute) for name, attribute in _STORED.items()}
+
+    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+        """Puts ``arrays`` back, in place."""
+        for name, attribute in _STORED.items():
+            getattr(self, attribute)[...] = held[name]
 
     @property
     def poses(self) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from studiorecon import code
 from studiorecon.body.avatar import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.posing import MAX_SH_DEGREE, Posing
@@ -23,7 +24,7 @@ from studiorecon.humans.colouring import look, nearest_surface
 from studiorecon.humans.footage import Crop, crops_of
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
-from studiorecon.humans.training import Limits, Losses, Rates, train_gaussians
+from studiorecon.humans.training import Limits, Losses, Rates, Support, train_gaussians
 from studiorecon.images.video import read_frames
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -31,6 +32,8 @@ from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, read_people, read_person
 from studiorecon.scene.provenance import INFERRED, MEASURED
+from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
+from studiorecon.splatting.perceptual import Perceptual
 
 _BONES_KEPT = 4
 _NEIGHBOURS = 8
@@ -56,6 +59,7 @@ class Settings:
     occluder_px: int
     smallest_px: int
     near_m: float
+    checkpoint_every_s: float
     seed: int
     losses: Losses
     rates: Rates
@@ -101,9 +105,12 @@ def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin
 
 def run(
     settings: Settings, person: str, model: Path, manifest: Path, people: Path, videos: list[Path], masks: list[Path], fit: Path,
-    body: Path, threads: int, gaussians: Path, avatar: Path,
+    body: Path, threads: int, gaussians: Path, avatar: Path, previews: Path | None = None,
 ) -> None:  # fmt: skip
-    """Train one person and write the avatar."""
+    """Train one person and write the avatar.
+
+    A killed run goes on from ``.checkpoint`` beside ``gaussians``; pictures of how it goes are put into ``previews``.
+    """
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
     if not len(cameras) == len(videos) == len(masks):
@@ -137,9 +144,12 @@ def run(
     start = gaussians_on(samples, settings.sh_degree)
     start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
     say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
+    inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body]
+    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person)
+    checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
     trained = train_gaussians(
         start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
-        settings.limits, settings.near_m, threads, rng,
+        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews),
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
@@ -150,6 +160,18 @@ def run(
         provenance=np.where(seen, MEASURED, INFERRED).astype(np.uint8), poses=motion.poses, trans=motion.trans_m, betas=fitted.betas,
         valid=fitted.valid, fps=fitted.fps, metric=fitted.metric,
     ))  # fmt: skip
+    checkpoint.remove()
+
+
+def _network(settings: Settings, threads: int) -> Perceptual | None:
+    """The network of the perceptual term; None when its weight is 0."""
+    lpips = settings.losses.lpips
+    if lpips.weight == 0:
+        say("LPIPS is off (humans.losses.lpips.weight is 0)")
+        return None
+    from studiorecon.models.lpips import read_lpips
+
+    return read_lpips(Path(lpips.weights), threads)
 
 
 def _read_crops(

@@ -10,17 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from studiorecon.body.posing import Posing
 from studiorecon.humans.footage import IGNORED, PERSON, Crop
 from studiorecon.humans.motion import Motion
-from studiorecon.progress import progress
+from studiorecon.progress import progress, say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.adam import Adam
+from studiorecon.splatting.checkpoint import Checkpoint
+from studiorecon.splatting.feedback import Feedback
 from studiorecon.splatting.losses import coverage, photometric
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.perceptual import Perceptual, PerceptualSettings, perceptual
+from studiorecon.splatting.rasterise import Rasteriser, Rendering
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-15
 
@@ -31,6 +35,7 @@ class Losses:
 
     l1: float
     ssim: float
+    lpips: PerceptualSettings
     mask: float
     density: float
     surface: float
@@ -60,16 +65,29 @@ class Limits:
     surface_m: float
 
 
+@dataclass(frozen=True)
+class Support:
+    """What a training run is given beside its subject: the perceptual network, where it keeps its state, where pictures of it go."""
+
+    network: Perceptual | None = None
+    checkpoint: Checkpoint | None = None
+    previews: Path | None = None
+
+
+def wanted_picture(crop: Crop, behind_rgb: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float32: the person as filmed, ``behind_rgb`` everywhere else."""
+    person = (crop.verdict == PERSON)[..., None]
+    return np.where(person, crop.rgb.astype(np.float32) / np.float32(255), behind_rgb.astype(np.float32))
+
+
 def pixel_losses(
     rgb: np.ndarray, alpha: np.ndarray, crop: Crop, behind_rgb: np.ndarray, losses: Losses
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss of one rendered crop and its gradients by rgb (h, w, 3) and alpha (h, w)."""
-    person = crop.verdict == PERSON
+    """Loss of one rendered crop and its gradients by rgb (h, w, 3) and alpha (h, w); without the perceptual term."""
     weight = (crop.verdict != IGNORED).astype(np.float32)
-    target = np.where(person[..., None], crop.rgb.astype(np.float32) / np.float32(255), behind_rgb.astype(np.float32))
-    value, grad_rgb = photometric(rgb, target, weight, losses.l1, losses.ssim)
+    value, grad_rgb = photometric(rgb, wanted_picture(crop, behind_rgb), weight, losses.l1, losses.ssim)
     counted = max(float(weight.sum()), 1.0)
-    miss = (alpha - person) * weight
+    miss = (alpha - (crop.verdict == PERSON)) * weight
     value += losses.mask * float(np.abs(miss).sum()) / counted
     grad_alpha = np.sign(miss) * np.float32(losses.mask / counted)
     if losses.density > 0:
@@ -86,11 +104,12 @@ def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) 
 
 def train_gaussians(
     start: Gaussians, spacing_m: float, posing: Posing, motion: Motion, crops: Sequence[Crop], iterations: int, pose_from: int,
-    losses: Losses, rates: Rates, limits: Limits, near_m: float, threads: int, rng: np.random.Generator,
+    losses: Losses, rates: Rates, limits: Limits, near_m: float, threads: int, rng: np.random.Generator, support: Support,
 ) -> Gaussians:  # fmt: skip
     """The trained canonical Gaussians; ``motion`` is refined in place from iteration ``pose_from`` on when its rate is above 0.
 
-    The number of Gaussians stays the same: they start on the surface, where a person's pixels come from.
+    The number of Gaussians stays the same: they start on the surface, where a person's pixels come from. A killed run taken up at
+    its checkpoint ends with the same bytes.
     """
     own = {
         "means": start.means_m.copy(), "quaternions": start.quaternions.copy(), "scales": start.log_scales.copy(),
@@ -106,16 +125,34 @@ def train_gaussians(
     }
     scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
     rasteriser = Rasteriser(near_m=near_m, threads=threads)
+    feedback, checkpoint = Feedback("person", 0, iterations, support.previews), support.checkpoint
+
+    def draw(crop: Crop, behind: np.ndarray) -> tuple[Rendering, np.ndarray]:
+        transforms = motion.transforms(crop.frame)
+        sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
+        means, quaternions, sh = posing.out(own["means"], own["quaternions"], sh, transforms)
+        posed = Gaussians(means, quaternions, own["scales"], own["opacities"], sh)
+        return rasteriser.forward(posed, crop.camera, behind), transforms
+
+    begin = 0
+    if checkpoint is not None and (stored := checkpoint.load()) is not None:
+        arrays, facts = stored
+        adam.resume(arrays)
+        motion.resume(arrays)
+        feedback.resume(arrays)
+        begin, rng.bit_generator.state = facts["iteration"], facts["generator"]
+        say(f"training goes on at iteration {begin}, where it was interrupted")
     with rasteriser.own_threads():
-        for iteration in progress(range(iterations), "training", iterations):
+        for iteration in progress(range(begin, iterations), "training", iterations - begin):
             crop = crops[rng.integers(len(crops))]
-            transforms = motion.transforms(crop.frame)
-            means, quaternions, sh = posing.out(
-                own["means"], own["quaternions"], np.concatenate([own["colour"], own["harmonics"]], axis=1), transforms
-            )
             behind = rng.random(3)
-            picture = rasteriser.forward(Gaussians(means, quaternions, own["scales"], own["opacities"], sh), crop.camera, behind)
-            _, grad_rgb, grad_alpha = pixel_losses(picture.rgb, picture.alpha, crop, behind, losses)
+            picture, transforms = draw(crop, behind)
+            loss, grad_rgb, grad_alpha = pixel_losses(picture.rgb, picture.alpha, crop, behind, losses)
+            if losses.lpips.weight > 0 and support.network is not None and iteration % losses.lpips.every == 0:
+                wanted, weight = wanted_picture(crop, behind), crop.verdict != IGNORED
+                distance, slope = perceptual(support.network, losses.lpips, picture.rgb, wanted, weight, rng)
+                loss += distance
+                grad_rgb += slope
             back = rasteriser.backward(grad_rgb, grad_alpha)
             grad_means, grad_quaternions, grad_sh = posing.back(back.means_m, back.quaternions, back.sh)
             grad_means += losses.surface * held_near_surface(own["means"], start.means_m, limits.surface_m)
@@ -130,5 +167,23 @@ def train_gaussians(
             adam.step(gradients, fixed | {"means": position_m}, back.screen > 0)
             # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
             np.clip(own["scales"], *scale_range, out=own["scales"])
+            if feedback.add(loss, crop_psnr_db(picture.rgb, crop)):
+                view, grey = crops[len(crops) // 2], np.full(3, 0.5)
+                name = f"frame {view.frame} of {view.camera.name}"
+                feedback.tell(start.count, name, draw(view, grey)[0].rgb, wanted_picture(view, grey), view.verdict != IGNORED)
+            if checkpoint is not None and checkpoint.due():
+                facts = {"iteration": iteration + 1, "generator": rng.bit_generator.state}
+                checkpoint.save({**adam.arrays(), **motion.arrays(), **feedback.record()}, facts)
+    if adam.refused:
+        say(f"{adam.refused} gradient entries were not finite and were skipped")
     sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
     return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
+
+
+def crop_psnr_db(rgb: np.ndarray, crop: Crop) -> float:
+    """PSNR of a rendered crop (h, w, 3) on the person's own pixels; 0 when there are none."""
+    person = crop.verdict == PERSON
+    if not person.any():
+        return 0.0
+    errors = rgb[person] - crop.rgb[person].astype(np.float32) / np.float32(255)
+    return float(-10 * np.log10(max(float(np.mean(errors * errors)), 1e-12)))

@@ -65,6 +65,22 @@ class Adam:
         self._moments = {name: (np.zeros_like(p).reshape(-1), np.zeros_like(p).reshape(-1)) for name, p in parameters.items()}
         self._steps = dict.fromkeys(parameters, 0)
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Parameters, moments, steps and the count of refused entries, for a checkpoint."""
+        held = {f"parameter.{name}": value for name, value in self.parameters.items()}
+        for name, (first, second) in self._moments.items():
+            held |= {f"first.{name}": first, f"second.{name}": second, f"steps.{name}": np.array(self._steps[name])}
+        return {**held, "refused": np.array(self.refused)}
+
+    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+        """Puts ``arrays`` back, in place."""
+        for name, value in self.parameters.items():
+            value[...] = held[f"parameter.{name}"]
+            for moment, kind in zip(self._moments[name], ("first", "second")):
+                moment[...] = held[f"{kind}.{name}"]
+            self._steps[name] = int(held[f"steps.{name}"])
+        self.refused = int(held["refused"])
+
     def step(self, gradients: Mapping[str, np.ndarray], rates: Mapping[str, float], rows: np.ndarray | None = None) -> None:
         """One step of the parameters named in ``gradients``; with ``rows`` (N,) bool only those entries of the first axis move."""
         for name, gradient in gradients.items():
