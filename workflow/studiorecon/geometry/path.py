@@ -122,11 +122,10 @@ def between(
         points = arc(start.centre_m, end.centre_m, shares, centre_m)
     turned_a, turned_b = start.world_from_camera[:3, :3], end.world_from_camera[:3, :3]
     if rotations == "slerp":
-        turned = [slerp(turned_a, turned_b, share) for share in shares]
+        turned = slerp(turned_a, turned_b, shares)
     else:
-        frames = [look_at(point, centre_m) for point in points]
-        beside_a, beside_b = frames[0].T @ turned_a, frames[-1].T @ turned_b
-        turned = [frame @ slerp(beside_a, beside_b, share) for frame, share in zip(frames, shares)]
+        frames = np.stack([look_at(point, centre_m) for point in points])
+        turned = frames @ slerp(frames[0].T @ turned_a, frames[-1].T @ turned_b, shares)
     lens_end = end.resized(start.wh).intrinsics
     views = []
     for share, rotation, point in zip(shares, turned, points):
