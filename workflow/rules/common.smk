@@ -195,4 +195,5 @@ def scene_products():
 def people_products(wildcards):
     """Products of every person who was found; known once association has run."""
     found = type("Scene", (), {"scene": SCENE})()
-    return [*fits(found), *masks(found), *human_gaussians(found), *human_avatars(found)]
+    overlays = [f"results/{SCENE}/people/overlay/{c}.mp4" for c in TRAINING if people(found)]
+    return [*fits(found), *overlays, *masks(found), *human_gaussians(found), *human_avatars(found)]

@@ -95,3 +95,30 @@ rule people_fit:
         "python -m studiorecon people.fit --settings {params.settings:q} --log {log}"
         " --person {wildcards.person} --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q}"
         " --identities {input.identities:q} --standing {input.standing:q} --body {input.body:q} --fit {output.fit:q}"
+
+
+rule people_overlay:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        manifest="results/{scene}/capture/manifest.json",
+        video="results/{scene}/capture/{camera}.mkv",
+        detections="results/{scene}/people/detections/{camera}.npz",
+        identities="results/{scene}/people/identities.tsv",
+        fits=fits,
+    output:
+        film="results/{scene}/people/overlay/{camera}.mp4",
+    log:
+        "logs/{scene}/people/overlay/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/people/overlay/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=700,
+    params:
+        code=code("people.overlay"),
+    shell:
+        "python -m studiorecon people.overlay --log {log}"
+        " --camera {wildcards.camera:q} --model {input.model:q} --manifest {input.manifest:q} --video {input.video:q}"
+        " --detections {input.detections:q} --identities {input.identities:q} --fits {input.fits:q} --film {output.film:q}"

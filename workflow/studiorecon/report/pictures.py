@@ -6,9 +6,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-# One colour per person, safe for colour-blind readers (Okabe and Ito), and a grey for foreground that is nobody's.
-_PEOPLE_RGB = np.array([(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)])
-_NOBODY_RGB = np.array((160, 160, 160))
+from studiorecon.images.palette import NOBODY, person_colour
+
 _UNASSIGNED = 255
 # measured, inferred, invented.
 _TRUTH_RGB = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
@@ -38,8 +37,8 @@ def mask_picture(photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """The photo with each person tinted in a colour of their own; ``mask`` is 0 background, k+1 person k, 255 unassigned."""
     tinted = photo.astype(np.float32)
     for label in np.unique(mask[mask > 0]):
-        colour = _NOBODY_RGB if label == _UNASSIGNED else _PEOPLE_RGB[(int(label) - 1) % len(_PEOPLE_RGB)]
-        tinted[mask == label] = 0.45 * tinted[mask == label] + 0.55 * colour
+        colour = NOBODY if label == _UNASSIGNED else person_colour(int(label) - 1)
+        tinted[mask == label] = 0.45 * tinted[mask == label] + 0.55 * np.array(colour)
     return tinted.astype(np.uint8)
 
 

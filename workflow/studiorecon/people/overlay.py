@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.overlay``: one camera's footage with the detected keypoints and everybody's fitted skeleton, as a film that plays anywhere.
+
+Dots are what the detector saw, lines are the body: thick where the frame was measured, thin where it was filled in, absent where the
+body is behind the camera. One colour per person; rejected detections are grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import JOINT_NAMES
+from studiorecon.errors import Refusal
+from studiorecon.images.palette import NOBODY, person_colour
+from studiorecon.images.video import read_frames, write_watchable
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities, read_person
+
+# cv2 draws in sixteenths of a pixel, counted from pixel centres.
+_SHIFT = 4
+# Lines are this thick per pixel of picture width.
+_THICKNESS = 1 / 320
+_NEAR_M = 0.05
+
+
+def bones_px(camera: Camera, joints_m: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Both ends (2,) in pixels of every bone of (24, 3) joints that lies wholly in front of the camera."""
+    pixels, depth = camera.project(joints_m)
+    return [(pixels[a], pixels[b]) for a, b in LAYOUTS["smpl24"].edges if min(depth[a], depth[b]) > _NEAR_M]
+
+
+def drawn(
+    picture: np.ndarray,
+    frame: int,
+    camera: Camera,
+    people: Sequence[Person],
+    seen: Detections | None,
+    identities: Mapping[tuple[str, int], str],
+) -> np.ndarray:
+    """(H, W, 3) uint8 picture with this frame's keypoints and skeletons drawn into a copy."""
+    canvas = np.ascontiguousarray(picture).copy()
+    width = max(1, round(_THICKNESS * canvas.shape[1]))
+    names = [person.name for person in people]
+    for d in np.flatnonzero(seen.frame == frame) if seen is not None else ():
+        owner = identities.get((camera.name, int(seen.track[d])), "")
+        colour = person_colour(names.index(owner)) if owner in names else NOBODY
+        for x, y, confidence in seen.keypoints[d]:
+            if confidence > 0:
+                cv2.circle(canvas, _fixed((x, y)), (width + 1) << _SHIFT, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+    for index, person in enumerate(people):
+        thickness = 2 * width if person.valid[frame] else width
+        bones = bones_px(camera, person.joints[frame])
+        for start, end in bones:
+            cv2.line(canvas, _fixed(start), _fixed(end), (0, 0, 0), thickness + 2, cv2.LINE_AA, _SHIFT)
+        for start, end in bones:
+            cv2.line(canvas, _fixed(start), _fixed(end), person_colour(index), thickness, cv2.LINE_AA, _SHIFT)
+        head, depth = camera.project(person.joints[frame][JOINT_NAMES.index("head")])
+        if float(depth) > _NEAR_M and np.abs(head).max() < 4 * canvas.shape[1]:
+            at = (int(head[0]) + 3 * width, int(head[1]) - 3 * width)
+            for colour, thick in (((0, 0, 0), width + 2), (person_colour(index), width)):
+                cv2.putText(canvas, person.name, at, cv2.FONT_HERSHEY_SIMPLEX, 0.4 * width, colour, thick, cv2.LINE_AA)
+    return canvas
+
+
+def run(
+    camera: str, model: Path, manifest: Path, video: Path, detections: Path | None, identities: Path, fits: list[Path], film: Path
+) -> None:
+    """Write one camera's overlay film; raises Refusal when a fit has another length than the capture."""
+    capture = read_manifest(manifest)
+    own = next((c for c in read_model(model.parent) if c.name == camera), None)
+    if own is None:
+        raise Refusal(f"camera {camera} is not in {model}")
+    people = [read_person(fit) for fit in fits]
+    for person, fit in zip(people, fits):
+        if len(person.poses) != capture.frames:
+            raise Refusal(f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; fit {person.name} again")
+    seen = read_detections(detections) if detections is not None else None
+    known = read_identities(identities)
+    frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")
+    written = write_watchable(film, (drawn(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps)
+    say(f"{film} shows {len(people)} people in {written} frames of camera {camera}")
+
+
+def _fixed(point: Sequence[float]) -> tuple[int, int]:
+    # Far outside the picture cv2's integers would overflow; a bone that leaves the picture may end anywhere beyond it.
+    x, y = np.clip(np.asarray(point, np.float64) - 0.5, -1e5, 1e5)
+    return round(x * (1 << _SHIFT)), round(y * (1 << _SHIFT))
