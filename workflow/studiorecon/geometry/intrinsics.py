@@ -46,8 +46,8 @@ def focal_from_points(
 
     ``confidence`` (...,) as probabilities (U23: after the sigmoid); points below ``least_confidence``, behind the camera or not finite
     are left out. Robust: the median of |pixel − centre| / |(x, y)/z| as start, then Huber on the two-dimensional residual, cut at
-    twice its limit. The unit of length does not matter. Undetermined with fewer than 50 points or with none off the optical axis. Raises ValueError
-    that names the argument when shapes do not fit.
+    twice its limit. The unit of length does not matter. Undetermined with fewer than 50 points or with none off the optical axis.
+    Raises ValueError that names the argument when shapes do not fit.
     """
     points, pixels = np.asarray(points, dtype=np.float64), np.asarray(pixels, dtype=np.float64)
     require("points", points, (..., 3))
