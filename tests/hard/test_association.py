@@ -64,7 +64,7 @@ def pair_recall(groups, planted: dict[tuple[int, int], int]) -> float:
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (0, 0)], ids=lambda s: f"A01-{s[0]}x{s[1]}")
 def test_nobody_matches_nobody(shape):  # A01 naive: max over empty raises
     assert match(np.zeros(shape), 1.0) == []
-    assert margins(TrackPairs(*np.zeros((2, 0), int), np.zeros((0, 0)), np.zeros((0, 0), bool)), []).shape == (0,)
+    assert margins(TrackPairs(*np.zeros((3, 0), int), *np.zeros((3, 0, 0))), []).shape == (0,)
     assert window_distances([]).shape == (0, 0)
 
 
@@ -268,7 +268,7 @@ def test_a11_whole_tracks_find_what_one_frame_and_a_reference_view_miss(options)
 def test_a12_close_people_are_undecided_in_one_frame_and_told_apart_in_many(position):  # A12 naive: 0.75 right, none reported
     people = np.array([[0.0, 0, 1], [0.45, 0, 1]])
     view, track, rng = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.random.default_rng(0)
-    wrong, undecided, wrong_late = np.zeros(400, bool), np.zeros(400, bool), 0
+    wrong, undecided, wrong_late, alone = np.zeros(400, bool), np.zeros(400, bool), 0, view[:, None] == view
     for k in range(400):
         views = people[None, None] + rng.normal(0, 0.2, (61, 2, 2, 3)) * [1, 1, 0.2]
         for frames in (1, 61):
@@ -278,7 +278,7 @@ def test_a12_close_people_are_undecided_in_one_frame_and_told_apart_in_many(posi
             pairs = match(1 - found, 1.0)
             full = np.zeros((4, 4))
             full[:2, 2:], full[2:, :2] = found, found.T
-            preferred = margins(TrackPairs(view, track, full, view[:, None] == view), [[a, 2 + b] for a, b in pairs])
+            preferred = margins(TrackPairs(view, track, np.full(4, frames), ~alone, full, alone), [[a, 2 + b] for a, b in pairs])
             mistaken, doubtful = any(a != b for a, b in pairs), bool((preferred < position.undecided_margin).any())
             if frames == 1:
                 wrong[k], undecided[k] = mistaken, doubtful

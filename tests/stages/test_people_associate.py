@@ -160,7 +160,7 @@ def test_keypoints_numbered_beside_the_clip_are_refused(tmp_path, people_setting
 
 
 def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart():
-    limits = TrackingLimits(step_share=0.15, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
+    limits = TrackingLimits(step_share=0.15, shape_share=0.1, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
     frames = [t for t in range(20) if t not in (5, 6)]
     one = tracks(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits)
     assert set(one.tolist()) == {0}
@@ -174,7 +174,7 @@ def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart():
 
 
 def test_a_person_found_twice_in_one_frame_counts_once():
-    limits = TrackingLimits(step_share=0.15, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
+    limits = TrackingLimits(step_share=0.15, shape_share=0.1, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
     weak = skeleton(101, 100)
     weak[:, 2] = 0.3
     both = np.stack([weak, skeleton(100, 100), skeleton(300, 100)])

@@ -109,7 +109,7 @@ def run(
         rows = rows_of(table, given)
         say(f"{len(rows)} people as corrected in {corrected[0]}")
     else:
-        table, rows = _from_keypoints(settings, cameras, given, videos, found.frames, found.fps)
+        table, rows = identities_from_keypoints(settings, cameras, given, videos, found.frames, found.fps)
     upright: list[Standing] = []
     if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
         upright = _without_keypoints(settings, cameras, given, table, [row[0] for row in rows], videos, plated, plates, body, found)
@@ -121,7 +121,7 @@ def run(
     write_standing(standing, upright)
 
 
-def _from_keypoints(
+def identities_from_keypoints(
     settings: Settings, cameras: Sequence[Camera], given: list[Detections], videos: list[Path], frames: int, fps: float
 ) -> tuple[dict[tuple[str, int], str], list[tuple[str, int, str, float, str]]]:
     """(camera, track) → person, and the lines of people.tsv, of everybody the keypoints of two cameras or more agree on."""

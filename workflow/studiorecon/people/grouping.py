@@ -16,6 +16,11 @@ from studiorecon.people.star import star_groups
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+# Tracks of fewer detections found no group; they join where their keypoints lie on a group's points.
+_LONG = 5
+# Such a track needs so many keypoints to compare with, and must agree so much better with one group than with any other.
+_COMPARABLE, _CLEARLY = 6, 0.25
+
 
 @dataclass(frozen=True)
 class Group:
@@ -62,8 +67,9 @@ def group_tracks(
         return [_group(members, stable, cameras, frames, agree) for members in star_groups(seen, limits)]
     pairs = track_pairs(seen, stable, cameras, limits)
     groups = []
-    for nodes in groups_by_affinity(pairs.affinity, pairs.forbidden):
-        members = [(int(pairs.view[n]), int(pairs.track[n])) for n in nodes]
+    long = np.flatnonzero(pairs.detections >= min(_LONG, pairs.detections.max(initial=0)))
+    for nodes in groups_by_affinity(pairs.affinity[np.ix_(long, long)], pairs.forbidden[np.ix_(long, long)]):
+        members = [(int(pairs.view[n]), int(pairs.track[n])) for n in long[nodes]]
         group = _without_strangers(_group(members, stable, cameras, frames, agree), stable, cameras, frames, limits, agree)
         if group is not None:
             groups.append(group)
@@ -148,24 +154,37 @@ def _without_strangers(
 def _with_leftovers(
     groups: list[Group], stable: Sequence[Detections], cameras: Sequence[Camera], frames: int, limits: AssociationLimits, agree: Limits
 ) -> list[Group]:
-    """Groups with the tracks that no pair of rays placed, where their keypoints lie on a group's projected points (A14)."""
+    """Groups with the tracks that no pair of rays placed, where their keypoints lie on a group's projected points (A14).
+
+    Two people one behind the other both fit a detection of one of them: the clearest tracks are placed first, and one that still fits
+    two groups alike is nobody's rather than the wrong one's.
+    """
     taken = {m for g in groups for m in g.members}
     left = [(v, int(t)) for v, d in enumerate(stable) for t in np.unique(d.track) if (v, int(t)) not in taken]
-    for member in left:
-        fits = [(_fit(member, g, stable, cameras, agree), i) for i, g in enumerate(groups) if _free(member, g, stable)]
-        fits = [(share, -i) for (share, total), i in fits if total >= len(STABLE_KEYPOINTS) and share >= limits.track_agreement]
-        if fits:
-            i = -max(fits)[1]
-            groups[i] = _group([*groups[i].members, member], stable, cameras, frames, agree)
-    return groups
+    fits = {m: [_fit(m, g, stable, cameras, agree) for g in groups] for m in left}
+    shares = {m: [share if total >= _COMPARABLE else 0.0 for share, total in found] for m, found in fits.items()}
+    placed = [list(g.members) for g in groups]
+    while True:
+        clear = []
+        for m in left:
+            free = [(shares[m][i], -i) for i, members in enumerate(placed) if _free(m, members, stable)]
+            first, second = sorted([*free, (0.0, -len(groups)), (0.0, -len(groups))], reverse=True)[:2]
+            if first[0] >= limits.track_agreement and first[0] - second[0] >= _CLEARLY:
+                clear.append((first[0] - second[0], m, -first[1]))
+        if not clear:
+            break
+        _, member, i = max(clear)
+        placed[i].append(member)
+        left.remove(member)
+    return [g if len(m) == len(g.members) else _group(m, stable, cameras, frames, agree) for g, m in zip(groups, placed)]
 
 
-def _free(member: tuple[int, int], group: Group, stable: Sequence[Detections]) -> bool:
-    """Whether the group has no detection of this camera in any of the member's frames: one detection per view."""
+def _free(member: tuple[int, int], members: Sequence[tuple[int, int]], stable: Sequence[Detections]) -> bool:
+    """Whether ``members`` have no detection of this camera in any of the member's frames: one detection per view."""
     view, track = member
     mine = stable[view].frame[stable[view].track == track]
-    theirs = [stable[view].frame[stable[view].track == t] for v, t in group.members if v == view]
-    return not any(np.intersect1d(mine, t).size for t in theirs)
+    theirs = stable[view].frame[np.isin(stable[view].track, [t for v, t in members if v == view])]
+    return not np.isin(mine, theirs).any()
 
 
 def _joined_over_gaps(
@@ -182,7 +201,7 @@ def _joined_over_gaps(
         best: tuple[float, int, int] | None = None
         for i, first in enumerate(groups):
             for j, second in enumerate(groups):
-                if i == j or not all(_free(m, first, stable) for m in second.members):
+                if i == j or not all(_free(m, first.members, stable) for m in second.members):
                     continue
                 first_seen, second_seen = (np.flatnonzero(np.isfinite(g.centres_m).all(-1)) for g in (first, second))
                 if not len(first_seen) or not len(second_seen) or first_seen[-1] >= second_seen[0]:

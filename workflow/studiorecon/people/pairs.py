@@ -99,10 +99,18 @@ def detection_affinities(first: Sights, i: np.ndarray, second: Sights, j: np.nda
 
 @dataclass(frozen=True)
 class TrackPairs:
-    """M tracks: (M,) ``view`` and ``track``, (M, M) ``affinity`` 0..1, 0 = no link, and (M, M) bool ``forbidden`` to be one person."""
+    """What is known about every two of M tracks.
+
+    Attributes:
+        view, track: (M,) camera number and track id; detections: (M,) how many it has.
+        affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
+        forbidden: (M, M) bool: these two are not one person.
+    """
 
     view: np.ndarray
     track: np.ndarray
+    detections: np.ndarray
+    measured: np.ndarray
     affinity: np.ndarray
     forbidden: np.ndarray
 
@@ -125,7 +133,14 @@ def track_pairs(seen: Sequence[Sights], stable: Sequence[Detections], cameras: S
     judged = pose / limits.pose_gate_rad if limits.affinity == "pose" else shares
     forbidden = ~np.isnan(judged) & ~(np.nan_to_num(judged, nan=0.0) < 1)
     same_view = graph.view[:, None] == graph.view[None]
-    return TrackPairs(graph.view, graph.track, np.where(same_view, 0.0, affinity), forbidden | (same_view & graph.together))
+    return TrackPairs(
+        graph.view,
+        graph.track,
+        graph.detections,
+        ~np.isnan(judged) & ~same_view,
+        np.where(same_view, 0.0, affinity),
+        forbidden | (same_view & graph.together),
+    )
 
 
 def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> np.ndarray:
@@ -139,8 +154,9 @@ def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> np.ndarray:
 
 
 def _closeness(pairs: TrackPairs, node: int, group: Sequence[int]) -> float:
-    elsewhere = [n for n in group if pairs.view[n] != pairs.view[node]]
-    return float(pairs.affinity[node, elsewhere].mean()) if elsewhere else 0.0
+    """Mean affinity to the group's tracks, weighted by their length, where there is anything to compare; 0 without."""
+    known = [n for n in group if pairs.measured[node, n]]
+    return float(np.average(pairs.affinity[node, known], weights=pairs.detections[known])) if known else 0.0
 
 
 def _pelvis_distances(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:

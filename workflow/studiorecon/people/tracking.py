@@ -17,6 +17,8 @@ class TrackingLimits:
 
     Attributes:
         step_share: largest median keypoint distance between them, as a share of the person's box diagonal, per frame apart.
+        shape_share: largest median keypoint distance once the two are laid on each other (same measure): a person's outline changes
+            little between frames, a false detection's is another one. However long the gap, what is shaped otherwise is no rival.
         gap_frames: frames without a detection after which a track ends.
         duplicate_share: two detections of one frame closer than this (same measure) are one person found twice.
         clear_ratio: the second best continuation of a track must be this many times further away, else it ends: two short
@@ -24,6 +26,7 @@ class TrackingLimits:
     """
 
     step_share: float
+    shape_share: float
     gap_frames: int
     duplicate_share: float
     clear_ratio: float
@@ -34,16 +37,32 @@ def distance_shares(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     inf where fewer than three keypoints are shared. The median, because one misplaced wrist is not another person.
     """
+    return _median_shares(first, second, aligned=False)
+
+
+def shape_shares(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(A, B) the same after the median offset between the two is taken out: how differently they are shaped, wherever they are."""
+    return _median_shares(first, second, aligned=True)
+
+
+def _median_shares(first: np.ndarray, second: np.ndarray, aligned: bool) -> np.ndarray:
     if not len(first) or not len(second):
         return np.zeros((len(first), len(second)))
     shared = (first[:, None, :, 2] > 0) & (second[None, :, :, 2] > 0)
-    apart = np.linalg.norm(np.nan_to_num(first[:, None, :, :2]) - np.nan_to_num(second[None, :, :, :2]), axis=-1)
-    enough = shared.sum(-1) >= 3
-    # Sorting with inf for missing ones and picking the middle of the present ones is a median without all-NaN warnings.
-    ordered = np.sort(np.where(shared, apart, np.inf), axis=-1)
-    middle = np.take_along_axis(ordered, np.maximum((shared.sum(-1) - 1) // 2, 0)[..., None], axis=-1)[..., 0]
+    offset = np.nan_to_num(first[:, None, :, :2]) - np.nan_to_num(second[None, :, :, :2])
+    if aligned:
+        offset = offset - np.stack([_medians(offset[..., axis], shared) for axis in (0, 1)], axis=-1)[:, :, None]
+    middle = _medians(np.linalg.norm(offset, axis=-1), shared)
     diagonal = np.minimum(box_diagonals(first)[:, None], box_diagonals(second)[None])
-    return np.where(enough, np.where(np.isfinite(middle), middle, 0.0) / np.maximum(diagonal, 1e-9), np.inf)
+    return np.where(shared.sum(-1) >= 3, middle / np.maximum(diagonal, 1e-9), np.inf)
+
+
+def _medians(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """(...,) lower median over the last axis of the present values, 0 where there is none."""
+    # Sorting with inf for missing ones and picking the middle of the present ones is a median without all-NaN warnings.
+    ordered = np.sort(np.where(present, values, np.inf), axis=-1)
+    middle = np.take_along_axis(ordered, np.maximum((present.sum(-1) - 1) // 2, 0)[..., None], axis=-1)[..., 0]
+    return np.where(np.isfinite(middle), middle, 0.0)
 
 
 def box_diagonals(keypoints: np.ndarray) -> np.ndarray:
@@ -88,7 +107,9 @@ def tracks(frame: np.ndarray, keypoints: np.ndarray, limits: TrackingLimits) -> 
         now = np.flatnonzero(frame == t)
         open_tracks = [k for k, d in latest.items() if t - frame[d] <= limits.gap_frames]
         gaps = np.array([t - frame[latest[k]] for k in open_tracks], dtype=np.float64)
-        shares = distance_shares(keypoints[[latest[k] for k in open_tracks]], keypoints[now]) / np.maximum(gaps[:, None], 1.0)
+        before = keypoints[[latest[k] for k in open_tracks]]
+        shares = distance_shares(before, keypoints[now]) / np.maximum(gaps[:, None], 1.0)
+        shares = np.where(shape_shares(before, keypoints[now]) < limits.shape_share, shares, np.inf)
         for row, column in match(shares, limits.step_share):
             rivals = np.concatenate([np.delete(shares[row], column), np.delete(shares[:, column], row)])
             if (rivals < min(limits.clear_ratio * shares[row, column], limits.step_share)).any():
