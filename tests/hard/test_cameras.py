@@ -6,18 +6,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.cameras.formats.raw import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.geometry.bundle import BundleSettings, adjust
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.scene.camera import Camera
 
-from tests.foundations.camera_ring import LIMITS, look_at
+from tests.foundations.camera_ring import LIMITS, look_at, ring, seen
 
 CAMERA = look_at("c", np.array([4.0, 0.5, 1.5]), [0, 0, 1])
 POINT = np.array([0.3, -0.2, 1.2])
-ASIDE = np.array([0.3, 1.3, 1.2])
 
 
-def test_a_rotation_written_with_three_digits_is_made_a_rotation_again():  # C01 naive: inverse by transposition 4.0 mm off
+def test_c01_a_rotation_written_with_three_digits_is_made_a_rotation_again():  # C01 naive: inverse by transposition 4.0 mm off
     rounded = np.round(CAMERA.camera_from_world[:3, :3], 3)
     pose, _ = rigid_camera_from_world(rounded, CAMERA.camera_from_world[:3, 3], "x")
     assert np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() < 1e-6
@@ -26,18 +26,60 @@ def test_a_rotation_written_with_three_digits_is_made_a_rotation_again():  # C01
     assert np.abs(camera.unproject(pixel, depth) - POINT).max() < 1e-9
 
 
-def test_both_directions_of_a_pose_are_told_apart_by_name():  # C02 naive: 5.67 m off
+def test_c02_both_directions_of_a_pose_are_told_apart_by_name():  # C02 naive: 5.67 m off
     pose = camera_from_world_of_pose(CAMERA.world_from_camera, "x")
     assert np.abs(pose - CAMERA.camera_from_world).max() < 1e-12
+    loaded, naive = (Camera("c", CAMERA.wh, CAMERA.intrinsics, m) for m in (pose, CAMERA.world_from_camera))
+    pixel, depth = CAMERA.project(POINT)
+    assert np.abs(loaded.unproject(pixel, depth) - POINT).max() < 1e-9
+    assert np.linalg.norm(naive.unproject(pixel, depth) - POINT) > 1.0
+    assert np.abs(CAMERA.world_from_camera @ CAMERA.camera_from_world - np.eye(4)).max() < 1e-14
 
 
-def test_depth_is_z_and_not_range():  # C03 naive: 0.27 m off at 20 degrees off axis, 4 m away
-    pixel, depth = CAMERA.project(ASIDE)
-    assert np.linalg.norm(ASIDE - CAMERA.centre_m) > depth + 0.1
-    assert np.abs(CAMERA.unproject(pixel, depth) - ASIDE).max() < 1e-9
+# C03 naive: the ray's length taken for z is 0.27, 0.71 and 1.59 m off at 20, 30 and 40 degrees off axis, 4 m away.
+@pytest.mark.parametrize(("degrees", "naive_m"), [(20, 0.27), (30, 0.71), (40, 1.59)], ids=lambda v: f"C03-{v}")
+def test_depth_is_z_and_not_range(degrees, naive_m):
+    camera = Camera("c", (1280, 704), CAMERA.intrinsics, np.eye(4))
+    point = np.array([4 * np.tan(np.radians(degrees)), 0.0, 4.0])
+    pixel, depth = camera.project(point)
+    assert depth == 4.0
+    assert np.abs(camera.unproject(pixel, depth) - point).max() < 1e-9
+    length = np.linalg.norm(point)
+    assert np.linalg.norm(camera.unproject(pixel, length) - point) == pytest.approx((length - 4) * length / 4, rel=1e-9)
+    assert (length - 4) * length / 4 == pytest.approx(naive_m, abs=0.01)
 
 
-def test_a_point_behind_the_camera_is_not_seen():  # C05 naive: pixel (540, 302), inside the picture
+def rays(count: int, rng: np.random.Generator) -> tuple[list[Camera], np.ndarray, np.ndarray]:
+    cameras, points = ring(), rng.uniform(-0.5, 0.5, (count, 3)) + np.array([0, 0, 1])
+    return cameras, points, seen(cameras, points, 1.0, rng)
+
+
+# C06 naive: loss 0.0 and gradient NaN, because the mask comes after the division. Here the derivative is the normal equations'.
+@pytest.mark.parametrize("z", [0.0, 1e-30, -2.0, np.nan], ids=lambda z: f"C06-z={z:g}")
+def test_masked_points_on_the_camera_plane_leave_no_trace_in_the_derivative(z):
+    rng = np.random.default_rng(0)
+    cameras, points, pixels = rays(40, rng)
+    weights = np.ones((4, 40))
+    settings = BundleSettings(6, 5.0, 0.5)
+    expected, _ = adjust(cameras, pixels, weights, points, np.full(4, 6.0), settings)
+    first = cameras[0]
+    on_plane = first.world_from_camera @ np.array([0.0, 0, np.nan_to_num(z), 1])
+    poisoned = np.concatenate([pixels, np.full((4, 1, 2), np.nan if np.isnan(z) else 3.0)], axis=1)
+    more = np.concatenate([weights, np.zeros((4, 1))], axis=1)
+    found, moved = adjust(cameras, poisoned, more, np.concatenate([points, on_plane[None, :3]]), np.full(4, 6.0), settings)
+    assert np.isfinite(moved).all()
+    for a, b in zip(expected, found):
+        assert np.abs(a.camera_from_world - b.camera_from_world).max() < 1e-9
+    # The same in triangulation: a view without a weight has no gradient, whatever its pixel says.
+    weights[0] = 0
+    pixels[0] = 1e30
+    with_it = triangulate(pixels, weights, cameras, LIMITS)
+    without = triangulate(pixels[1:], weights[1:], cameras[1:], LIMITS)
+    assert with_it.valid.all()
+    assert np.array_equal(with_it.points_m, without.points_m)
+
+
+def test_c05_a_point_behind_the_camera_is_not_seen():  # C05 naive: pixel (540, 302), inside the picture
     camera = Camera("c", (1280, 704), CAMERA.intrinsics, np.eye(4))
     pixel, depth = camera.project(np.array([0.2, 0.1, -2.0]))
     assert np.isnan(pixel).all()
@@ -52,10 +94,12 @@ def test_resizing_keeps_the_ray_of_every_pixel_centre(scale):  # C07 naive: cx Â
     assert camera.principal_px[0] == pytest.approx(scale * 639.5 + (scale - 1) / 2 + 0.5)
 
 
-def test_a_far_origin_costs_no_pixels():  # C08 naive, f32: 0.01 px at 1 km, 185 px at 10 000 km
+def test_c08_a_far_origin_costs_no_pixels():  # C08 naive, f32: 0.01 px at 1 km, 185 px at 10 000 km
     shift = np.array([1e6, -1e6, 0.0])
     far = look_at("c", CAMERA.centre_m + shift, np.array([0, 0, 1]) + shift)
     assert np.abs(far.project(POINT + shift)[0] - CAMERA.project(POINT)[0]).max() < 1e-3
+    pixel, depth = far.project(POINT + shift)
+    assert np.abs(far.unproject(pixel, depth) - POINT - shift).max() < 1e-8
 
 
 # C09 naive: five fixed-point steps give 0.943, 0.712, 0.122; two hundred 1.0, a cycle, 16.4.

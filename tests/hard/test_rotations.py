@@ -28,6 +28,10 @@ def slerp_of_rounded_rotations() -> None:
     rounded = Rotation.random(2000, random_state=0).as_matrix().astype(np.float32)
     middle = rotations.slerp(rounded, rounded, np.full(2000, 0.5))
     np.testing.assert_allclose(middle, rounded, atol=1e-6)
+    unit = Rotation.random(2000, random_state=0).as_quat().astype(np.float32)
+    assert ((unit * unit).sum(-1) > 1).mean() > 0.05
+    exact = rotations.from_quaternion(unit)
+    np.testing.assert_allclose(rotations.slerp(exact, exact, np.full(2000, 0.5)), exact, atol=1e-12)
 
 
 def slerp_of_opposite_quaternions() -> None:
@@ -68,9 +72,9 @@ def exp_at_zero_and_its_generators() -> None:
 
 def exp_keeps_the_second_order_term() -> None:
     # Naive: (1 − cos θ)/θ² is 0.477 at 1e-3 and 0 at 1e-4 in float32.
-    for angle in (1e-3, 3e-4, 1e-4, 1e-6):
-        second = -rotations.exp(np.array([angle, 0, 0]))[1, 1] + 1
-        assert second == pytest.approx(angle**2 / 2, rel=1e-3)
+    for angle in (1e-3, 3e-4, 1e-4, 1e-6, 1e-9):
+        x, y, _ = axis_angle = angle * np.array([0.6, 0.8, 0.0])
+        assert rotations.exp(axis_angle)[0, 1] / (x * y) == pytest.approx(0.5, rel=1e-6)
 
 
 def log_of_small_float32_rotations() -> None:
@@ -86,7 +90,13 @@ def log_of_small_float32_rotations() -> None:
 def log_near_half_a_turn() -> None:
     # Naive: error 0.108 at π − 1e-3, 3597 at π − 1e-4 (float32), 12.1 at π (float64).
     axis = np.array([0.48, -0.6, 0.64])
-    for short, tolerance, kind in ((1e-3, 2e-6, np.float32), (1e-4, 2e-6, np.float32), (1e-7, 2e-8, np.float64), (0.0, 2e-8, np.float64)):
+    for short, tolerance, kind in (
+        (1e-3, 1e-6, np.float32),
+        (1e-4, 1e-6, np.float32),
+        (0.0, 1e-6, np.float32),
+        (1e-7, 2e-8, np.float64),
+        (0.0, 2e-8, np.float64),
+    ):
         found = rotations.log(Rotation.from_rotvec((np.pi - short) * axis).as_matrix().astype(kind))
         found = found if found @ axis > 0 else -found
         np.testing.assert_allclose(found, (np.pi - short) * axis, atol=tolerance)
@@ -107,9 +117,39 @@ def quaternion_of_length_zero() -> None:
         np.testing.assert_array_equal(rotations.from_quaternion(np.full(4, length)), np.eye(3))
 
 
+def distance_of_equal_rotations_has_a_gradient() -> None:
+    # Naive arccos of the trace: gradient −inf; clamped at 1 − 1e-7 the value floors at 4.9e-4 rad and the gradient is 0.
+    start = rotations.exp([0.3, -0.2, 0.9])
+    squared = lambda w: float(rotations.angle(start, start @ rotations.exp(w)) ** 2)  # noqa: E731
+    assert squared(np.zeros(3)) < 1e-30
+    for axis in np.eye(3):
+        assert abs(squared(1e-6 * axis) - squared(-1e-6 * axis)) / 2e-6 < 1e-9
+        for tiny in (1e-4, 1e-6):  # no floor: the curvature is that of θ²
+            assert squared(tiny * axis) == pytest.approx(tiny**2, rel=1e-6)
+    # Half a turn apart is as far as it gets, and still a number.
+    assert rotations.angle(start, start @ rotations.exp([np.pi, 0, 0])) == pytest.approx(np.pi, abs=1e-7)
+
+
+def parallel_vectors_still_span_a_rotation() -> None:
+    # Naive Gram-Schmidt of a 6D rotation: NaN.
+    first = np.array([[0.0, 0, 2], [1, 1, 1], [3, 0, 0], [0, 0, 0], [0, 1e-30, 0], [0.3, -0.2, 0.1], [np.nan, 0, 1]])
+    second = np.array([[0.0, 0, -5], [2, 2, 2], [0, 0, 0], [1, 0, 0], [1, 0, 0], [0.1, 0.5, 0.9], [1, 0, 0]])
+    found, determined = rotations.from_two_vectors(first, second)
+    assert determined.tolist() == [False, False, False, False, False, True, False]
+    np.testing.assert_allclose(np.swapaxes(found, -1, -2) @ found, np.tile(np.eye(3), (7, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(found), 1, atol=1e-12)
+    np.testing.assert_allclose(found[:3, :, 0], first[:3] / np.linalg.norm(first[:3], axis=-1, keepdims=True), atol=1e-12)
+    truth = rotations.exp([0.4, -1.1, 2.0])
+    again, known = rotations.from_two_vectors(3 * truth[:, 0], truth[:, 1] - 7 * truth[:, 0])
+    assert known
+    np.testing.assert_allclose(again, truth, atol=1e-14)
+
+
 def mean_does_not_mind_signs() -> None:
     # Naive component mean of q(10°) and −q(12°): −169°.
-    mean, determined = rotations.mean(about_z(np.array([10.0, 12.0])))
+    half = np.deg2rad([5.0, 6.0])
+    quaternions = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=-1) * np.array([[1], [-1]])
+    mean, determined = rotations.mean(rotations.from_quaternion(quaternions))
     assert determined
     assert angle_z_deg(mean) == pytest.approx(11, abs=1e-9)
 
@@ -122,7 +162,7 @@ def mean_of_thirds_is_undetermined() -> None:
 def long_products_are_repaired() -> None:
     # Naive: |RᵀR − I| 7.7e-4 after 1e5 float32 products.
     step, product = rotations.exp([0.01, 0.02, 0.03]).astype(np.float32), np.eye(3, dtype=np.float32)
-    for _ in range(20000):
+    for _ in range(100_000):
         product = product @ step
     repaired = rotations.project_to_so3(product)
     assert np.abs(repaired.T @ repaired - np.eye(3)).max() < 1e-12
@@ -165,10 +205,12 @@ def pitch_crosses_ninety() -> None:
         pytest.param(log_near_half_a_turn, id="R12"),
         pytest.param(quaternion_near_half_a_turn, id="R13"),
         pytest.param(quaternion_of_length_zero, id="R14"),
+        pytest.param(distance_of_equal_rotations_has_a_gradient, id="R15"),
         pytest.param(mean_does_not_mind_signs, id="R16"),
         pytest.param(mean_of_thirds_is_undetermined, id="R17"),
         pytest.param(long_products_are_repaired, id="R18"),
         pytest.param(kabsch_of_a_planar_torso, id="R19"),
+        pytest.param(parallel_vectors_still_span_a_rotation, id="R20"),
         pytest.param(pitch_crosses_ninety, id="R21"),
     ],
 )

@@ -82,6 +82,31 @@ def from_quaternion(quaternions: np.ndarray) -> np.ndarray:
     return np.stack(entries, axis=-1).reshape(*q.shape[:-1], 3, 3)
 
 
+def from_two_vectors(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (..., 3, 3) whose x axis is along ``first`` (..., 3) and whose xy plane holds ``second``, and whether they are determined.
+
+    The six numbers of the continuous representation that networks return, made orthonormal by Gram-Schmidt. Where the two are
+    parallel, zero or not finite, a rotation all the same (R20), its free axes chosen by the smallest coordinate, and not determined.
+    """
+    a, b = np.broadcast_arrays(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
+    length_a, length_b = np.linalg.norm(a, axis=-1, keepdims=True), np.linalg.norm(b, axis=-1, keepdims=True)
+    known = np.isfinite(length_a) & (length_a > 1e-12)
+    x = np.where(known, a, [1.0, 0, 0]) / np.where(known, length_a, 1.0)
+    spans = known & np.isfinite(length_b) & (length_b > 1e-12)
+    direction = np.where(spans, b, 0.0) / np.where(spans, length_b, 1.0)
+    across = direction - (direction * x).sum(-1, keepdims=True) * x
+    height = np.linalg.norm(across, axis=-1, keepdims=True)
+    # Below this the direction across is rounding (f32 vectors have 1e-7 of it).
+    spans &= height > 1e-6
+    spare = np.eye(3)[np.argmin(np.abs(x), axis=-1)]
+    across = np.where(spans, across, spare - (spare * x).sum(-1, keepdims=True) * x)
+    y = across / np.linalg.norm(across, axis=-1, keepdims=True)
+    # Once more: after a short difference the first pass leaves an angle of 1e-16 over its length.
+    y = y - (y * x).sum(-1, keepdims=True) * x
+    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
+    return np.stack([x, y, np.cross(x, y)], axis=-1), spans[..., 0]
+
+
 def project_to_so3(matrices: np.ndarray) -> np.ndarray:
     """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01)."""
     u, _, vt = np.linalg.svd(np.asarray(matrices, dtype=np.float64))
