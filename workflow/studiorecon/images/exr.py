@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
 
@@ -22,8 +23,9 @@ def write_depth(path: Path, depth_m: np.ndarray, confidence: np.ndarray) -> None
 
 
 def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); non-finite depth becomes 0.
+    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); what is no depth becomes 0.
 
+    Depths that are negative or not finite are unknown, and confidences that are not numbers are 0; how many there were is said.
     Accepts a depth channel named Z, Y, R or depth. Raises Refusal naming the file.
     """
     import OpenEXR
@@ -39,6 +41,13 @@ def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if name is None:
         raise Refusal(f"{path} has channels {', '.join(channels)}; depth is looked for in Z, Y, R or depth")
     depth_m = np.asarray(channels[name], np.float32)
-    depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
+    usable = np.isfinite(depth_m) & (depth_m >= 0)
+    depth_m = np.where(usable, depth_m, np.float32(0))
     confidence = np.asarray(channels["A"], np.float32) if "A" in channels else (depth_m > 0).astype(np.float32)
-    return depth_m, confidence
+    sure = np.isfinite(confidence)
+    if not (usable.all() and sure.all()):
+        say(
+            f"{path.name}: {int((~usable).sum())} depths of {usable.size} are negative or not finite and count as unknown, "
+            f"{int((~sure).sum())} confidences are not finite and count as 0"
+        )
+    return depth_m, np.where(sure, confidence, np.float32(0))

@@ -39,13 +39,14 @@ def stage(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
 def seen_by(points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float) -> np.ndarray:
     """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind what its depth map shows.
 
-    Unknown depth (0) hides nothing. ``tolerance`` is the share of depth by which a point may lie behind the surface.
+    Unknown depth (0, or what is not finite) hides nothing. ``tolerance`` is the share of depth by which a point may lie behind the surface.
     """
     seen = np.zeros((len(cameras), len(points_m)), bool)
     for index, (camera, depth_m) in enumerate(zip(cameras, depths_m)):
         pixels, z = camera.project(points_m)
         surface, inside = sample(depth_m, pixels[None], "nearest")
-        seen[index] = inside[0] & (z > 0) & ((surface[0] <= 0) | (z <= surface[0] * (1 + tolerance)))
+        known = np.isfinite(surface[0]) & (surface[0] > 0)
+        seen[index] = inside[0] & (z > 0) & (~known | (z <= surface[0] * (1 + tolerance)))
     return seen
 
 
@@ -66,3 +67,16 @@ def largest_gap_deg(cameras: Sequence[Camera]) -> float:
     offsets = np.array([c.centre_m[:2] - centre for c in cameras])
     azimuths = np.sort(np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])))
     return float(np.diff(azimuths, append=azimuths[0] + 360).max())
+
+
+def mean_pair_deg(cameras: Sequence[Camera]) -> float:
+    """Mean azimuth between every two cameras about what they look at, degrees; 0 for a single one.
+
+    This is the reading U56 of cameras said to be so many degrees apart "from the centre": four on an even ring have 120.
+    """
+    centre, _ = stage(cameras)
+    offsets = np.array([c.centre_m[:2] - centre for c in cameras])
+    azimuths = np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0]))
+    first, second = np.triu_indices(len(cameras), 1)
+    apart = np.abs(azimuths[first] - azimuths[second])
+    return float(np.minimum(apart, 360 - apart).mean()) if len(first) else 0.0

@@ -20,7 +20,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.decisions import Decision, forced, write_decisions
 from studiorecon.scene.people import read_people
-from studiorecon.survey.coverage import from_two_sides, largest_gap_deg, seen_by, stage_points
+from studiorecon.survey.coverage import from_two_sides, largest_gap_deg, mean_pair_deg, seen_by, stage_points
 from studiorecon.survey.exposures import View, disagreement, overlaps
 
 # Sides from which a surface must be seen to be placed (numerics T01).
@@ -80,7 +80,8 @@ def decide_views(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], sett
         (gap, gap),
         settings.ring_deg,
         "on" if ring else "off",
-        f"the cameras {'surround the stage' if ring else 'leave one side open'}: the widest gap is {gap:.0f} degrees",
+        f"the cameras {'surround the stage' if ring else 'leave one side open'}: the widest gap is {gap:.0f} degrees, "
+        f"and any two are {mean_pair_deg(cameras):.0f} degrees apart on average",
     )
     statistic = "share of the stage seen from two sides"
     if not len(points):

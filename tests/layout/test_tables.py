@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tables of hard cases and readings say what is there: complete, owned, in the configuration, up to date."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from studiorecon import code
+
+from tests.hard import table
+
+AGAIN = "run: python -m tests.hard.table"
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Counter[str]]:
+    return table.tests_by_row(table.collected())
+
+
+def test_every_row_of_the_design_is_listed_once_and_owned() -> None:
+    ids = [row.id for row in table.rows()]
+    assert ids == [f"{letter}{n:02d}" for letter, count in table.ROW_COUNTS.items() for n in range(1, count + 1)]
+    assert len(ids) == 161
+    assert all(row.what and row.module for row in table.rows())
+
+
+def test_tests_carry_no_row_that_the_table_lacks(found: dict[str, Counter[str]]) -> None:
+    assert set(found) <= {row.id for row in table.rows()}
+
+
+def test_the_owner_of_a_held_row_is_a_module_that_its_test_runs(found: dict[str, Counter[str]]) -> None:
+    wrong = []
+    for row in table.rows():
+        if row.id not in found:
+            continue
+        files = {test.partition("::")[0] for test in found[row.id]}
+        if not any(row.module in reached(table.ROOT / "tests" / file) for file in files):
+            wrong.append(f"{row.id}: {sorted(files)} do not import studiorecon.{row.module}")
+    assert not wrong, "\n".join(wrong)
+
+
+def reached(test_file: Path) -> set[str]:
+    """Modules of the package that a test file imports, and what those import in turn."""
+    seen: set[str] = set()
+    waiting = list(code.imports(ast.parse(test_file.read_text())))
+    while waiting:
+        module = waiting.pop()
+        if module not in seen and table.module_path(module).is_file():
+            seen.add(module)
+            waiting += code.imports(ast.parse(table.module_path(module).read_text()))
+    return seen
+
+
+def test_the_file_is_up_to_date(found: dict[str, Counter[str]]) -> None:
+    assert table.README.is_file(), AGAIN
+    assert table.README.read_text(encoding="utf-8") == table.written(found), AGAIN
+
+
+def test_every_reading_is_listed_once() -> None:
+    assert [reading.id for reading in table.readings()] == [f"U{n:02d}" for n in range(1, table.READING_COUNT + 1)]
+
+
+@pytest.mark.parametrize("reading", table.readings(), ids=lambda r: r.id)
+def test_a_reading_names_its_setting_with_the_default_and_its_place(reading: table.Reading) -> None:
+    config = yaml.safe_load((table.ROOT / "config/config.yaml").read_text(encoding="utf-8"))
+    assert reading.reading
+    assert table.module_path(reading.module).is_file(), f"{reading.id} names studiorecon.{reading.module}, which is not there"
+    for setting in filter(None, (part.strip() for part in reading.settings.split(";"))):
+        key, _, value = setting.partition("=")
+        assert default_of(config, key) == yaml.safe_load(value), f"{reading.id}: {key} is not {value} in config.yaml"
+
+
+@pytest.mark.parametrize("reading", [r for r in table.readings() if r.settings], ids=lambda r: r.id)
+def test_the_configuration_names_the_reading_beside_its_setting(reading: table.Reading) -> None:
+    """The U-number stands in the comment above or beside at least one of its settings."""
+    lines = (table.ROOT / "config/config.yaml").read_text(encoding="utf-8").splitlines()
+    keys = {part.partition("=")[0].strip().split(".")[-1] for part in reading.settings.split(";")}
+    assert any(reading.id in comment for key in keys for comment in comments_of(lines, key)), f"{reading.id} is in no comment of {keys}"
+
+
+def default_of(config: dict[str, Any], key: str) -> Any:
+    value: Any = config
+    for part in key.split("."):
+        assert part in value, f"config.yaml has no {key}"
+        value = value[part]
+    return value
+
+
+def comments_of(lines: list[str], key: str) -> list[str]:
+    """The comments beside every line that sets ``key``, together with the block of comments and settings it stands in."""
+    found = []
+    for number, line in enumerate(lines):
+        if not line.strip().startswith(f"{key}:"):
+            continue
+        block, above = [line.partition("#")[2]], number - 1
+        # A comment may cover the few settings right below it.
+        while above >= 0 and number - above <= 6 and not lines[above].strip().endswith(":"):
+            block.append(lines[above].partition("#")[2])
+            above -= 1
+        if above >= 0 and lines[above].strip().endswith(":"):
+            block += [lines[i].partition("#")[2] for i in range(max(above - 2, 0), above)]
+        found.append("\n".join(block))
+    return found
