@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keypoints and joints as functions of pose, position, shape and scale, with their derivatives, without the mesh."""
+"""Keypoints, joints and surface points as functions of pose, position, shape and scale, with their derivatives, without the mesh."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class State:
     trans: np.ndarray  # (F, 3)
     betas: np.ndarray  # (B,)
     log_scale: float
-    corrections: np.ndarray  # (K, 3) metres, detector's point minus the body's, in the axes of the joint that carries it most
+    corrections: np.ndarray  # (C, 3) metres, detector's point minus the body's, in the axes of the joint that carries it most
 
     @property
     def shared(self) -> np.ndarray:
@@ -38,58 +38,72 @@ class State:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Posed keypoints and what their derivatives are made of."""
+class Posed:
+    """Points in a pose and what their derivatives are made of."""
 
     points: np.ndarray  # (F, K, 3)
-    turned: np.ndarray  # (F, K, 24, 3): D
+    parts: np.ndarray  # (F, 24, K, 3) what each joint contributes, about the pelvis and unscaled
+    world: np.ndarray  # (F, 24, 3, 3)
+    joints: np.ndarray  # (F, 24, 3) about the pelvis and unscaled
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Posed points and their derivatives."""
+
+    points: np.ndarray  # (F, K, 3)
+    turned: np.ndarray  # (F, K, 24, 3): D; the memory's order is (F, K, 3, 24)
     shaped: np.ndarray  # (F, K, 3, B + 1): by betas and log scale
-    carried: np.ndarray  # (F, K, 3, 3): each point by its own correction
     world: np.ndarray  # (F, 24, 3, 3)
 
 
 class Basis:
-    """Keypoints (or joints) as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
+    """K points as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
 
-    ``corrected`` says whether the state's corrections belong to these points (they do not belong to the joints).
+    The state's corrections belong to the first ``corrected`` points. ``carrier`` (K,) is the joint that carries a point most.
     """
 
-    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray, corrected: bool) -> None:
+    def __init__(self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray, corrected: int) -> None:
         self.corrected = corrected
-        self.carrier = share.argmax(1)  # (K,)
+        self.carrier = share.argmax(1)
         self.body, self.share, self.ancestors = body, share, ancestors
         skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
         # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
         self.offsets = np.moveaxis(anchors - share[:, :, None, None] * skeleton, 0, 1)
-        self.subtree_share = ancestors @ share.T  # (24, K)
-        bones = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
-        self.bone_directions = bones
+        # (72, K · B): the same by the betas alone, laid out for one product with all joints' rotations.
+        self.shape_offsets = np.ascontiguousarray(np.swapaxes(self.offsets[..., 1:], 1, 2)).reshape(72, -1)
+        self.subtree_share = np.ascontiguousarray((ancestors @ share.T).T)  # (K, 24)
+        self.bone_directions = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
 
-    def points(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Points (F, K, 3), their parts per joint (F, 24, K, 3), G, and posed joints about the pelvis, unscaled."""
+    def posed(self, state: State) -> Posed:
+        """The points in the state's pose."""
         world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
         offsets = self.offsets @ np.append(1.0, state.betas)  # (24, K, 3)
-        if self.corrected:
-            offsets[self.carrier, range(len(self.carrier))] += state.corrections
-        parts = offsets @ np.swapaxes(world, -1, -2) + self.share.T[..., None] * joints[:, :, None]
+        own = self.carrier[: self.corrected]
+        offsets[own, range(len(own))] += state.corrections[: len(own)]
+        parts = offsets @ np.swapaxes(world, -1, -2)
+        parts += self.share.T[..., None] * joints[:, :, None]
         points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
-        return points, parts, world, joints
+        return Posed(points, parts, world, joints)
 
-    def linear(self, state: State) -> Linear:
-        points, parts, world, joints = self.points(state)
-        frames, _, count, _ = parts.shape
+    def linear(self, state: State, posed: Posed | None = None) -> Linear:
+        """Points and derivatives; ``posed`` spares posing them again."""
+        posed = self.posed(state) if posed is None else posed
+        world, count, shapes = posed.world, len(self.share), self.body.shapes
+        frames = len(world)
         scale = np.exp(state.log_scale)
-        below = (self.ancestors @ parts.reshape(frames, 24, -1)).reshape(parts.shape)
-        turned = scale * np.swapaxes(below - self.subtree_share[..., None] * joints[:, :, None], 1, 2)
-        shapes = self.body.shapes
+        turned = np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T  # (F, 3K, 24), sums over each subtree
+        turned = turned.reshape(frames, count, 3, 24)
+        turned -= self.subtree_share[:, None] * np.swapaxes(posed.joints, 1, 2)[:, None]
+        turned *= scale
         moved = np.zeros((frames, 24, 3, shapes))
         for j, parent in enumerate(self.body.parents):
             if parent >= 0:
                 moved[:, j] = moved[:, parent] + world[:, parent] @ self.bone_directions[j]
-        by_turn = np.swapaxes(world, 1, 2).reshape(frames, 3, 72) @ np.swapaxes(self.offsets[..., 1:], 1, 2).reshape(72, count * shapes)
-        by_shape = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
-        by_shape = by_shape + (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
-        by_scale = (points - state.trans[:, None])[..., None]
-        # Each correction moves its own point only, by its joint's rotation.
-        carried = scale * world[:, self.carrier] if self.corrected else np.zeros((frames, 0, 3, 3))
-        return Linear(points, turned, np.concatenate([scale * by_shape, by_scale], axis=-1), carried, world)
+        by_turn = np.swapaxes(world, 1, 2).reshape(frames * 3, 72) @ self.shape_offsets
+        shaped = np.empty((frames, count, 3, shapes + 1))
+        shaped[..., :-1] = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
+        shaped[..., :-1] += (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
+        shaped[..., :-1] *= scale
+        shaped[..., -1] = posed.points - state.trans[:, None]
+        return Linear(posed.points, np.swapaxes(turned, 2, 3), shaped, world)

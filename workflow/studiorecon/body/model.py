@@ -157,6 +157,13 @@ class BodyModel:
             anchors[k] = np.einsum("vj,vxb->jxb", carried, surface[used]) + joints[k][:, None, None] * skeleton
         return share, anchors
 
+    def vertex_basis(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Shares (V, 24) and anchors (V, 24, 3, 1 + B) of surface points (V,); without pose correctives, see ``keypoint_basis``."""
+        share = self.weights[vertices].astype(np.float64)
+        share /= share.sum(1, keepdims=True)
+        surface = np.concatenate([self.template_m[vertices, :, None], self.shape_directions[vertices]], axis=-1)
+        return share, share[:, :, None, None] * surface[:, None]
+
 
 def upright_global_orientation(heading_rad: float) -> np.ndarray:
     """(3,) axis-angle for ``poses[:, :3]`` of a body standing upright in the z-up world, facing (cos, sin) of ``heading_rad``."""

@@ -2,7 +2,8 @@
 """What is known about poses before any measurement: a relaxed standing body, and how far each joint usually bends from it.
 
 Keypoints leave twist and the split along the spine unobserved (numerics M04); these deviations decide there. They are wide
-where keypoints speak (hips, shoulders, elbows, knees) and narrow where they do not (collars, spine, hands).
+where keypoints speak (hips, shoulders, elbows, knees) and narrow where they do not (collars, spine, hands). Beyond the limits of
+what bones and ligaments allow (a knee forwards, a forearm turned twice) a second, steep pull begins.
 """
 
 from __future__ import annotations
@@ -20,6 +21,17 @@ _DEVIATION = {
     "spine3": (0.2, 0.2, 0.2), "foot": (0.15, 0.1, 0.1), "neck": (0.4, 0.4, 0.3), "collar": (0.15, 0.2, 0.2), "head": (0.4, 0.4, 0.3),
     "shoulder": (0.7, 0.9, 0.9), "elbow": (0.6, 1.1, 0.3), "wrist": (0.3, 0.3, 0.4), "hand": (0.1, 0.1, 0.1),
 }  # fmt: skip
+
+# Least and most bend from the relaxed pose about x, y, z for the left side, radians; ranges of motion of healthy adults, rounded
+# outwards by about 10°. An elbow does not bend backwards nor a knee forwards, and a limb twists about itself only so far.
+_LIMITS = {
+    "hip": ((-2.3, 1.0), (-1.1, 1.1), (-1.1, 1.2)), "knee": ((-0.5, 2.4), (-0.8, 0.8), (-0.4, 0.4)),
+    "ankle": ((-1.1, 0.9), (-0.9, 0.9), (-0.8, 0.8)), "shoulder": ((-1.9, 1.9), (-2.6, 2.2), (-1.2, 2.8)),
+    "elbow": ((-1.7, 1.7), (-2.5, 0.6), (-0.6, 0.6)), "wrist": ((-0.9, 0.9), (-0.8, 0.8), (-1.5, 1.5)),
+    "collar": ((-0.5, 0.5), (-0.7, 0.7), (-0.7, 0.8)), "neck": ((-1.1, 1.1), (-1.0, 1.0), (-0.9, 0.9)),
+    "head": ((-1.0, 1.0), (-1.0, 1.0), (-0.8, 0.8)),
+} | {f"spine{n}": ((-0.8, 1.1), (-0.6, 0.6), (-0.6, 0.6)) for n in (1, 2, 3)}  # fmt: skip
+LIMIT_SIGMA_RAD = 0.1  # how far beyond a limit is one deviation
 
 
 def middle() -> np.ndarray:
@@ -40,6 +52,23 @@ def precision() -> np.ndarray:
 def bend(local: np.ndarray) -> np.ndarray:
     """(F, 24, 3) axis-angles from the relaxed pose to ``local`` (F, 24, 3, 3)."""
     return rotations.log(np.swapaxes(middle(), -1, -2) @ local)
+
+
+def limits() -> tuple[np.ndarray, np.ndarray]:
+    """(24, 3) least and most bend about each joint's axes; infinite for the pelvis, hands and feet."""
+    low, high = np.full((24, 3), -np.inf), np.full((24, 3), np.inf)
+    for j, name in enumerate(JOINT_NAMES):
+        side, _, part = name.rpartition("_")
+        for axis, (least, most) in enumerate(_LIMITS.get(part, ())):
+            mirrored = side == "right" and axis > 0
+            low[j, axis], high[j, axis] = (-most, -least) if mirrored else (least, most)
+    return low, high
+
+
+def excess(bent: np.ndarray) -> np.ndarray:
+    """(F, 24, 3) how far bends (F, 24, 3) lie beyond the limits, with sign; 0 within."""
+    low, high = limits()
+    return bent - np.clip(bent, low, high)
 
 
 def bend_derivative(bent: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 def forward_kinematics(rotations: np.ndarray, rest_joints_m: np.ndarray, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World rotations (T, 24, 3, 3) and joints (T, 24, 3), root joint at the origin.
 
-    ``rotations`` (T, 24, 3, 3) are each joint's relative to its parent, ``rest_joints_m`` (24, 3) the shaped T-pose;
-    parents come before their children.
+    ``rotations`` (T, 24, 3, 3) are each joint's relative to its parent, ``rest_joints_m`` (24, 3) the shaped
+    T-pose, or (T, 24, 3) one per frame; parents come before their children.
     """
     world = np.empty_like(rotations)
     joints = np.empty(rotations.shape[:-1])
@@ -19,7 +19,8 @@ def forward_kinematics(rotations: np.ndarray, rest_joints_m: np.ndarray, parents
             world[:, j], joints[:, j] = rotations[:, j], 0.0
         else:
             world[:, j] = world[:, parent] @ rotations[:, j]
-            joints[:, j] = joints[:, parent] + world[:, parent] @ (rest_joints_m[j] - rest_joints_m[parent])
+            bone = rest_joints_m[..., j, :] - rest_joints_m[..., parent, :]
+            joints[:, j] = joints[:, parent] + (world[:, parent] @ bone[..., None])[..., 0]
     return world, joints
 
 

@@ -21,6 +21,7 @@ _TORSO_MIDDLE = ("neck", "mid_hip", "upper_neck", "neck_joint", "pelvis_joint", 
 _SWINGS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 # Fewer points than this leave more unknown than known even with the prior.
 _MIN_POINTS = 6
+_FAR_M = 0.3
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,39 @@ def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndar
     torso = [k for n, k in at.items() if n in _TORSO_MIDDLE or n.partition("_")[2] in _TORSO]
     in_torso = np.zeros(len(names), dtype=bool)
     in_torso[torso] = True
-    turn, shift, determined = rotations.kabsch(relaxed, points_m, seen & in_torso)
-    # Without three points of the torso all points together must do; limbs then bias the guess, not the fit.
-    all_turn, all_shift, all_determined = rotations.kabsch(relaxed, points_m, seen)
-    local[:, 0] = np.where(determined[:, None, None], turn, all_turn)
-    trans = np.where(determined[:, None], shift, all_shift)
-    determined = (determined | all_determined) & (seen.sum(1) >= _MIN_POINTS)
+    roots = [rotations.kabsch(relaxed, points_m, chosen) for chosen in (seen & in_torso, seen)]
+    # Limbs bias the second root; the first is wild where only shoulders and neck are seen. The nearer body wins in each frame.
+    best, misfit = Start(local, np.zeros((frames, 3)), np.zeros(frames, dtype=bool)), np.full(frames, np.inf)
+    for turn, shift, determined in roots:
+        swung = local.copy()
+        swung[:, 0] = turn
+        _swing_limbs(body, at, points_m, seen, swung)
+        apart = _misfit(body, names, points_m, seen, swung, shift)
+        better = determined & (apart < misfit)
+        misfit = np.where(better, apart, misfit)
+        best = Start(
+            np.where(better[:, None, None, None], swung, best.local),
+            np.where(better[:, None], shift, best.trans_m),
+            best.determined | better,
+        )
+    return Start(best.local, best.trans_m, best.determined & (seen.sum(1) >= _MIN_POINTS))
+
+
+def _misfit(
+    body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndarray, local: np.ndarray, trans_m: np.ndarray
+) -> np.ndarray:
+    """(T,) mean distance of the mean shape's keypoints, at most _FAR_M each, so that wild points decide nothing."""
+    share, anchors = body.keypoint_basis(names)
+    rest = body.rest_joints(np.zeros(1))
+    world, joints = forward_kinematics(local, rest, body.parents)
+    parts = np.swapaxes(anchors[..., 0] - share[..., None] * rest, 0, 1) @ np.swapaxes(world, -1, -2)
+    posed = parts.sum(1) + share @ joints + trans_m[:, None]
+    apart = np.minimum(np.linalg.norm(posed - points_m, axis=-1), _FAR_M)
+    return np.where(seen, apart, 0.0).sum(1) / np.maximum(seen.sum(1), 1)
+
+
+def _swing_limbs(body: BodyModel, at: dict[str, int], points_m: np.ndarray, seen: np.ndarray, local: np.ndarray) -> None:
+    """Turn hips, knees, shoulders and elbows of ``local`` (T, 24, 3, 3) so that each bone points at the next keypoint."""
     rest = body.rest_joints(np.zeros(1))
     for suffix in ("", "_joint"):
         for upper, lower in _SWINGS:
@@ -55,13 +83,21 @@ def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndar
                 own, following = at.get(f"{side}{upper}{suffix}"), at.get(f"{side}{lower}{suffix}")
                 if own is None or following is None:
                     continue
-                world, _ = forward_kinematics(local, rest, body.parents)
+                world = _world_rotation(local, body.parents, joint)
                 target = points_m[:, following] - points_m[:, own]
-                bone = world[:, joint] @ (rest[child] - rest[joint])
+                bone = world @ (rest[child] - rest[joint])
                 known = seen[:, own] & seen[:, following] & (np.linalg.norm(target, axis=-1) > 1e-6)
-                swung = np.swapaxes(world[:, joint], -1, -2) @ _swing(bone, np.where(known[:, None], target, bone)) @ world[:, joint]
+                swung = np.swapaxes(world, -1, -2) @ _swing(bone, np.where(known[:, None], target, bone)) @ world
                 local[:, joint] = local[:, joint] @ swung
-    return Start(local, trans, determined)
+
+
+def _world_rotation(local: np.ndarray, parents: np.ndarray, joint: int) -> np.ndarray:
+    """(T, 3, 3) world rotation of one joint: the product down its chain only."""
+    world = local[:, joint]
+    while parents[joint] >= 0:
+        joint = int(parents[joint])
+        world = local[:, joint] @ world
+    return world
 
 
 def _swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:

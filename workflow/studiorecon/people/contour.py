@@ -123,7 +123,7 @@ class Silhouette:
 
     def regions(self, state: State) -> list[np.ndarray]:
         """(H, W) bool per camera: where the body is seen."""
-        points = self.basis.points(state)[0][0]
+        points = self.basis.posed(state).points[0]
         return [mesh_depth(points, self.body.proxy_faces, c) > 0 for c in self.cameras]
 
     def agreement(self, state: State, targets: Targets) -> float:

@@ -8,12 +8,12 @@ reported as a check (U36).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body import fitting
+from studiorecon.body import alternation, fitting
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
@@ -33,23 +33,31 @@ _LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (
 _LEAST_PLAUSIBLE = 0.5
 
 
+_FITTED = {f.name for f in fields(fitting.FitSettings)}
+
+
 @dataclass(frozen=True)
 class BodyFit:
-    """How the body is fitted; see ``body/fitting.FitSettings`` for the first seven.
+    """How the body is fitted; see ``body/fitting.FitSettings`` for all between ``solver`` and ``unverified_sigma_m``.
 
     Attributes:
+        solver: "levenberg_marquardt" (``body/fitting``), or "paper": its loss and 30 iterations literally (``body/alternation``, U38).
         unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (numerics T13).
         worst_frame_m: frames whose median point lies further from the body count as not measured.
         worst_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
     """
 
+    solver: str
     iterations: int
     tolerance: float
     point_sigma_m: float
     correction_sigma_m: float
     huber_units: float
     pose_weight: float
+    limit_weight: float
     beta_weight: float
+    vertex_weight: float
+    shape: str
     unverified_sigma_m: float
     worst_frame_m: float
     worst_beta: float
@@ -114,8 +122,13 @@ def lift(names: list[str], keypoints: np.ndarray, cameras: list[Camera], setting
     return Points(names, result.points_m.reshape(frames, count, 3), sigma, seen)
 
 
-def fit_person(person: str, points: Points, body: BodyModel, fps: float, settings: Settings) -> tuple[Person, fitting.Fit]:
-    """The person in all frames, and the fit before gaps were filled; raises Refusal when no frame could be measured."""
+def fit_person(
+    person: str, points: Points, body: BodyModel, fps: float, settings: Settings, surface: fitting.Surface | None = None
+) -> tuple[Person, fitting.Fit]:
+    """The person in all frames, and the fit before gaps were filled; raises Refusal when no frame could be measured.
+
+    ``surface``: triangulated surface points, where a source gives bodies (paper: the vertex term; numerics U33).
+    """
     frames = len(points.points_m)
     keys = settings.fit
     if not (points.cameras >= 2).any():
@@ -123,17 +136,9 @@ def fit_person(person: str, points: Points, body: BodyModel, fps: float, setting
             f"person {person} is never seen by two cameras in the same frame (frames 0–{frames - 1}); correct {person} in "
             "people/identities.tsv, or leave the person out there"
         )
-    options = fitting.FitSettings(
-        iterations=keys.iterations,
-        tolerance=keys.tolerance,
-        point_sigma_m=keys.point_sigma_m,
-        correction_sigma_m=keys.correction_sigma_m,
-        huber_units=keys.huber_units,
-        pose_weight=keys.pose_weight,
-        beta_weight=keys.beta_weight,
-        free_scale=False,
-    )
-    result = fitting.fit(body, points.names, points.points_m, points.sigma_m, options)
+    options = fitting.FitSettings(**{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False)
+    solve = alternation.fit if keys.solver == "paper" else fitting.fit
+    result = solve(body, points.names, points.points_m, points.sigma_m, options, surface)
     if not result.valid.any():
         raise Refusal(
             f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which two cameras agree; check the calibration "

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cost of a body that should explain 3D points over time, its normal equations, their solution and what they leave unknown.
+
+Unknown per frame are 24 turns and a shift (75 numbers), shared by all frames the betas, a log scale and the keypoints' corrections.
+Turning joint i by ω about world axes moves point k by ω × D_ki, D_ki the sum over i's descendants j of
+G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). Rows are written in the axes of the joint that carries the point:
+there a correction moves its point along one row only, and its share of the normal equations is a copy of the rows.
+
+The 75 × 75 blocks of the frames are factored by Cholesky; H⁻¹ C is never formed, only L⁻¹ C, whose product with itself is what the
+shared unknowns lose by the elimination (Schur complement). Turns are ordered by axis, then joint: row 24 a + j.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from studiorecon.body import prior
+from studiorecon.body.basis import Basis, Posed, State
+from studiorecon.body.model import BodyModel
+
+# Frames handled at once: their rows (0.7 MB for 25 points) then stay in the cache.
+_CHUNK = 12
+_OWN = 75
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Points to explain: N detector's keypoints, which have corrections, then surface points, which have none.
+
+    Attributes:
+        basis: the same points on the body.
+        targets_m: (F, K, 3), any number where not seen; ``precision``: (F, K) inverse variance of a coordinate, 0 = not seen.
+        share: (F, K) how often a point counts (surface points less than once, U33).
+    """
+
+    basis: Basis
+    targets_m: np.ndarray
+    precision: np.ndarray
+    share: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pulls:
+    """What draws the body besides the points, see ``fitting.FitSettings``: weights and deviations, and the Huber bound."""
+
+    huber_units: float
+    pose_weight: float
+    limit_weight: float
+    beta_weight: float
+    correction_sigma_m: float
+    free_scale: bool
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations at a state: H (F, 75, 75), rows of C and the gradient (F, S + 1, 75), shared (S, S) and (S,), and G."""
+
+    own: np.ndarray
+    rows: np.ndarray
+    shared: np.ndarray
+    shared_side: np.ndarray
+    world: np.ndarray
+
+
+class Problem:
+    """Nothing here changes after construction."""
+
+    def __init__(self, body: BodyModel, evidence: Evidence, pulls: Pulls) -> None:
+        self.evidence, self.pulls, self.basis = evidence, pulls, evidence.basis
+        self.precision = prior.precision() * pulls.pose_weight  # (24, 3); 0 for the root
+        self.limit_precision = pulls.limit_weight / prior.LIMIT_SIGMA_RAD**2
+        share, anchors = body.keypoint_basis([f"{n}_joint" for n in body.names])
+        self.skeleton = Basis(body, share, anchors, self.basis.ancestors, 0)
+        # What is wrong with a detector's points is wrong in every frame, so the frames count as one for what they share.
+        corrections = np.full(3 * self.basis.corrected, pulls.correction_sigma_m**-2.0)
+        # A fixed scale is a scale with an enormous prior: one code path, and it costs one column.
+        alone = np.concatenate([np.full(body.shapes, pulls.beta_weight), [1.0 if pulls.free_scale else 1e12], corrections])
+        self.shared_precision = len(evidence.targets_m) * alone
+
+    def cost(self, state: State, posed: Posed | None = None) -> float:
+        """Half the sum of squares in deviations, points beyond the Huber bound linearly."""
+        points = (self.basis.posed(state) if posed is None else posed).points
+        residual = points - self.evidence.targets_m
+        units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
+        bound = self.pulls.huber_units
+        data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
+        bend = prior.bend(state.local)
+        pull = (self.precision * bend**2).sum() + self.limit_precision * (prior.excess(bend) ** 2).sum()
+        return float(data.sum() + 0.5 * pull + 0.5 * (self.shared_precision * state.shared**2).sum())
+
+    def normal(self, state: State, posed: Posed | None = None) -> Normal:
+        """Gauss-Newton's normal equations; a point's Huber weight follows from its distance, not per coordinate (numerics T11)."""
+        posed = self.basis.posed(state) if posed is None else posed
+        frames, size = len(state.trans), len(self.shared_precision)
+        own, rows = np.empty((frames, _OWN, _OWN)), np.empty((frames, size + 1, _OWN))
+        shared, shared_side = np.diag(self.shared_precision), self.shared_precision * state.shared
+        for start in range(0, frames, _CHUNK):
+            some = slice(start, start + _CHUNK)
+            part = State(state.local[some], state.trans[some], state.betas, state.log_scale, state.corrections)
+            at = Posed(posed.points[some], posed.parts[some], posed.world[some], posed.joints[some])
+            self._add(part, at, some, own, rows, shared, shared_side)
+        self._add_prior(state, posed.world, own, rows[:, -1])
+        return Normal(own, rows, shared, shared_side, posed.world)
+
+    def _add(
+        self, state: State, posed: Posed, some: slice, own: np.ndarray, rows: np.ndarray, shared: np.ndarray, shared_side: np.ndarray
+    ) -> None:
+        linear = self.basis.linear(state, posed)
+        frames, count, _, shapes = linear.shaped.shape
+        residual = linear.points - self.evidence.targets_m[some]
+        units = np.sqrt(self.evidence.precision[some] * np.einsum("fkx,fkx->fk", residual, residual))
+        bound = self.pulls.huber_units
+        weight = self.evidence.share[some] * self.evidence.precision[some]
+        root = np.sqrt(weight * np.where(units < bound, 1.0, bound / np.maximum(units, bound)))
+        # (F, K, x, y): row x is axis x of the carrying joint in the world, times √w.
+        axes = np.swapaxes(linear.world[:, self.basis.carrier], -1, -2) * root[..., None, None]
+        all_rows = np.empty((frames, count, 3, _OWN + shapes + 1))
+        d = np.swapaxes(linear.turned, 2, 3)[:, :, :, None]  # (F, K, 3, 1, 24)
+        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axis · (ω × D) = ω · (D × axis)
+            block = all_rows[..., 24 * a : 24 * a + 24]
+            np.multiply(d[:, :, b], axes[..., c, None], out=block)
+            block -= d[:, :, c] * axes[..., b, None]
+        all_rows[..., 72:75] = axes
+        np.matmul(axes, np.concatenate([linear.shaped, residual[..., None]], axis=-1), out=all_rows[..., _OWN:])
+        flat = all_rows.reshape(frames, 3 * count, -1)
+        products = np.swapaxes(flat, 1, 2) @ flat
+        own[some] = products[:, :_OWN, :_OWN]
+        rows[some, :shapes] = products[:, _OWN:-1, :_OWN]
+        rows[some, -1] = products[:, -1, :_OWN]
+        shared[:shapes, :shapes] += products[:, _OWN:-1, _OWN:-1].sum(0)
+        shared_side[:shapes] += products[:, -1, _OWN:-1].sum(0)
+        # A correction moves its point along one row, by the scale.
+        corrected = self.basis.corrected
+        gain = np.exp(state.log_scale) * root[:, :corrected, None, None]
+        crossed = all_rows[:, :corrected] * gain
+        rows[some, shapes:-1] = crossed[..., :_OWN].reshape(frames, -1, _OWN)
+        summed = crossed[..., _OWN:].sum(0).reshape(-1, shapes + 1)
+        shared[shapes:, :shapes] += summed[:, :-1]
+        shared[:shapes, shapes:] += summed[:, :-1].T
+        shared_side[shapes:] += summed[:, -1]
+        diagonal = range(shapes, len(shared))
+        shared[diagonal, diagonal] += np.repeat((gain**2).sum(0).reshape(-1), 3)
+
+    def _add_prior(self, state: State, world: np.ndarray, own: np.ndarray, side: np.ndarray) -> None:
+        bend = prior.bend(state.local)
+        beyond = prior.excess(bend)
+        rows = prior.bend_derivative(bend) @ np.swapaxes(world, -1, -2)  # of world-axis turns
+        curvature = self.precision + self.limit_precision * (beyond != 0)
+        block = np.swapaxes(rows, -1, -2) @ (curvature[..., None] * rows)
+        pull = np.swapaxes(rows, -1, -2) @ (self.precision * bend + self.limit_precision * beyond)[..., None]
+        joints = np.arange(24)
+        for a in range(3):
+            side[:, 24 * a : 24 * a + 24] += pull[:, :, a, 0]
+            for b in range(3):
+                own[:, 24 * a + joints, 24 * b + joints] += block[:, :, a, b]
+
+    def step(self, state: State, normal: Normal, damping: float) -> State | None:
+        """The damped Gauss-Newton step, or None where the equations are not positive definite."""
+        factors = self._factored(normal, damping, 1.0)
+        if factors is None:
+            return None
+        lower, solved, product = factors
+        reduced = normal.shared * (1 + damping * np.eye(len(normal.shared))) - product[:-1, :-1]
+        shared = -np.linalg.solve(reduced, normal.shared_side - product[:-1, -1])
+        half = -(solved[:, -1] + np.einsum("fsp,s->fp", solved[:, :-1], shared))
+        change = np.stack([scipy.linalg.blas.dtrsv(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half)])
+        # World-axis turn ω of joint i is the turn Gᵀω about its own axes.
+        turn = np.einsum("fjyx,fyj->fjx", normal.world, change[:, :72].reshape(-1, 3, 24))
+        return state.moved(turn, change[:, 72:], shared)
+
+    @staticmethod
+    def _factored(normal: Normal, damping: float, floor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1)."""
+        lower, solved = normal.own.copy(), normal.rows.copy()
+        diagonal = np.einsum("fii->fi", lower)
+        diagonal += damping * (diagonal + floor)
+        product = np.zeros((solved.shape[1],) * 2, order="F")
+        for f in range(len(lower)):
+            # LAPACK reads columns: a transposed row-major array passes without a copy and is overwritten.
+            _, info = scipy.linalg.lapack.dpotrf(lower[f].T, lower=1, clean=0, overwrite_a=1)
+            if info != 0:
+                return None
+            scipy.linalg.blas.dtrsm(1.0, lower[f].T, solved[f].T, lower=1, overwrite_b=1)
+            scipy.linalg.blas.dsyrk(1.0, solved[f].T, beta=1.0, c=product, trans=1, lower=1, overwrite_c=1)
+        return lower, solved, np.tril(product) + np.tril(product, -1).T
+
+    def posterior(self, state: State, normal: Normal) -> tuple[np.ndarray, ...]:
+        """Joints (F, 24, 3) and Laplace's deviations: of joints (F, 24), turns (F, 24, 3), parts (F, 24), betas (B,), from the last normal
+        equations.
+
+        A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes, a part's the angle of its
+        orientation in the world (all turns above it and their correlation), both for the shape found.
+        """
+        factors = self._factored(normal, 0.0, 0.0)
+        if factors is None:  # no prior and an unobserved joint: the least that makes it definite makes its deviation enormous
+            factors = self._factored(normal, 1e-9, 1.0)
+        if factors is None:
+            raise FloatingPointError("the normal equations of the fit are not positive definite")
+        lower, solved, product = factors
+        linear = self.skeleton.linear(state)
+        inverse = np.linalg.inv(normal.shared - product[:-1, :-1])
+        frames, shapes = len(lower), linear.shaped.shape[-1]
+        halves, through = np.empty((frames, 72)), np.empty((frames, 72, len(inverse)))
+        turns, parts = np.empty((frames, 24, 3, 3)), np.empty((frames, 24))
+        rows = np.zeros((3, 24, _OWN))
+        rows[range(3), :, range(72, 75)] = 1.0
+        for f in range(frames):
+            root = np.tril(scipy.linalg.lapack.dtrtri(lower[f].T, lower=1)[0])[:, :72].reshape(_OWN, 3, 24)  # of L⁻¹
+            turns[f] = np.einsum("pxj,pyj->jxy", root, root)
+            parts[f] = ((root.reshape(-1, 24) @ self.basis.ancestors) ** 2).sum(0)
+            rows[..., :72] = 0.0
+            for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # component a of ω × D is ω_b D_c − ω_c D_b
+                rows[a, :, 24 * b : 24 * b + 24] = linear.turned[f, :, :, c]
+                rows[a, :, 24 * c : 24 * c + 24] = -linear.turned[f, :, :, b]
+            half = scipy.linalg.blas.dtrsm(1.0, lower[f].T, rows.reshape(72, _OWN).T, lower=1)
+            halves[f] = (half**2).sum(0)
+            np.matmul(half.T, solved[f, :-1].T, out=through[f])
+        through[..., :shapes] -= np.swapaxes(linear.shaped, 1, 2).reshape(frames, 72, shapes)
+        by_shape = np.einsum("frs,frs->fr", through @ inverse, through)
+        joint_variance = (halves + by_shape).reshape(frames, 3, 24).mean(1)
+        turn_variance = np.einsum("fjyx,fjyz,fjzx->fjx", normal.world, turns, normal.world, optimize=True)
+        betas = np.sqrt(np.diagonal(inverse)[: shapes - 1])
+        return linear.points, np.sqrt(joint_variance), np.sqrt(turn_variance), np.sqrt(parts), betas
