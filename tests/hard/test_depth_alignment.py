@@ -87,20 +87,38 @@ def test_unusable_values_change_nothing(bad: float, which: str) -> None:
 
 def test_d06_a_static_camera_does_not_flicker() -> None:
     # Independent least squares: 13.2 cm at 4 m.
-    frames = [fit(*made(0.3, seed, count=1500)) for seed in range(30)]
+    frames = [fit(*made(0.3, seed, count=1500)) for seed in range(121)]
     depth = [frame.apply(np.array([1.75]), 0.1)[0] for frame in frames]
     assert np.std(depth) < 0.005
+    assert np.abs(np.diff(depth)).max() < 0.02
     shared = shared_alignment(frames)
     assert shared.apply(np.array([1.75]), 0.1)[0] == pytest.approx(4.0, abs=0.005)
 
 
-@pytest.mark.parametrize("noise", [0.1, 0.25], ids=lambda v: f"D07-{v}")
+@pytest.mark.parametrize(("noise", "naive"), [(0.5, 1.79), (1.0, 1.34)], ids=lambda v: f"D07-{v}")
+def test_noise_of_the_predictor_does_not_flatten_the_slope(noise: float, naive: float) -> None:
+    # One-sided least squares: attenuated by var/(var + noise²) to 1.79 and 1.34.
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(5.0, 10.0, 20000)
+    predicted, reference = truth + noise * rng.normal(size=20000), SCALE * truth + SHIFT_M
+    assert np.polyfit(predicted, reference, 1)[0] == pytest.approx(naive, abs=0.03)
+    found = align_depth(predicted, reference, np.ones(20000, bool), np.random.default_rng(1), noisy="predicted")
+    assert found.model == "affine"
+    assert found.scale == pytest.approx(SCALE, rel=0.02)
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.25], ids=lambda v: f"D07-both-{v}")
 def test_noise_in_both_maps_does_not_flatten_the_slope(noise: float) -> None:
     # One-sided least squares of the noisier map: attenuated by var/(var + noise²) = 0.94 at 0.25.
     rng = np.random.default_rng(5)
     truth = rng.uniform(0.5, 4.0, 20000)
     found = fit(truth + noise * rng.normal(size=20000), SCALE * (truth + noise * rng.normal(size=20000)) + SHIFT_M)
     assert found.scale == pytest.approx(SCALE, rel=0.02)
+
+
+def test_wrong_shapes_are_named() -> None:
+    with pytest.raises(ValueError, match=r"static has shape \(3,\)"):
+        fit(np.ones(4), np.ones(4), np.ones(3, bool))
 
 
 def test_nothing_to_fit_is_undetermined() -> None:

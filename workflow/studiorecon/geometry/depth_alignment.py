@@ -5,8 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+
+from studiorecon.arrays import require
 
 # Relief (robust spread over median) below which a shift cannot be told from a scale (numerics D02).
 _LEAST_RELIEF = 0.05
@@ -33,14 +36,24 @@ class Alignment:
         return np.where(known & (aligned >= near_m), aligned, 0.0)
 
 
-def align_depth(predicted: np.ndarray, reference_m: np.ndarray, static: np.ndarray, rng: np.random.Generator) -> Alignment:
+def align_depth(
+    predicted: np.ndarray,
+    reference_m: np.ndarray,
+    static: np.ndarray,
+    rng: np.random.Generator,
+    noisy: Literal["both", "predicted"] = "both",
+) -> Alignment:
     """Robust fit of ``predicted`` to ``reference_m`` (metres) over ``static`` pixels, all of one shape.
 
     In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds stand up to
-    45 % of moved pixels (D01); more need the mask. Both maps are noisy, so the slope is the geometric mean of the fits in both
-    directions (D07). Values that are not finite or not positive count as unknown (D05). A scale ≤ 0 is never returned.
+    45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their scale, the slope is the geometric
+    mean of the fits in both directions; with noise in the prediction only it is the fit of prediction to reference, turned round: the
+    other direction flattens it to 0.9 or 0.67 (D07). Values that are not finite or not positive count as unknown (D05). A scale ≤ 0
+    is never returned. Raises ValueError that names the argument when shapes differ.
     """
-    usable = static & np.isfinite(predicted) & np.isfinite(reference_m) & (predicted > 0) & (reference_m > 0)
+    require("reference_m", reference_m, np.shape(predicted))
+    require("static", static, np.shape(predicted))
+    usable = np.asarray(static, dtype=bool) & np.isfinite(predicted) & np.isfinite(reference_m) & (predicted > 0) & (reference_m > 0)
     x, y = predicted[usable].astype(np.float64), reference_m[usable].astype(np.float64)
     if len(x) < _LEAST_PIXELS:
         return Alignment(1.0, 0.0, "undetermined")
@@ -69,8 +82,8 @@ def align_depth(predicted: np.ndarray, reference_m: np.ndarray, static: np.ndarr
         together = np.average((x - mean_x) * (y - mean_y), weights=weight)
         if together <= 0:
             return ratio
-        # The geometric mean of the slope of y on x (together/spread_x) and that of x on y turned round (spread_y/together).
-        scale = float(np.sqrt(spread_y / spread_x))
+        # The slope of x on y turned round, or its geometric mean with that of y on x (together/spread_x).
+        scale = float(spread_y / together if noisy == "predicted" else np.sqrt(spread_y / spread_x))
         shift = float(mean_y - scale * mean_x)
     return Alignment(scale, shift, "affine")
 

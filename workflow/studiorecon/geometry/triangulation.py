@@ -3,7 +3,7 @@
 
 All pairs of views propose a point, truncated cost picks one, and only the views that agree refine it (numerics T07-T10).
 A point is undetermined when fewer than two views see it, rays are nearly parallel or opposite, it lies behind a camera that
-uses it, or only a minority of the views agree.
+uses it, or too few views agree: a lone pair must be half of the views, any number a third (three of ten agree by chance, T09).
 """
 
 from __future__ import annotations

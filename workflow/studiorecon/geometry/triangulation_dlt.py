@@ -10,13 +10,22 @@ _SWEEPS = 30
 
 
 @njit(cache=True, nogil=True)
-def dlt(rig, seen, weights, n, used, centre, spread, rows, turned, point):
+def dlt(rig, seen, weights, n, used, rows, turned, point):
     """Homogeneous least squares over the used views into ``point``; False where the views share one centre or the point is at infinity.
 
-    Rows carry √w, because they enter squared (numerics T05); the world is centred and scaled to the rig (T15). One-sided Jacobi
-    on the rows themselves: the eigenvalues of AᵀA would lose half of the digits (T14).
+    Rows carry √w, because they enter squared (numerics T05); the world is centred and scaled to the used
+    views, so that no other view has a say (T15). One-sided Jacobi on the rows themselves: the eigenvalues of AᵀA would lose half of the
+    digits (T14).
     """
-    rotations, translations, _, focal, principal, _ = rig
+    rotations, translations, centres, focal, principal, _ = rig
+    centre, total, spread = np.zeros(3), 0.0, 0.0
+    for v in used:
+        total += weights[v, n]
+        centre += weights[v, n] * centres[v]
+    centre /= total
+    for v in used:
+        spread += weights[v, n] * ((centres[v] - centre) ** 2).sum()
+    spread = max(np.sqrt(spread / total), 1e-9)
     for k in range(len(used)):
         v = used[k]
         r, root = rotations[v], np.sqrt(weights[v, n])

@@ -80,12 +80,6 @@ def linear(rig, seen, weights, gates, huber, filled):
     near = gates[1]
     views, count = weights.shape
     used, everyone, room = np.empty(views, np.int64), np.ones(views, np.bool_), np.empty(9)
-    centre = np.zeros(3)
-    for v in range(views):
-        centre += rig[2][v] / views
-    spread = 1e-9
-    for v in range(views):
-        spread = max(spread, np.sqrt(((rig[2][v] - centre) ** 2).sum()))
     rows, turned, point = np.empty((2 * views, 4)), np.empty((4, 4)), np.empty(3)
     for n in range(count):
         usable = 0
@@ -93,7 +87,7 @@ def linear(rig, seen, weights, gates, huber, filled):
             if weights[v, n] > 0:
                 used[usable] = v
                 usable += 1
-        if usable < 2 or not dlt(rig, seen, weights, n, used[:usable], centre, spread, rows, turned, point):
+        if usable < 2 or not dlt(rig, seen, weights, n, used[:usable], rows, turned, point):
             continue
         if huber:
             _refine(rig, seen, weights, n, used[:usable], everyone, _HUBER, _HUBER_STEPS, near, point, room)
