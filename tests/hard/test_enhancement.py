@@ -30,6 +30,7 @@ PAPER = Injection(
     form="residual",
     flow="direct",
     check=True,
+    cut_share=0.1,
 )
 SHAPE = (24, 32, 3)
 

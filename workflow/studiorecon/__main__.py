@@ -3,7 +3,7 @@
 
 Imports only ``studiorecon.STAGE.STEP`` and calls its ``run(settings, ...)``. Every keyword of ``run`` is an option of the
 same name (underscores become dashes); its annotation says how the text is read: ``Path``, ``str``, ``int``, ``float``, or a
-list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out.
+list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out. By hand ``--settings config/config.yaml`` will do.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _keep_to_the_threads_given() -> None:
 
 def _run(module: types.ModuleType, step: str, options: dict) -> int:
     try:
-        values = json.loads(options.pop("settings"))
+        values = _section(options.pop("settings"), step.split(".")[0])
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
@@ -78,6 +78,21 @@ def _run(module: types.ModuleType, step: str, options: dict) -> int:
     return 0
 
 
+def _section(given: str, stage: str) -> dict:
+    """A stage's settings, given as JSON or as a configuration file that has a section for it."""
+    if not given.endswith((".yaml", ".yml")):
+        return json.loads(given)
+    import yaml  # only by hand: rules pass JSON
+
+    path = Path(given)
+    if not path.is_file():
+        raise Refusal(f"settings file {path} is missing")
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or not isinstance(content.get(stage), dict):
+        raise Refusal(f"settings file {path} has no section {stage}")
+    return content[stage]
+
+
 def _fail(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
     if VOICE.log is not None:
@@ -86,7 +101,9 @@ def _fail(text: str) -> None:
 
 def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
     parser = argparse.ArgumentParser(prog=f"python -m studiorecon {step}", description=inspect.getdoc(run))
-    parser.add_argument("--settings", default="{}", help="this step's section of the configuration, as JSON")
+    parser.add_argument(
+        "--settings", default="{}", help="this step's section of the configuration as JSON, or a configuration file (config/config.yaml)"
+    )
     parser.add_argument("--log", type=Path, default=None, help="file that receives every sentence of the step")
     hints = typing.get_type_hints(run)
     for name, parameter in inspect.signature(run).parameters.items():

@@ -43,6 +43,7 @@ class Injection:
         form: ``residual`` keeps constants constant; ``literal`` is the printed formula (U01).
         flow: ``direct`` from the current render to each earlier one, or ``chained`` over the renders between them (U06).
         check: no confidence where the flow does not lead back (U06, numerics E10).
+        cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never. Needs ``check``.
     """
 
     history: int
@@ -56,6 +57,7 @@ class Injection:
     form: Literal["residual", "literal"]
     flow: Literal["direct", "chained"]
     check: bool
+    cut_share: float
 
 
 def history_weights(existing: int, decay: float) -> np.ndarray:

@@ -3,26 +3,22 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from studiorecon.enhance.alignment import Past, flows_back
-from studiorecon.enhance.enhancer import Enhancer, Moment, Unchanged, check_gain, loop_gain
-from studiorecon.enhance.injection import Injection, confidence, inject
+from studiorecon.enhance.enhancer import Enhancer, Unchanged
+from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.playback import Playback
+from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
-from studiorecon.images.flow import grey_levels, one_thread
 from studiorecon.images.streams import writing
-from studiorecon.images.video import read_frames, to_bytes, to_float, write_lossless, write_watchable
-from studiorecon.images.warp import warp
+from studiorecon.images.video import read_frames, write_lossless, write_watchable
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -90,53 +86,6 @@ def judge_strength(training: Training, settings: Settings) -> tuple[float, str]:
     return strength, f"the best factor between training cameras, judged on {100 * evidence:.0f} % of their pixels"
 
 
-def enhanced(
-    steps: Sequence[Step],
-    pictures: Iterable[np.ndarray],
-    depths_mm: Iterable[np.ndarray],
-    reference: Callable[[Camera, float], np.ndarray],
-    enhancer: Enhancer,
-    injection: Injection,
-    flow_preset: str,
-) -> Iterator[np.ndarray]:
-    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path.
-
-    Memory holds the K latest pictures whatever the length of the shot. Raises Refusal for an enhancer whose outputs may not be fed back.
-    """
-    history: deque[Past] = deque(maxlen=injection.history)
-    segment = None
-    with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        for step, picture, depth_mm in zip(steps, pictures, depths_mm, strict=True):
-            photo = to_float(reference(step.camera, step.frame))
-            depth_m = depth_mm.astype(np.float32) / 1000
-            if segment is None and injection.history:
-                untouched = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
-                check_gain(loop_gain(enhancer, photo, untouched), injection.strength)
-            if step.segment != segment or (history and history[0].output.shape != picture.shape):
-                history.clear()
-                segment = step.segment
-            render, grey = to_float(picture), grey_levels(picture)
-            flows = flows_back(grey, history, injection, flow_preset, pool)
-            found = list(pool.map(partial(_aligned, render, injection), history, flows))
-            blended, injected = inject(render, [w for w, _ in found], [c for _, c in found], injection)
-            output = enhancer.enhance(blended, photo, Moment(step.camera, step.frame, depth_m, injected))
-            bad = ~np.isfinite(output).all(axis=-1)
-            if bad.any():
-                say(
-                    f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered"
-                )
-            output = np.clip(np.where(bad[..., None], render, output), 0, 1).astype(np.float32)
-            history.appendleft(Past(output, grey, *(flows[0] if flows else (None, None))))
-            yield to_bytes(output)
-
-
-def _aligned(render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """An earlier output on the current picture, and its confidence there."""
-    backward, valid = flow
-    warped, inside = warp(past.output, backward)
-    return warped, confidence(render, warped, inside & valid, injection)
-
-
 def run(
     settings: Settings,
     shot: str,
@@ -163,10 +112,13 @@ def run(
         latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
         enhancer = ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer)
     injection = settings.injection
+    if injection.history and stands_still(steps, read_frames(render, 0, len(steps))):
+        say(f"shot {shot} stands still, so there is nothing to steady: no earlier outputs are injected")
+        injection = replace(injection, history=0)
     say(f"shot {shot}: the {injection.history} latest outputs are injected with strength {injection.strength} at full confidence")
 
-    def reference(camera: Camera, frame: float) -> np.ndarray:
-        return training.reference(camera, training.nearest_frame(frame))
+    def reference(step: Step) -> np.ndarray:
+        return training.reference(step.camera, training.nearest_frame(step.frame))
 
     depths = read_frames(render_depth, 0, len(steps))
     pictures = read_frames(render, 0, len(steps))

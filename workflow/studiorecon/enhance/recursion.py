@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A clip through an enhancer, picture by picture, with earlier outputs injected into its input.
+
+What is fed back is the picture as it is stored, in eight bits. So a clip can be cut anywhere and gone on with from the stored outputs
+of the K pictures before the cut: the bytes are those of one pass. Memory holds K pictures whatever the length of the clip.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from studiorecon.enhance.alignment import Past, backward_flow, flows_back
+from studiorecon.enhance.enhancer import Enhancer, Moment, check_gain, loop_gain
+from studiorecon.enhance.injection import Injection, confidence, inject
+from studiorecon.errors import Refusal
+from studiorecon.images.flow import grey_levels, one_thread
+from studiorecon.images.video import to_bytes, to_float
+from studiorecon.images.warp import warp
+from studiorecon.progress import say
+from studiorecon.scene.path import Step
+
+# Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands still.
+_STILL_LEVELS = 0.25
+
+
+@dataclass(frozen=True)
+class Blend:
+    """What one picture's injection was made of.
+
+    Attributes:
+        flows: per earlier picture, latest first, (H, W, 2) flow to it; ``valid``: (H, W) bool where that holds.
+        confidences: per earlier picture (H, W) float32.
+        blended: (H, W, 3) float32 input of the enhancer; ``injected``: (H, W) share of it that comes from earlier outputs.
+    """
+
+    flows: Sequence[np.ndarray]
+    valid: Sequence[np.ndarray]
+    confidences: Sequence[np.ndarray]
+    blended: np.ndarray
+    injected: np.ndarray
+
+
+def blend(picture: np.ndarray, grey: np.ndarray, history: Sequence[Past], injection: Injection, flow_preset: str, pool: Executor) -> Blend:
+    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a cut.
+
+    A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it.
+    """
+    render = to_float(picture)
+    flows = flows_back(grey, history, injection, flow_preset, pool)
+    if flows and injection.check and flows[0][1].mean() < injection.cut_share:
+        flows = []
+    found = list(pool.map(partial(_aligned, render, injection), list(history)[: len(flows)], flows))
+    blended, injected = inject(render, [w for w, _ in found], [c for _, c in found], injection)
+    return Blend([f for f, _ in flows], [v for _, v in flows], [c for _, c in found], blended, injected)
+
+
+def enhanced(
+    steps: Sequence[Step],
+    pictures: Iterable[np.ndarray],
+    depths_mm: Iterable[np.ndarray],
+    reference: Callable[[Step], np.ndarray],
+    enhancer: Enhancer,
+    injection: Injection,
+    flow_preset: str,
+    before: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+) -> Iterator[np.ndarray]:
+    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every cut.
+
+    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment: what a part of a
+    clip starts from. Raises Refusal for pictures of different sizes and for an enhancer whose outputs may not be fed back.
+    """
+    history: deque[Past] = deque(maxlen=injection.history)
+    segment = steps[0].segment if steps and before else None
+    checked = False
+    with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
+        for raw, output in list(before)[-injection.history :] if injection.history else ():
+            grey = grey_levels(raw)
+            link = backward_flow(grey, history[0].grey, flow_preset, injection.check) if history else (None, None)
+            history.appendleft(Past(to_float(output), grey, *link))
+        for number, (step, picture, depth_mm) in enumerate(zip(steps, pictures, depths_mm, strict=True)):
+            photo = to_float(reference(step))
+            depth_m = depth_mm.astype(np.float32) / 1000
+            if not checked and injection.history:
+                untouched = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
+                check_gain(loop_gain(enhancer, photo, untouched), injection.strength)
+                checked = True
+            if step.segment != segment:
+                history.clear()
+                segment = step.segment
+            if history and history[0].output.shape != picture.shape:
+                old, new = (f"{shape[1]}x{shape[0]}" for shape in (history[0].output.shape, picture.shape))
+                raise Refusal(
+                    f"picture {number} of segment {segment} is {new} and the one before it {old}; pictures of a clip have one size"
+                )
+            grey = grey_levels(picture)
+            mixed = blend(picture, grey, history, injection, flow_preset, pool)
+            if history and not mixed.flows:
+                say(f"picture {number} of segment {segment} follows a cut: injection starts anew")
+                history.clear()
+            output = _finite(
+                enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)), picture, step
+            )
+            link = (mixed.flows[0], mixed.valid[0]) if mixed.flows else (None, None)
+            history.appendleft(Past(to_float(output), grey, *link))
+            yield output
+
+
+def stands_still(steps: Sequence[Step], pictures: Iterable[np.ndarray]) -> bool:
+    """Whether no picture of a clip differs from the one before it in its segment: there is nothing to steady then.
+
+    Reads on only until two pictures differ. A clip of single pictures stands still.
+    """
+    earlier: tuple[str, np.ndarray] | None = None
+    for step, picture in zip(steps, pictures):
+        follows = earlier is not None and earlier[0] == step.segment and earlier[1].shape == picture.shape
+        if follows and np.abs(picture.astype(np.int16) - earlier[1]).mean() > _STILL_LEVELS:
+            return False
+        earlier = step.segment, picture
+    return True
+
+
+def _aligned(render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """An earlier output on the current picture, and its confidence there."""
+    backward, valid = flow
+    warped, inside = warp(past.output, backward)
+    return warped, confidence(render, warped, inside & valid, injection)
+
+
+def _finite(output: np.ndarray, picture: np.ndarray, step: Step) -> np.ndarray:
+    """(H, W, 3) uint8: the output, as rendered where the enhancer made something that is no number."""
+    bad = ~np.isfinite(output).all(axis=-1)
+    if bad.any():
+        say(f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered")
+    return np.where(bad[..., None], picture, to_bytes(np.where(bad[..., None], 0, output)))
