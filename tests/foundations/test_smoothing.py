@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
 
 
+@settings(deadline=None)
 @given(st.floats(0.05, 1), st.floats(0, 3), st.integers(1, 40))
 def test_constants_are_fixed_points(alpha: float, sigma: float, frames: int) -> None:
     np.testing.assert_allclose(smoothing.smooth_vectors(np.full((frames, 2), 3.7), alpha, sigma), 3.7, rtol=1e-12)
@@ -52,11 +53,11 @@ def test_interior_equals_the_two_exponential_passes() -> None:
 
 @pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
 def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
-    reference = Smoothing(0.5, 1.0, 30.0)
+    reference = Smoothing(0.5, 1.0, 30.0, "cascade", True, "rotations")
     alpha, sigma = smoothing.at_frame_rate(reference, fps)
     # A motion of two seconds keeps the same share at every frame rate.
     assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)
-    assert smoothing.at_frame_rate(Smoothing(0.5, 1.0, 0.0), fps) == (0.5, 1.0)
+    assert smoothing.at_frame_rate(Smoothing(0.5, 1.0, 0.0, "cascade", True, "rotations"), fps) == (0.5, 1.0)
 
 
 def test_gaps_are_filled_along_the_shortest_way_and_ends_held() -> None:

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.geometry import rotations
 
 # Where the kernel is cut, relative to its centre; and the Gaussian's reach in deviations (numerics U41).
 _FADED = 1e-4
 _GAUSS_REACH = 4.0
-_MEAN_STEPS = 3
+_MEAN_STEPS = 2
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,30 @@ class Smoothing:
         alpha: share of the new sample in each exponential pass, in (0, 1]; 1 = no exponential smoothing (paper: 0.5).
         sigma_frames: deviation of the Gaussian in frames; 0 = none (paper: 1).
         reference_fps: frame rate the two refer to; at other rates the smoothing keeps its length in seconds. 0 = never scaled.
+        passes: "cascade" runs the second pass over the first one's result, "average" takes the mean of the two (numerics U40).
+        root: also the pelvis's turn and position, not the body's pose alone (U42).
+        turns_on: "rotations" (SO(3)), or "axis_angles": their components, as the paper's predecessor does (U42), wrong near half a turn.
     """
 
     alpha: float
     sigma_frames: float
     reference_fps: float
+    passes: str
+    root: bool
+    turns_on: str
+
+    def smooth_body(self, local: np.ndarray, trans_m: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joints' rotations (T, 24, 3, 3), root first, and pelvis positions (T, 3), smoothed as these settings say."""
+        sizes = require("local", local, ("T", 24, 3, 3), finite=True)
+        require("trans_m", trans_m, ("T", 3), sizes, finite=True)
+        alpha, sigma = at_frame_rate(self, fps)
+        if self.turns_on == "axis_angles":
+            turns = rotations.exp(smooth_vectors(rotations.log(local), alpha, sigma, self.passes))
+        else:
+            turns = smooth_rotations(local, alpha, sigma, self.passes)
+        if self.root:
+            return turns, smooth_vectors(trans_m, alpha, sigma, self.passes)
+        return np.concatenate([local[:, :1], turns[:, 1:]], axis=1), np.array(trans_m, dtype=np.float64)
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
@@ -42,22 +62,30 @@ def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
     return 1.0 - (1.0 - smoothing.alpha) ** ratio, smoothing.sigma_frames / ratio
 
 
-def kernel(alpha: float, sigma_frames: float) -> np.ndarray:
-    """(2R + 1,) weights that sum to 1: exponential cascade, then Gaussian."""
+def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
+    """(2R + 1,) weights that sum to 1: exponential passes (U40), then Gaussian cut at four deviations (U41).
+
+    The cascade's response is α/(2−α) (1−α)^|d|; the average's α/2 (1−α)^|d| and α at d = 0, which keeps more noise.
+    Raises ValueError for α outside (0, 1], a negative σ and other passes.
+    """
     if not 0 < alpha <= 1 or sigma_frames < 0:
         raise ValueError(f"alpha must be in (0, 1] and sigma ≥ 0, not {alpha} and {sigma_frames}")
     reach = 0 if alpha == 1 else int(np.ceil(np.log(_FADED) / np.log(1 - alpha)))
-    passes = (1 - alpha) ** np.abs(np.arange(-reach, reach + 1)) if reach else np.ones(1)
+    if passes not in ("cascade", "average"):
+        raise ValueError(f"passes must be cascade or average, not {passes!r}")
+    both = (1 - alpha) ** np.abs(np.arange(-reach, reach + 1)) if reach else np.ones(1)
+    if passes == "average":
+        both[reach] *= 2  # both passes weigh the sample itself
     # A Gaussian narrower than this leaves its neighbours nothing; dividing by it would only overflow.
     wide = int(np.ceil(_GAUSS_REACH * sigma_frames)) if sigma_frames > 1e-3 else 0
     gauss = np.exp(-0.5 * (np.arange(-wide, wide + 1) / sigma_frames) ** 2) if wide else np.ones(1)
-    both = np.convolve(passes, gauss)
+    both = np.convolve(both, gauss)
     return both / both.sum()
 
 
-def gain(alpha: float, sigma_frames: float, period_frames: float) -> float:
+def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = "cascade") -> float:
     """Share of a sinusoidal motion of that period that survives (F07)."""
-    weights = kernel(alpha, sigma_frames)
+    weights = kernel(alpha, sigma_frames, passes)
     reach = len(weights) // 2
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
 
@@ -82,37 +110,75 @@ def fill_rotations(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return np.where(valid.reshape(-1, *(1,) * (values.ndim - 1)), values, filled)
 
 
-def smooth_vectors(values: np.ndarray, alpha: float, sigma_frames: float) -> np.ndarray:
-    """(T, ...) smoothed along the first axis; fewer than three frames pass through (F04). No NaN: fill gaps first."""
+def smooth_vectors(values: np.ndarray, alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
+    """(T, ...) smoothed along the first axis; fewer than three frames pass through (F04).
+
+    Raises ValueError for values that are not finite: one would spread over the whole clip (F05); fill gaps first.
+    """
     values = np.asarray(values, dtype=np.float64)
+    require("values", values, ("T", ...), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
+    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames, passes))
     out = np.zeros_like(values)
     for shift, weight in zip(shifts, weights):
         out += weight.reshape(-1, *(1,) * (values.ndim - 1)) * values[_shifted(len(values), shift)]
     return out
 
 
-def smooth_rotations(values: np.ndarray, alpha: float, sigma_frames: float) -> np.ndarray:
-    """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, three steps.
+def smooth_rotations(values: np.ndarray, alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
+    """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the mean quaternion.
 
     Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17 frames at
     the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through (F04).
     """
     values = np.asarray(values, dtype=np.float64)
+    require("values", values, ("T", ..., 3, 3), finite=True)
     if len(values) < 3:
         return values.copy()
-    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames))
-    centre = values
+    shifts, weights = _windows(len(values), kernel(alpha, sigma_frames, passes))
+    quaternions = np.moveaxis(rotations.to_quaternion(values).reshape(len(values), -1, 4), -1, 0)  # (4, T, N)
+    # Nearly there: the windows' mean quaternions, signs continued from the frame itself.
+    centre = np.zeros_like(quaternions)
+    for shift, weight in zip(shifts, weights):
+        other = quaternions[:, _shifted(len(values), shift)]
+        centre += np.copysign(weight[:, None], np.einsum("qtn,qtn->tn", quaternions, other)) * other
+    centre /= np.sqrt((centre**2).sum(0))
     for _ in range(_MEAN_STEPS):
-        back = np.swapaxes(centre, -1, -2)
-        turn = np.zeros(values.shape[:-1])
+        turn = np.zeros((3, *centre.shape[1:]))
         for shift, weight in zip(shifts, weights):
-            difference = rotations.log(back @ values[_shifted(len(values), shift)])
-            turn += weight.reshape(-1, *(1,) * (values.ndim - 2)) * difference
-        centre = centre @ rotations.exp(turn)
-    return centre
+            turn += weight[:, None] * _turn_between(centre, quaternions[:, _shifted(len(values), shift)])
+        centre = _turned(centre, turn)
+    return rotations.from_quaternion(np.moveaxis(centre, 0, -1)).reshape(values.shape)
+
+
+def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(3, T, N) axis-angle of the shorter turn a⁻¹ b between unit quaternions (4, T, N), components first for long inner loops."""
+    dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    turn = np.empty((3, *dot.shape))
+    for i, j, k in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
+        turn[i - 1] = a[0] * b[i] - b[0] * a[i] - (a[j] * b[k] - a[k] * b[j])
+    sine = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    # θ / sin(θ/2) tends to 2 at 0; a negative dot is the longer way round (numerics R03).
+    small = sine < 1e-12
+    factor = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(dot)) / np.where(small, 1.0, sine))
+    turn *= np.where(dot < 0, -factor, factor)
+    return turn
+
+
+def _turned(a: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """(4, T, N) unit quaternions a times those of axis-angles (3, T, N)."""
+    half = 0.5 * np.sqrt((turn**2).sum(0))
+    w, (x, y, z) = np.cos(half), 0.5 * np.sinc(half / np.pi) * turn
+    out = np.stack(
+        [
+            a[0] * w - a[1] * x - a[2] * y - a[3] * z,
+            a[0] * x + a[1] * w + a[2] * z - a[3] * y,
+            a[0] * y - a[1] * z + a[2] * w + a[3] * x,
+            a[0] * z + a[1] * y - a[2] * x + a[3] * w,
+        ]
+    )
+    return out / np.sqrt((out**2).sum(0))
 
 
 def _shifted(frames: int, shift: int) -> np.ndarray:

@@ -194,11 +194,9 @@ def _person(
     settings: Settings,
 ) -> Person:
     """Fill frames that are not ``valid`` (T,), smooth, and pose the body; ``sigma_m`` (T, 24) counts where valid."""
-    alpha, sigma_frames = smoothing.at_frame_rate(settings.smooth, fps)
     local = smoothing.fill_rotations(np.where(valid[:, None, None, None], local, np.eye(3)), valid)
     trans = smoothing.fill_vectors(np.where(valid[:, None], trans_m, 0.0), valid)
-    local = smoothing.smooth_rotations(local, alpha, sigma_frames)
-    trans = smoothing.smooth_vectors(trans, alpha, sigma_frames)
+    local, trans = settings.smooth.smooth_body(local, trans, fps)
     poses = rotations.log(local).reshape(len(valid), 72)
     return Person(
         name=name,
