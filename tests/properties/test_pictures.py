@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for any picture: constants pass every filter unchanged, and a picture does not depend on where its world stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from studiorecon import settings as settings_module
+from studiorecon.enhance.enhancer import Moment, Unchanged
+from studiorecon.enhance.injection import Injection, confidence, inject
+from studiorecon.enhance.residual import ResidualTransfer, Transfer, source
+from studiorecon.geometry.rotations import to_quaternion
+from studiorecon.geometry.surface import points_and_normals
+from studiorecon.images.blur import gaussian_blur
+from studiorecon.images.exposure import Overlap, solve_gains
+from studiorecon.images.plate import temporal_modes
+from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.warp import sample, warp
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.shell import Shell
+from studiorecon.splatting.rasterise import rasterise
+from studiorecon.splatting.targets import scene_extent
+from studiorecon.views import forward
+
+from tests.foundations.camera_ring import ring
+from tests.foundations.splatting_scenes import camera, room
+from tests.properties.moved_worlds import FEW, MANY, World, level_worlds, numbers, rigid_worlds, worlds
+
+CONFIG = yaml.safe_load((Path(__file__).parents[2] / "config/config.yaml").read_text(encoding="utf-8"))
+READING = settings_module.load(Injection, CONFIG["enhance"]["injection"], "enhance.injection")
+TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=1.0)
+LEVELS = numbers(0, 1)
+
+
+@FEW
+@given(LEVELS, st.sampled_from([1, 3, 11, 21]), numbers(0.3, 6))
+def test_a_blur_keeps_constants(level: float, size: int, sigma: float) -> None:
+    np.testing.assert_allclose(gaussian_blur(np.full((17, 23, 3), level), size, sigma), level, atol=2e-6)
+
+
+@MANY
+@given(LEVELS, st.integers(0, 1000), st.sampled_from(["nearest", "linear", "cubic"]))
+def test_a_warp_keeps_constants_even_where_it_leaves_the_picture(level: float, seed: int, how: str) -> None:
+    flow = np.random.default_rng(seed).normal(0, 12, (17, 23, 2))
+    values, _ = warp(np.full((17, 23), level, np.float32), flow, how)
+    np.testing.assert_allclose(values, level, atol=2e-6)
+
+
+@FEW
+@given(st.tuples(*[st.integers(0, 255)] * 3), st.integers(1, 9), st.integers(0, 100))
+def test_the_plate_of_a_film_that_never_changes_is_its_picture(colour: tuple, count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames = np.tile(np.uint8(colour), (count, 9, 11, 1))
+    free = rng.random((count, 9, 11)) < 0.7
+    plate, votes, rival = temporal_modes(frames, free, 8.0)
+    measured = free.any(axis=0)
+    np.testing.assert_array_equal(plate[measured], np.broadcast_to(np.float32(colour), plate[measured].shape))
+    np.testing.assert_array_equal(votes, free.sum(axis=0))
+    assert not rival.any()
+
+
+@FEW
+@given(st.integers(0, 1000), st.permutations(range(7)))
+def test_the_plate_does_not_depend_on_the_order_of_frames(seed: int, order: list[int]) -> None:
+    """Two thirds show the room with noise, the rest something else; no tie is close enough for the order to matter."""
+    rng = np.random.default_rng(seed)
+    frames = np.clip(100 + rng.integers(-2, 3, (7, 9, 11, 3)), 0, 255).astype(np.uint8)
+    frames[:2] = 200
+    free = np.ones((7, 9, 11), bool)
+    one, other = temporal_modes(frames, free, 8.0), temporal_modes(frames[order], free[order], 8.0)
+    for a, b in zip(one, other):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+@FEW
+@given(LEVELS, st.integers(0, 1000), st.integers(0, 3), st.sampled_from(["mean", "norm", "sum"]), st.sampled_from(["confidence", "error"]))
+def test_injection_keeps_constants_whatever_the_confidence(level: float, seed: int, existing: int, error: str, blurred: str) -> None:
+    rng = np.random.default_rng(seed)
+    render = np.full((17, 23, 3), level, np.float32)
+    shares = [rng.random((17, 23)).astype(np.float32) for _ in range(existing)]
+    blended, injected = inject(render, [render] * existing, shares, READING)
+    np.testing.assert_allclose(blended, level, atol=1e-6)
+    assert (injected <= READING.strength + 1e-6).all()
+    reading = replace(READING, error=error, blurred=blurred)
+    trust = confidence(render, render, np.ones((17, 23), bool), reading)
+    np.testing.assert_allclose(trust, 1, atol=2e-6)
+
+
+@FEW
+@given(st.integers(0, 1000), st.permutations(range(3)))
+def test_the_residual_transfer_leaves_a_render_that_is_right_and_knows_no_order_of_cameras(seed: int, order: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    cameras = [c.resized((40, 22)) for c in ring(4)]
+    depth = np.full((22, 40), 3.0, np.float32)
+    photos = [rng.integers(0, 255, (22, 40, 3), dtype=np.uint8) for _ in range(3)]
+    image = rng.random((22, 40, 3)).astype(np.float32)
+    moment = Moment(cameras[3], 0.0, depth, np.zeros((22, 40), np.float32))
+    right = [source(c, p, p, depth, TRANSFER) for c, p in zip(cameras, photos)]
+    np.testing.assert_array_equal(ResidualTransfer(lambda frame: right, 1.0, TRANSFER).enhance(image, photos[0], moment), image)
+    wrong = [source(c, p, p[::-1], depth, TRANSFER) for c, p in zip(cameras, photos)]
+    one = ResidualTransfer(lambda frame: wrong, 1.0, TRANSFER).enhance(image, photos[0], moment)
+    other = ResidualTransfer(lambda frame: [wrong[i] for i in order], 1.0, TRANSFER).enhance(image, photos[0], moment)
+    np.testing.assert_allclose(one, other, atol=1e-5)
+    np.testing.assert_array_equal(Unchanged().enhance(image, photos[0], moment), image)
+
+
+@FEW
+@given(st.integers(0, 1000), st.permutations(range(4)))
+def test_gains_follow_their_cameras_and_have_a_mean_of_one(seed: int, order: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    planted = np.exp(rng.normal(0, 0.1, (4, 3)))
+    planted /= np.exp(np.log(planted).mean(axis=0))
+    pairs = [(0, 1), (1, 2), (2, 3), (0, 3)]
+    found = solve_gains(4, [Overlap(i, j, np.log(planted[i] / planted[j]), 100 + i) for i, j in pairs])
+    np.testing.assert_allclose(found, planted, rtol=1e-9)
+    place = np.argsort(order)
+    shuffled = [Overlap(int(place[i]), int(place[j]), np.log(planted[i] / planted[j]), 100 + i) for i, j in pairs]
+    np.testing.assert_allclose(solve_gains(4, shuffled), planted[order], rtol=1e-9)
+
+
+@MANY
+@given(st.integers(0, 1000), st.sampled_from([1, 3, 7]))
+def test_operations_on_regions_only_grow_or_only_shrink(seed: int, size: int) -> None:
+    region = np.random.default_rng(seed).random((20, 25)) < 0.3
+    assert (dilated(region, size) >= region).all()
+    assert (without_holes(region, 9) >= region).all()
+    assert (without_islands(region, 3) <= region).all()
+    np.testing.assert_array_equal(signed_distance_px(region) > 0, region)
+    np.testing.assert_allclose(signed_distance_px(~region), -signed_distance_px(region), atol=1e-5)
+    for constant in (np.zeros((20, 25), bool), np.ones((20, 25), bool)):
+        for result in (dilated(constant, size), without_islands(constant, 3), without_holes(constant, 9)):
+            np.testing.assert_array_equal(result, constant)
+
+
+def moved_gaussians(gaussians: Gaussians, world: World) -> Gaussians:
+    """The set in another world; colours must not depend on direction."""
+    turned = to_quaternion(world.rotation @ rotation_of(gaussians.quaternions))
+    return replace(
+        gaussians,
+        means_m=world.points(gaussians.means_m.astype(np.float64)).astype(np.float32),
+        quaternions=turned.astype(np.float32),
+        log_scales=(gaussians.log_scales + np.log(world.scale)).astype(np.float32),
+    )
+
+
+def rotation_of(quaternions: np.ndarray) -> np.ndarray:
+    from studiorecon.geometry.rotations import from_quaternion
+
+    return from_quaternion(quaternions.astype(np.float64))
+
+
+@FEW
+@given(worlds(), st.integers(0, 20))
+def test_a_rendered_picture_does_not_depend_on_where_its_world_stands(world: World, seed: int) -> None:
+    near = replace(world, shift=world.shift / 10)  # means are float32: G and C08 say what distance costs
+    gaussians = room(400, seed)
+    gaussians = replace(gaussians, sh=gaussians.sh[:, :1])
+    view = camera(64, 40)
+    here = rasterise(gaussians, view, near_m=0.1)
+    there = rasterise(moved_gaussians(gaussians, near), near.camera(view), near_m=0.1 * near.scale)
+    difference = np.abs(here.rgb - there.rgb)
+    assert np.quantile(difference, 0.99) < 2e-3
+    assert difference.mean() < 1e-4
+    assert np.abs(here.alpha - there.alpha).mean() < 1e-4
+
+
+@FEW
+@given(st.integers(0, 20), st.randoms(use_true_random=False))
+def test_a_rendered_picture_does_not_depend_on_the_order_of_gaussians(seed: int, shuffle: object) -> None:
+    gaussians, view = room(400, seed), camera(64, 40)
+    order = np.array(shuffle.sample(range(gaussians.count), gaussians.count))
+    mixed = Gaussians(*(getattr(gaussians, name)[order] for name in ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")))
+    one, other = rasterise(gaussians, view, near_m=0.1), rasterise(mixed, view, near_m=0.1)
+    np.testing.assert_allclose(one.rgb, other.rgb, atol=1e-5)
+    np.testing.assert_allclose(one.alpha, other.alpha, atol=1e-5)
+
+
+@FEW
+@given(worlds())
+def test_o08_the_extent_that_scales_step_sizes_grows_with_the_scene(world: World) -> None:
+    moved = [world.camera(c) for c in ring(4)]
+    assert scene_extent(moved) == pytest.approx(world.scale * scene_extent(ring(4)), rel=1e-9)
+
+
+@FEW
+@given(level_worlds())
+def test_depth_to_the_room_s_shell_turns_with_the_room(world: World) -> None:
+    yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
+    plain = Shell(0.2, np.array([-5.0, -6.0, 0.0]), np.array([5.5, 6.5, 3.0]), np.ones(6, bool), np.ones(6))
+    shift = np.array([*(world.shift @ replace(plain, yaw_rad=0.2 + yaw).axes.T)[:2], 0.0])
+    turned = replace(plain, yaw_rad=0.2 + yaw, low_m=plain.low_m + shift, high_m=plain.high_m + shift)
+    view = ring(4)[0].resized((64, 36))
+    here, face = plain.intersect(*view.rays())
+    there, other_face = turned.intersect(*world.camera(view).rays())
+    np.testing.assert_allclose(there, here, atol=1e-7)
+    np.testing.assert_array_equal(face, other_face)
+
+
+def made_source(seed: int, world: World | None = None) -> forward.Source:
+    rng = np.random.default_rng(seed)
+    view = ring(4)[0].resized((64, 36))
+    depth = (4.5 + 0.3 * np.sin(np.arange(64) / 9.0)[None] + np.zeros((36, 1))) * (world.scale if world else 1)
+    return forward.source(world.camera(view) if world else view, rng.random((36, 64, 3)), np.ones((36, 64), bool), depth, 0.04)
+
+
+@FEW
+@given(worlds(), st.integers(0, 50))
+def test_a_carried_photo_does_not_depend_on_where_the_world_stands(world: World, seed: int) -> None:
+    target = ring(12)[1].resized((64, 36))
+    rgb, support, depth = forward.blend(target, [made_source(seed)], 3, 0.02, 0.3)
+    moved_rgb, moved_support, moved_depth = forward.blend(world.camera(target), [made_source(seed, world)], 3, 0.02, 0.3)
+    # A sample on the border of two pixels may fall to either.
+    same = (np.abs(moved_rgb - rgb).max(axis=-1) < 1e-5) & (np.abs(moved_support - support) < 1e-6)
+    assert same.mean() > 0.99
+    np.testing.assert_allclose(moved_depth[same], world.scale * depth[same], rtol=1e-5)
+
+
+@FEW
+@given(st.integers(0, 50), st.permutations(range(3)))
+def test_carried_photos_blend_the_same_in_any_order_and_an_empty_one_adds_nothing(seed: int, order: list[int]) -> None:
+    sources = [made_source(seed + i) for i in range(3)]
+    target = ring(12)[1].resized((64, 36))
+    one = forward.blend(target, sources, 3, 0.02, 0.3)
+    other = forward.blend(target, [sources[i] for i in order], 3, 0.02, 0.3)
+    empty = replace(sources[0], usable=np.zeros((36, 64), bool))
+    with_empty = forward.blend(target, [*sources, empty], 3, 0.02, 0.3)
+    for a, b, c in zip(one, other, with_empty):
+        np.testing.assert_allclose(b, a, atol=1e-5)
+        np.testing.assert_allclose(c, a, atol=1e-6)
+
+
+@FEW
+@given(rigid_worlds())
+def test_points_and_normals_of_a_depth_map_move_with_the_world(world: World) -> None:
+    view = ring(4)[0].resized((64, 36))
+    depth = 4 + 0.02 * view.pixel_centres()[..., 0]
+    points, normals, valid = points_and_normals(depth, view)
+    moved, turned, other_valid = points_and_normals(depth, world.camera(view))
+    np.testing.assert_array_equal(valid, other_valid)
+    np.testing.assert_allclose(moved[valid], world.points(points)[valid], atol=1e-8)
+    np.testing.assert_allclose(turned[valid], normals[valid] @ world.rotation.T, atol=1e-6)
+
+
+@FEW
+@given(worlds())
+def test_the_silhouette_of_a_mesh_does_not_depend_on_where_the_world_stands(world: World) -> None:
+    vertices = np.array([[-0.5, -0.4, 0.4], [0.5, 0.5, 0.6], [0.1, -0.2, 1.7], [-0.2, 0.6, 1.2]])
+    faces, view = np.array([[0, 1, 2], [0, 2, 3], [1, 2, 3]]), ring(4)[0].resized((64, 36))
+    here = mesh_depth(vertices, faces, view)
+    there = mesh_depth(world.points(vertices), faces, world.camera(view), near_m=0.05 * world.scale)
+    np.testing.assert_allclose(there, world.scale * here, rtol=1e-5, atol=1e-6)
+
+
+@FEW
+@given(st.integers(0, 1000))
+def test_reading_at_pixel_centres_is_the_picture(seed: int) -> None:
+    image = np.random.default_rng(seed).random((9, 13)).astype(np.float32)
+    centres = np.stack(np.meshgrid(np.arange(13) + 0.5, np.arange(9) + 0.5), axis=-1)
+    for how in ("nearest", "linear", "cubic"):
+        values, valid = sample(image, centres, how)
+        np.testing.assert_array_equal(values, image)
+        assert valid.all()
