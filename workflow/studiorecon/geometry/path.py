@@ -126,9 +126,10 @@ def between(
     else:
         frames = np.stack([look_at(point, centre_m) for point in points])
         turned = frames @ slerp(frames[0].T @ turned_a, frames[-1].T @ turned_b, shares)
-    lens_end = end.resized(start.wh).intrinsics
-    views = []
-    for share, rotation, point in zip(shares, turned, points):
-        lens = replace(start, intrinsics=(1 - share) * start.intrinsics + share * lens_end)
-        views.append(with_pose(lens, rotation, point))
-    return views, bent and centres == "linear"
+    turned = np.asarray(turned).reshape(count, 3, 3)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = np.swapaxes(turned, -1, -2)
+    poses[:, :3, 3] = -np.einsum("nji,nj->ni", turned, points)
+    share = shares[:, None, None]
+    lenses = (1 - share) * start.intrinsics + share * end.resized(start.wh).intrinsics
+    return [Camera(start.name, start.wh, lens, pose) for lens, pose in zip(lenses, poses)], bent and centres == "linear"
