@@ -1,28 +1,86 @@
 # Cameras: the user's calibration in our convention, checked and refined on the people, as COLMAP models.
 
 
-rule cameras_calibration:
-    input:
-        files=[str(f) for f in DATASET.calibration],
-    output:
-        calibration="results/{scene}/cameras/calibration.json",
-    log:
-        "logs/{scene}/cameras/calibration.log",
-    benchmark:
-        "benchmarks/{scene}/cameras/calibration.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=500,
-    params:
-        settings=settings("cameras"),
-        code=code("cameras.calibration"),
-        cameras=CAMERAS,
-        pixel_maps=json.dumps(dict(DATASET.pixel_maps)),
-    shell:
-        "python -m studiorecon cameras.calibration --settings {params.settings:q} --log {log}"
-        " --files {input.files:q} --cameras {params.cameras:q} --pixel-maps {params.pixel_maps:q} --calibration {output.calibration:q}"
+if FROM_PEOPLE:
+
+    rule people_sightings:
+        input:
+            keypoints=keypoint_source,
+            source=footage_source,
+        output:
+            sightings="results/{scene}/people/sightings/{camera}.npz",
+            size="results/{scene}/people/sightings/{camera}.json",
+        log:
+            "logs/{scene}/people/sightings/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/sightings/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("people"),
+            code=code("people.sightings"),
+            layout=DATASET.keypoint_layout,
+            first_frame=DATASET.keypoint_first_frame,
+            start=DATASET.first_frame,
+            count=DATASET.frame_count,
+        shell:
+            "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
+            " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
+            " --start {params.start} --count {params.count} --source {input.source:q}"
+            " --sightings {output.sightings:q} --size {output.size:q}"
+
+    rule cameras_uncalibrated:
+        input:
+            sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=CAMERAS, allow_missing=True),
+            sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=CAMERAS, allow_missing=True),
+            body=BODY,
+        output:
+            calibration="results/{scene}/cameras/calibration.json",
+        log:
+            "logs/{scene}/cameras/uncalibrated.log",
+        benchmark:
+            "benchmarks/{scene}/cameras/uncalibrated.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1000,
+        params:
+            settings=settings("cameras"),
+            code=code("cameras.uncalibrated"),
+            focal_px=json.dumps(dict(DATASET.focal_px)),
+        shell:
+            "python -m studiorecon cameras.uncalibrated --settings {params.settings:q} --log {log}"
+            " --sightings {input.sightings:q} --sizes {input.sizes:q} --body {input.body:q} --focal-px {params.focal_px:q}"
+            " --calibration {output.calibration:q}"
+
+else:
+
+    rule cameras_calibration:
+        input:
+            files=[str(f) for f in DATASET.calibration],
+        output:
+            calibration="results/{scene}/cameras/calibration.json",
+        log:
+            "logs/{scene}/cameras/calibration.log",
+        benchmark:
+            "benchmarks/{scene}/cameras/calibration.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("cameras"),
+            code=code("cameras.calibration"),
+            cameras=CAMERAS,
+            pixel_maps=json.dumps(dict(DATASET.pixel_maps)),
+        shell:
+            "python -m studiorecon cameras.calibration --settings {params.settings:q} --log {log}"
+            " --files {input.files:q} --cameras {params.cameras:q} --pixel-maps {params.pixel_maps:q} --calibration {output.calibration:q}"
 
 
 rule cameras_refine:

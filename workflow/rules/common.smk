@@ -62,7 +62,12 @@ SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"]
 FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]
 SHOTS = ["train", *FILMS]
 
-if not DATASET.calibration:
+# Cameras come from the user's files or from the people in the pictures.
+FROM_PEOPLE = config["cameras"]["source"] == "people" or (
+    config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(DATASET.keypoints)
+)
+
+if not FROM_PEOPLE and not DATASET.calibration:
     raise WorkflowError(
         f"dataset {DATASET.folder} has no calibration: put intri.yml and extri.yml, a COLMAP model (sparse/0), a Pose2Sim or "
         "caliscope .toml, a .qca.txt or a transforms.json there, or name it in capture.yaml (calibration: FILE)"
@@ -76,6 +81,11 @@ if DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoin
     raise WorkflowError(
         f"camera {blind[0]} of dataset {DATASET.folder} has no keypoints in {next(iter(DATASET.keypoints.values())).parent}: "
         f"add {blind[0]}/*.json there, or leave the camera out with train: [...] in capture.yaml"
+    )
+if FROM_PEOPLE and (unseen := [c for c in CAMERAS if c not in DATASET.keypoints]):
+    raise WorkflowError(
+        f"dataset {DATASET.folder} has no calibration, so its cameras are found from people, and camera {unseen[0]} has no keypoints: add "
+        f"{unseen[0]}/*.json, leave the camera out with train: [...] in capture.yaml, or bring a calibration"
     )
 
 

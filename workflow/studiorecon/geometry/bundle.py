@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bundle adjustment of camera poses on points that several cameras see, with a prior at the given poses."""
+"""Bundle adjustment of cameras on points that several of them see, with a prior at the given poses and lenses."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from studiorecon.geometry.rotations import cross_matrix, exp, log
 from studiorecon.scene.camera import Camera
 
 _NEAR_M = 0.05
+# Standard deviation of a lens number that stays as it is: its column keeps its place and does not move.
+_FIXED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,42 @@ class BundleSettings:
     prior_m: float
 
 
+@dataclass(frozen=True)
+class LensPrior:
+    """How far lenses may move: standard deviations of the focal length's logarithm and of a radial term k1 that starts at 0."""
+
+    log_focal: float
+    radial: float
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """What bundle adjustment found.
+
+    Attributes:
+        cameras: with their new poses and focal lengths.
+        points_m: (N, 3).
+        radial: (V,) k1 on undistorted normalised coordinates, beyond what was already removed.
+        sigma: (V, 8) standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term. Poses are
+            relative to one another (the common rotation, translation and scale are taken out); noise is the residuals' own.
+        error_units: root mean square residual per coordinate, in error units, Huber-weighted.
+    """
+
+    cameras: list[Camera]
+    points_m: np.ndarray
+    radial: np.ndarray
+    sigma: np.ndarray
+    error_units: float
+
+
+@dataclass(frozen=True)
+class _State:
+    rotations: np.ndarray
+    centres: np.ndarray
+    lens: np.ndarray  # (V, 2): log of the focal length's factor, radial term
+    points: np.ndarray
+
+
 def adjust(
     cameras: Sequence[Camera], pixels: np.ndarray, weights: np.ndarray, points_m: np.ndarray, huber_px: np.ndarray, settings: BundleSettings
 ) -> tuple[list[Camera], np.ndarray]:
@@ -38,49 +76,29 @@ def adjust(
     the two-dimensional residual (T11) with the delta ``huber_px`` (V,), so residuals are in error units and the priors
     count as one unit per standard deviation. Intrinsics stay. 0.1 s for 400 points and 4 views.
     """
-    rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
-    centres = np.stack([c.centre_m for c in cameras])
-    focal, principal = np.stack([c.focal_px for c in cameras]), np.stack([c.principal_px for c in cameras])
-    given_rotations, given_centres, points = rotations.copy(), centres.copy(), np.array(points_m, dtype=np.float64)
-    seen = (weights > 0) & np.isfinite(pixels).all(-1)
-    measured = np.where(seen[..., None], pixels, 0.0)
-    weights = np.where(seen, weights, 0.0)
-    sigma = np.array([np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3)
+    state, _ = _solve(_Problem(cameras, pixels, weights, huber_px, settings, LensPrior(0.0, 0.0)), points_m, settings.iterations)
+    return [moved(camera, state.rotations[v], state.centres[v]) for v, camera in enumerate(cameras)], state.points
 
-    def residuals(r: np.ndarray, c: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        in_camera = np.einsum("vij,vnj->vni", r, x[None] - c[:, None])
-        depth = np.where(in_camera[..., 2] > _NEAR_M, in_camera[..., 2], np.nan)
-        ahead = seen & np.isfinite(depth)
-        if (seen & ~ahead).any():
-            return in_camera, np.zeros_like(measured), ahead, np.inf
-        depth = np.where(ahead, depth, 1.0)
-        error = (in_camera[..., :2] / depth[..., None] * focal[:, None] + principal[:, None] - measured) / huber_px[:, None, None]
-        error = np.where(ahead[..., None], error, 0.0)
-        norm = np.linalg.norm(error, axis=-1)
-        cost = (weights * np.where(norm <= 1, norm**2, 2 * norm - 1)).sum()
-        prior = np.concatenate([log(r @ np.swapaxes(given_rotations, 1, 2)), c - given_centres], axis=1) / sigma
-        return in_camera, error, ahead, float(cost + (prior**2).sum())
 
-    damping = 1e-4
-    in_camera, error, ahead, cost = residuals(rotations, centres, points)
-    for _ in range(settings.iterations):
-        poses = (rotations, centres, given_rotations, given_centres)
-        step_cameras, step_points = _step(poses, (in_camera, error, ahead), weights, focal / huber_px[:, None], sigma, damping)
-        new_rotations = exp(step_cameras[:, :3]) @ rotations
-        new_centres, new_points = centres + step_cameras[:, 3:], points + step_points
-        new_in_camera, new_error, new_ahead, new_cost = residuals(new_rotations, new_centres, new_points)
-        if new_cost < cost:
-            converged = cost - new_cost < 1e-7 * cost
-            rotations, centres, points = new_rotations, new_centres, new_points
-            in_camera, error, ahead, cost = new_in_camera, new_error, new_ahead, new_cost
-            damping = max(damping / 5, 1e-9)
-            if converged:
-                break
-        else:
-            damping *= 10
-            if damping > 1e6:
-                break
-    return [moved(camera, rotations[v], centres[v]) for v, camera in enumerate(cameras)], points
+def adjust_with_lenses(
+    cameras: Sequence[Camera],
+    pixels: np.ndarray,
+    weights: np.ndarray,
+    points_m: np.ndarray,
+    huber_px: np.ndarray,
+    settings: BundleSettings,
+    lens: LensPrior,
+) -> Adjusted:
+    """As ``adjust``, with one focal factor and one radial term per camera where ``lens`` leaves them free, and what is known how well."""
+    problem = _Problem(cameras, pixels, weights, huber_px, settings, lens)
+    state, _ = _solve(problem, points_m, settings.iterations)
+    found = []
+    for v, camera in enumerate(cameras):
+        turned = moved(camera, state.rotations[v], state.centres[v])
+        factor = np.where(np.diag([True, True, False]), np.exp(state.lens[v, 0]), 1.0)
+        found.append(replace(turned, intrinsics=camera.intrinsics * factor))
+    sigma, error = problem.accuracy(state)
+    return Adjusted(found, state.points, state.lens[:, 1].copy(), sigma, error)
 
 
 def moved(camera: Camera, rotation_camera_from_world: np.ndarray, centre_m: np.ndarray) -> Camera:
@@ -110,49 +128,158 @@ def without_drift(adjusted: Sequence[Camera], given: Sequence[Camera]) -> tuple[
     return back, (rotation, translation, scale)
 
 
-def _step(
-    poses: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    state: tuple[np.ndarray, np.ndarray, np.ndarray],
-    weights: np.ndarray,
-    focal: np.ndarray,
-    sigma: np.ndarray,
-    damping: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """One damped normal-equation step: (V, 6) turn about camera axes and centre shift, and (N, 3) point shifts."""
-    rotations, centres, given_rotations, given_centres = poses
-    in_camera, error, ahead = state
-    views, count = ahead.shape
-    norm = np.linalg.norm(error, axis=-1)
-    robust = np.where(ahead, weights / np.maximum(norm, 1.0), 0.0)
-    depth = np.where(ahead, in_camera[..., 2], 1.0)
-    flat = np.where(ahead[..., None], in_camera, 0.0)
-    rows = np.zeros((views, count, 2, 3))
-    scaled = focal[:, None] / depth[..., None]
-    rows[..., 0, 0], rows[..., 1, 1] = scaled[..., 0], scaled[..., 1]
-    rows[..., 2] = -flat[..., :2] * scaled / depth[..., None]
-    rows = np.where(ahead[..., None, None], rows, 0.0)
-    # y = exp(w) R (X - C): dy/dw = -[y]x, dy/dC = -R, dy/dX = R
-    of_points = rows @ rotations[:, None]
-    of_cameras = np.concatenate([-rows @ cross_matrix(flat), -of_points], axis=-1)
-    weighted = of_cameras * robust[..., None, None]
-    camera_blocks = np.einsum("vnki,vnkj->vij", weighted, of_cameras)
-    camera_side = np.einsum("vnki,vnk->vi", weighted, error)
-    weighted_points = of_points * robust[..., None, None]
-    point_blocks = np.einsum("vnki,vnkj->nij", weighted_points, of_points)
-    point_side = np.einsum("vnki,vnk->ni", weighted_points, error)
-    mixed = np.einsum("vnki,vnkj->vnij", weighted, of_points)
-    prior = np.concatenate([log(rotations @ np.swapaxes(given_rotations, 1, 2)), centres - given_centres], axis=1)
-    camera_blocks += np.diag(1 / sigma**2)
-    camera_side += prior / sigma**2
-    camera_blocks += damping * np.einsum("vii->vi", camera_blocks)[:, None] * np.eye(6)
-    point_blocks += (damping * np.trace(point_blocks, axis1=1, axis2=2) / 3 + 1e-9)[:, None, None] * np.eye(3)
-    inverse = np.linalg.inv(point_blocks)
-    eliminated = mixed @ inverse
-    system = np.zeros((views, 6, views, 6))
+class _Problem:
+    """What was measured and what is believed; nothing here changes after construction."""
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        pixels: np.ndarray,
+        weights: np.ndarray,
+        huber_px: np.ndarray,
+        settings: BundleSettings,
+        lens: LensPrior,
+    ) -> None:
+        self.rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
+        self.centres = np.stack([c.centre_m for c in cameras])
+        self.focal = np.stack([c.focal_px for c in cameras]) / huber_px[:, None]
+        principal = np.stack([c.principal_px for c in cameras])
+        self.seen = (weights > 0) & np.isfinite(pixels).all(-1)
+        self.measured = (np.where(self.seen[..., None], pixels, principal[:, None]) - principal[:, None]) / huber_px[:, None, None]
+        self.weights = np.where(self.seen, weights, 0.0)
+        free = [lens.log_focal or _FIXED, lens.radial or _FIXED]
+        self.sigma = np.array([np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3 + free)
+
+    def start(self, points_m: np.ndarray) -> _State:
+        return _State(self.rotations.copy(), self.centres.copy(), np.zeros((len(self.centres), 2)), np.array(points_m, dtype=np.float64))
+
+    def prior(self, state: _State) -> np.ndarray:
+        """(V, 8) deviations from what was given."""
+        turned = log(state.rotations @ np.swapaxes(self.rotations, 1, 2))
+        return np.concatenate([turned, state.centres - self.centres, state.lens], axis=1)
+
+    def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, float]:
+        """(V, N, 3) points in the cameras, (V, N, 2) errors in error units, and the cost: inf when a seen point is behind."""
+        in_camera = np.einsum("vij,vnj->vni", state.rotations, state.points[None] - state.centres[:, None])
+        if (self.seen & ~(in_camera[..., 2] > _NEAR_M)).any():
+            return in_camera, np.zeros_like(self.measured), np.inf
+        normal = in_camera[..., :2] / np.where(self.seen, in_camera[..., 2], 1.0)[..., None]
+        normal = np.where(self.seen[..., None], normal, 0.0)
+        bent = 1 + state.lens[:, None, 1:] * (normal**2).sum(-1, keepdims=True)
+        factor = (self.focal * np.exp(state.lens[:, :1]))[:, None]
+        error = np.where(self.seen[..., None], normal * bent * factor - self.measured, 0.0)
+        norm = np.linalg.norm(error, axis=-1)
+        cost = (self.weights * np.where(norm <= 1, norm**2, 2 * norm - 1)).sum()
+        return in_camera, error, float(cost + ((self.prior(state) / self.sigma) ** 2).sum())
+
+    def normal_equations(self, state: _State, in_camera: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Camera blocks (V, 8, 8) and sides, point blocks (N, 3, 3) and sides, mixed blocks (V, N, 8, 3); priors included."""
+        robust = self.weights / np.maximum(np.linalg.norm(error, axis=-1), 1.0)
+        depth = np.where(self.seen, in_camera[..., 2], 1.0)
+        normal = np.where(self.seen[..., None], in_camera[..., :2], 0.0) / depth[..., None]
+        squared = (normal**2).sum(-1)
+        factor = (self.focal * np.exp(state.lens[:, :1]))[:, None]  # (V, 1, 2)
+        bent = 1 + state.lens[:, None, 1] * squared
+        of_normal = bent[..., None, None] * np.eye(2) + 2 * state.lens[:, 1, None, None, None] * normal[..., None] * normal[..., None, :]
+        of_normal = factor[..., None] * of_normal
+        rows = np.concatenate([of_normal, -(of_normal @ normal[..., None])], axis=-1) / depth[..., None, None]
+        rows = np.where(self.seen[..., None, None], rows, 0.0)
+        # y = exp(w) R (X - C): dy/dw = -[y]x, dy/dC = -R, dy/dX = R
+        of_points = rows @ state.rotations[:, None]
+        flat = np.where(self.seen[..., None], in_camera, 0.0)
+        of_lens = np.stack([factor * bent[..., None] * normal, factor * squared[..., None] * normal], axis=-1)
+        of_cameras = np.concatenate([-rows @ cross_matrix(flat), -of_points, of_lens], axis=-1)
+        weighted = of_cameras * robust[..., None, None]
+        weighted_points = of_points * robust[..., None, None]
+        return (
+            np.einsum("vnki,vnkj->vij", weighted, of_cameras) + np.diag(1 / self.sigma**2),
+            np.einsum("vnki,vnk->vi", weighted, error) + self.prior(state) / self.sigma**2,
+            np.einsum("vnki,vnkj->nij", weighted_points, of_points),
+            np.einsum("vnki,vnk->ni", weighted_points, error),
+            np.einsum("vnki,vnkj->vnij", weighted, of_points),
+        )
+
+    def accuracy(self, state: _State) -> tuple[np.ndarray, float]:
+        """(V, 8) standard deviations without the common similarity, and the robust residual per coordinate in error units."""
+        in_camera, error, _ = self.residuals(state)
+        blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
+        reduced = _reduced(blocks, point_blocks + 1e-9 * np.eye(3), mixed)
+        norm = np.linalg.norm(error, axis=-1)
+        counted = (self.weights / np.maximum(norm, 1.0)).sum()
+        variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
+        # Scaled by likely sizes so that radians, metres and lens numbers can share one inverse; what is fixed takes no part.
+        unit = np.tile(np.array([0.01] * 3 + [0.03] * 3 + [0.05, 0.05]), len(blocks))
+        free = np.tile(self.sigma > _FIXED, len(blocks))
+        scaled = (reduced * unit[:, None] * unit[None])[np.ix_(free, free)]
+        gauge, _ = np.linalg.qr((_gauge(state) / unit[:, None])[free])
+        keep = np.eye(len(scaled)) - gauge @ gauge.T
+        # The common similarity gets its own block, which the projection removes again.
+        covariance = keep @ np.linalg.inv(keep @ scaled @ keep + gauge @ gauge.T) @ keep
+        sigma = np.zeros(len(unit))
+        sigma[free] = np.sqrt(np.maximum(np.diag(covariance) * variance, 0.0)) * unit[free]
+        return sigma.reshape(len(blocks), 8), float(np.sqrt(variance))
+
+
+def _gauge(state: _State) -> np.ndarray:
+    """(8 V, 7) what a small common rotation, translation and scale of the world do to the cameras' numbers."""
+    views = len(state.centres)
+    columns = np.zeros((views, 8, 7))
+    middle = state.centres - state.centres.mean(0)
+    columns[:, :3, :3] = -state.rotations  # R exp(-w): a turn about the camera's own axes by -R w
+    columns[:, 3:6, :3] = -cross_matrix(middle)
+    columns[:, 3:6, 3:6] = np.eye(3)
+    columns[:, 3:6, 6] = middle
+    return columns.reshape(8 * views, 7)
+
+
+def _reduced(blocks: np.ndarray, point_blocks: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+    """(8 V, 8 V) normal matrix of the cameras alone: Schur complement of the points."""
+    views = len(blocks)
+    system = np.zeros((views, 8, views, 8))
     for v in range(views):
-        system[v, :, v] += camera_blocks[v]
-    system -= np.einsum("vnij,wnkj->viwk", eliminated, mixed)
-    side = camera_side - np.einsum("vnij,nj->vi", eliminated, point_side)
-    step_cameras = -np.linalg.solve(system.reshape(6 * views, 6 * views), side.reshape(-1)).reshape(views, 6)
+        system[v, :, v] += blocks[v]
+    system -= np.einsum("vnij,wnkj->viwk", mixed @ np.linalg.inv(point_blocks), mixed, optimize=True)
+    return system.reshape(8 * views, 8 * views)
+
+
+def _solve(problem: _Problem, points_m: np.ndarray, iterations: int) -> tuple[_State, float]:
+    """Damped Gauss-Newton; a step that raises the cost or puts a seen point behind its camera is not taken (T12)."""
+    state, damping = problem.start(points_m), 1e-4
+    in_camera, error, cost = problem.residuals(state)
+    for _ in range(iterations):
+        step_cameras, step_points = _step(problem.normal_equations(state, in_camera, error), damping)
+        trial = _State(
+            exp(step_cameras[:, :3]) @ state.rotations,
+            state.centres + step_cameras[:, 3:6],
+            state.lens + step_cameras[:, 6:],
+            state.points + step_points,
+        )
+        new_in_camera, new_error, new_cost = problem.residuals(trial)
+        if new_cost < cost:
+            converged = cost - new_cost < 1e-7 * cost
+            state, in_camera, error, cost = trial, new_in_camera, new_error, new_cost
+            damping = max(damping / 5, 1e-9)
+            if converged:
+                break
+        else:
+            damping *= 10
+            if damping > 1e6:
+                break
+    return state, cost
+
+
+def _step(equations: tuple[np.ndarray, ...], damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """One damped step: (V, 8) of the cameras and (N, 3) of the points."""
+    blocks, camera_side, point_blocks, point_side, mixed = equations
+    views = len(blocks)
+    blocks = blocks + damping * np.einsum("vii->vi", blocks)[:, None] * np.eye(8)
+    point_blocks = point_blocks + (damping * np.trace(point_blocks, axis1=1, axis2=2) / 3 + 1e-9)[:, None, None] * np.eye(3)
+    inverse = np.linalg.inv(point_blocks)
+    side = camera_side - np.einsum("vnij,nj->vi", mixed @ inverse, point_side)
+    # Columns of radians, metres and fixed numbers differ by 18 powers of ten: solved with a unit diagonal.
+    system = _reduced(blocks, point_blocks, mixed)
+    unit = 1 / np.sqrt(np.maximum(np.diag(system), 1e-300))
+    solved = np.linalg.solve(system * unit[:, None] * unit[None], side.reshape(-1) * unit) * unit
+    step_cameras = -solved.reshape(views, 8)
     step_points = -np.einsum("nij,nj->ni", inverse, point_side + np.einsum("vnij,vi->nj", mixed, step_cameras))
     return step_cameras, step_points

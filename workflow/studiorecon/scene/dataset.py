@@ -19,7 +19,7 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
 _KEYS = {
     "frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth",
-    "pixel_maps", "people", "identities",
+    "pixel_maps", "people", "identities", "focal_px",
 }  # fmt: skip
 # The first of these that exists is the calibration, when capture.yaml does not name one.
 _CALIBRATIONS = (
@@ -62,6 +62,7 @@ class Dataset:
         identities: a corrected ``identities.tsv`` (camera, track, person), or None.
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
+        focal_px: camera → focal length in pixels of its footage, where capture.yaml gives one; only used without a calibration.
         first_frame, frame_count: the part of the footage to use; ``frame_count`` 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
         truth: folder of exact truth (made studio only), else None.
@@ -79,6 +80,7 @@ class Dataset:
     depth: Mapping[str, Path]
     identities: Path | None
     pixel_maps: Mapping[str, tuple[float, float, float]]
+    focal_px: Mapping[str, float]
     first_frame: int
     frame_count: int
     people: bool
@@ -123,6 +125,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
         identities=_identities(folder, description),
         pixel_maps=_pixel_maps(description, footage),
+        focal_px=_focal_lengths(description, footage),
         first_frame=first,
         frame_count=count,
         people=description.get("people", 1) not in (0, False, "none"),
@@ -252,6 +255,19 @@ def _identities(folder: Path, description: dict[str, Any]) -> Path | None:
     if "identities" in description and not path.is_file():
         raise Refusal(f"capture.yaml names identities: {path}, which does not exist")
     return path if path.is_file() else None
+
+
+def _focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
+    given = description.get("focal_px") or {}
+    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
+    found = {}
+    for camera, value in table.items():
+        if str(camera) not in footage:
+            raise Refusal(f"capture.yaml lists camera {camera!r} under focal_px, but the footage has {', '.join(footage)}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise Refusal(f"capture.yaml: focal_px of {camera} is {value!r}; it must be a length in pixels above 0")
+        found[str(camera)] = float(value)
+    return found
 
 
 def _pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:

@@ -158,6 +158,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         depth={},
         identities=None,
         pixel_maps={},
+        focal_px={},
         first_frame=0,
         frame_count=0,
         people=description.people > 0,

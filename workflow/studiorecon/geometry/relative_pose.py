@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses from points alone: of two cameras to each other (up to scale), and of one camera to known points."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from studiorecon.geometry.rotations import exp, log
+
+_LEAST_PAIRS = 12
+_CONFIDENCE = 0.9999
+_ROUNDS = 3
+
+
+def relative_pose(first: np.ndarray, second: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Rotation (3, 3), unit translation (3,) and inliers (N,) with x_second = R x_first + t, or None.
+
+    ``first`` and ``second`` are undistorted normalised coordinates (N, 2) of the same points, ``unit`` the Sampson distance that
+    still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least squares of the
+    Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is no answer.
+    """
+    if len(first) < _LEAST_PAIRS:
+        return None
+    essential, _ = cv2.findEssentialMat(first, second, np.eye(3), method=cv2.RANSAC, prob=_CONFIDENCE, threshold=unit)
+    if essential is None:
+        return None
+    best = None
+    for start in range(0, len(essential), 3):
+        agreed = np.abs(sampson(essential[start : start + 3], first, second)) < unit
+        if agreed.sum() < _LEAST_PAIRS:
+            continue
+        _, rotation, translation, ahead = cv2.recoverPose(
+            essential[start : start + 3], first[agreed], second[agreed], np.eye(3), mask=np.ones((int(agreed.sum()), 1), np.uint8)
+        )
+        if best is None or int((ahead > 0).sum()) > best[0]:
+            best = int((ahead > 0).sum()), rotation, translation[:, 0]
+    if best is None or best[0] < _LEAST_PAIRS:
+        return None
+    rotation, translation = _refined(best[1], best[2], first, second, unit)
+    inliers = (np.abs(sampson(essential_of(rotation, translation), first, second)) < unit) & in_front(rotation, translation, first, second)
+    return (rotation, translation, inliers) if inliers.sum() >= _LEAST_PAIRS else None
+
+
+def essential_of(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(3, 3) E = [t]x R, with second^T E first = 0."""
+    x, y, z = translation
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
+
+
+def sampson(essential: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(N,) signed Sampson distance: to first order, how far the two points are from a consistent pair."""
+    one, two = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0), np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
+    line, back = one @ essential.T, two @ essential
+    scale = np.sqrt((line[:, :2] ** 2).sum(-1) + (back[:, :2] ** 2).sum(-1))
+    return (two * line).sum(-1) / np.maximum(scale, 1e-12)
+
+
+def in_front(rotation: np.ndarray, translation: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(N,) whether the rays of a pair come closest before both cameras."""
+    one = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0) @ rotation.T
+    two = np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
+    # a · one + t = b · two in the second camera's axes, least squares for (a, b)
+    aa, bb, ab = (one**2).sum(-1), (two**2).sum(-1), (one * two).sum(-1)
+    at, bt = one @ translation, two @ translation
+    determinant = aa * bb - ab**2
+    return (-at * bb + ab * bt > 0) & (aa * bt - ab * at > 0) & (determinant > 1e-9 * aa * bb)
+
+
+def _refined(
+    rotation: np.ndarray, translation: np.ndarray, first: np.ndarray, second: np.ndarray, unit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.optimize import least_squares
+
+    for _ in range(_ROUNDS):
+        agreed = np.abs(sampson(essential_of(rotation, translation), first, second)) < unit
+        if agreed.sum() < _LEAST_PAIRS:
+            break
+        one, two = first[agreed], second[agreed]
+        _, _, across = np.linalg.svd(translation[None])
+
+        def residual(
+            x: np.ndarray, r: np.ndarray = rotation, t: np.ndarray = translation, b: np.ndarray = across, o=one, w=two
+        ) -> np.ndarray:
+            turned = t + b[1:].T @ x[3:]
+            return sampson(essential_of(exp(x[:3]) @ r, turned / np.linalg.norm(turned)), o, w) / unit
+
+        x = least_squares(residual, np.zeros(5), loss="soft_l1", f_scale=0.3, max_nfev=20).x
+        rotation, translation = exp(x[:3]) @ rotation, translation + across[1:].T @ x[3:]
+        translation = translation / np.linalg.norm(translation)
+    return rotation, translation
+
+
+def resection(points_m: np.ndarray, normalised: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """``camera_from_world`` (4, 4) and inliers (N,) of a camera that sees world points (N, 3) at ``normalised`` (N, 2), or None.
+
+    Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above.
+    """
+    if len(points_m) < _LEAST_PAIRS:
+        return None
+    points, pixels = np.ascontiguousarray(points_m), np.ascontiguousarray(normalised)
+    found, turn, shift, chosen = cv2.solvePnPRansac(
+        points, pixels, np.eye(3), None, iterationsCount=300, reprojectionError=unit, confidence=_CONFIDENCE, flags=cv2.SOLVEPNP_AP3P
+    )
+    if not found or chosen is None or len(chosen) < _LEAST_PAIRS:
+        return None
+    inliers = np.zeros(len(points), dtype=bool)
+    inliers[chosen[:, 0]] = True
+    for _ in range(_ROUNDS):
+        turn, shift = cv2.solvePnPRefineLM(points[inliers], pixels[inliers], np.eye(3), None, turn, shift)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = exp(turn[:, 0]), shift[:, 0]
+        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+        ahead = in_camera[:, 2] > 1e-6
+        error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - pixels, axis=-1)
+        inliers = ahead & (error < unit)
+        if inliers.sum() < _LEAST_PAIRS:
+            return None
+    return pose, inliers
+
+
+def turn_deg(first: np.ndarray, second: np.ndarray) -> float:
+    """Angle in degrees between two rotations (3, 3)."""
+    return float(np.degrees(np.linalg.norm(log(first @ second.T))))

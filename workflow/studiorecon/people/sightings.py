@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.sightings``: recorded 2D keypoints of one camera in pixels of its video, followed through time, before any calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.people.detections import Settings, detections_of
+from studiorecon.people.layout_choice import choose_layout
+from studiorecon.people.readers import read_keypoints
+from studiorecon.progress import say
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.capture import Footage
+from studiorecon.scene.dataset import PICTURE_SUFFIXES
+from studiorecon.scene.files import write_json
+from studiorecon.scene.people import write_detections
+
+
+def picture_wh(source: Path) -> tuple[int, int]:
+    """Width and height of a video's frames, its rotation tag applied, or of the first picture of a folder."""
+    if source.is_dir():
+        first = min((p for p in source.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")), default=None)
+        picture = cv2.imread(str(first)) if first else None
+        if picture is None:
+            raise Refusal(f"{source} holds no readable picture")
+        return picture.shape[1], picture.shape[0]
+    try:
+        with av.open(str(source)) as container:
+            frame = next(container.decode(container.streams.video[0]), None)
+    except (av.FFmpegError, IndexError) as error:
+        raise Refusal(f"{source} cannot be read as a video ({error}); copy it again") from None
+    if frame is None:
+        raise Refusal(f"{source} holds no frames; copy the recording again")
+    return (frame.height, frame.width) if round(frame.rotation / 90) % 2 else (frame.width, frame.height)
+
+
+def run(
+    settings: Settings,
+    camera: str,
+    keypoints: Path,
+    layout: str,
+    first_frame: int,
+    start: int,
+    count: int,
+    source: Path,
+    sightings: Path,
+    size: Path,
+) -> None:
+    """Write the tracks of ``camera`` to ``sightings`` (npz) and the video's size and frame count to ``size`` (JSON).
+
+    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go).
+    """
+    wh = picture_wh(source)
+    entries, kind = read_keypoints(keypoints)
+    if not entries:
+        raise Refusal(f"{keypoints} ({kind}) holds no person, and without a calibration camera {camera} can only be found from people")
+    frames = count or max(e.frame for e in entries) - first_frame - start + 1
+    if frames < 2:
+        raise Refusal(f"{keypoints}: no detection belongs to the used frames of camera {camera}; set keypoint_first_frame in capture.yaml")
+    chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
+    if note:
+        say(note)
+    # Pixels stay the video's own: a pinhole of any focal length maps them onto themselves.
+    intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
+    lens = Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3))
+    footage = Footage(camera, False, wh, intrinsics.tolist(), 1.0, frames, start, source.name, "", wh, 0, 0.0, [])
+    found = detections_of(entries, chosen, lens, footage, first_frame, settings)
+    say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
+    write_detections(sightings, found)
+    write_json(size, {"camera": camera, "wh": list(wh), "frames": frames})
