@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import Refusal
 from studiorecon.scene.gaussians import Gaussians, empty
+from studiorecon.splatting import training
 from studiorecon.splatting.adam import Adam
 from studiorecon.splatting.growth import grow
 from studiorecon.splatting.perceptual import PerceptualSettings
@@ -62,6 +63,17 @@ def test_training_learns_and_keeps_the_order(lesson: tuple[Gaussians, list[Targe
     assert trained.refused == 0
     np.testing.assert_array_equal(trained.source, np.arange(begin.count))
     assert np.median(np.linalg.norm(trained.gaussians.means_m - begin.means_m, axis=1)) < 0.1
+
+
+def test_the_last_block_s_padding_stays_invisible(lesson: tuple[Gaussians, list[Target]]) -> None:
+    """Lanes without a Gaussian once got opacity ½ from Adam's first step, and trained against ghosts at the origin."""
+    begin, targets = lesson
+    run = training._Run(start(begin.take(np.arange(1193))), targets, SETTINGS, np.random.default_rng(0), 1.0, 1)
+    for iteration in range(3):
+        run.step(100 + iteration, iteration)
+    alone = Rasteriser(near_m=0.01, threads=1).forward(gaussians_of(run.state), targets[5].camera).rgb
+    drawn = Rasteriser(near_m=0.01, threads=1).forward(run.state.blocked, targets[5].camera).rgb
+    np.testing.assert_allclose(drawn, alone, atol=1e-5)
 
 
 def test_training_repeats_bit_for_bit(lesson: tuple[Gaussians, list[Target]]) -> None:

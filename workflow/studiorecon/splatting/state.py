@@ -99,7 +99,12 @@ def gaussians_of(state: TrainingState) -> Gaussians:
 
 @njit(parallel=True, **KERNEL)
 def fill_raw(log_scales, logit_opacities, order, raw):
-    """Log scales and logits → their blocks; padding stays 0."""
+    """Log scales and logits → their blocks.
+
+    Padding gets logit −60: Adam writes the opacity of every lane of a visible block, and that of a logit of 0 would be a ghost of ½.
+    """
+    for i in prange(len(order), len(raw) // RAW_ROWS):
+        raw[((i // LANES) * RAW_ROWS + 3) * LANES + i % LANES] = float32(-60)
     for i in prange(len(order)):
         at, j = (i // LANES) * RAW_ROWS * LANES + i % LANES, order[i]
         for axis in range(3):
