@@ -11,10 +11,12 @@ from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.splatting import rasterise as rasterise_module
 from studiorecon.splatting import state, training
 from studiorecon.splatting.adam import Adam
+from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
 from studiorecon.splatting.losses import coverage, photometric
 from studiorecon.splatting.rasterise import GaussianGradients, Rasteriser, Rendering
 from studiorecon.splatting.training import exponential
 
+from tests.foundations.gsplat_stand_in import rasterization
 from tests.foundations.splatting_scenes import camera, room
 from tests.foundations.test_splatting_training import SETTINGS
 
@@ -33,8 +35,23 @@ def one(**changes: object) -> Gaussians:
     return Gaussians(*(values[name][None] for name in BASE))
 
 
-def run(gaussians: Gaussians, view: Camera) -> tuple[Rendering, GaussianGradients, Rasteriser]:
-    rasteriser = Rasteriser(near_m=NEAR_M, threads=2)
+def cpu(antialias: bool = False) -> Rasteriser:
+    return Rasteriser(near_m=NEAR_M, threads=2, antialias=antialias)
+
+
+def gsplat(antialias: bool = False) -> GsplatRasteriser:
+    """gsplat's back end over the float64 stand-in, which refuses what the real one would crash on."""
+    return GsplatRasteriser(near_m=NEAR_M, antialias=antialias, place="cpu", function=rasterization)
+
+
+BACK_ENDS = [pytest.param(cpu, id="cpu"), pytest.param(gsplat, id="gsplat")]
+ANTIALIAS = [pytest.param(False, id="as 3DGS"), pytest.param(True, id="compensated")]
+
+
+def run(
+    gaussians: Gaussians, view: Camera, rasteriser: Rasteriser | GsplatRasteriser | None = None
+) -> tuple[Rendering, GaussianGradients, Rasteriser | GsplatRasteriser]:
+    rasteriser = rasteriser or cpu()
     rendering = rasteriser.forward(gaussians, view, (0.1, 0.2, 0.3))
     by = np.random.default_rng(0).normal(size=(*view.hw, 5)).astype(np.float32)
     return rendering, rasteriser.backward(by[..., :3], by[..., 3], by[..., 4]), rasteriser
@@ -62,14 +79,16 @@ POISON = {
 }
 
 
+@pytest.mark.parametrize("antialias", ANTIALIAS)
+@pytest.mark.parametrize("back_end", BACK_ENDS)
 @pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in POISON.items()])
-def test_a_poisoned_gaussian_is_left_out_and_counted(changes: dict) -> None:
+def test_a_poisoned_gaussian_is_left_out_and_counted(changes: dict, back_end, antialias: bool) -> None:
     clean, view = room(300, 2), camera(97, 53)
     poisoned = concatenate([clean.take(np.arange(100)), one(**changes), clean.take(np.arange(100, 300))])
-    rendering, gradients, rasteriser = run(poisoned, view)
+    rendering, gradients, rasteriser = run(poisoned, view, back_end(antialias))
     assert rasteriser.refused == 1
     assert_finite(rendering, gradients)
-    np.testing.assert_array_equal(rendering.rgb, run(clean, view)[0].rgb)
+    np.testing.assert_array_equal(rendering.rgb, run(clean, view, back_end(antialias))[0].rgb)
     assert not gradients.means_m[100].any()
     assert not gradients.sh[100].any()
 
@@ -95,10 +114,24 @@ DEGENERATE = {
 }
 
 
+@pytest.mark.parametrize("antialias", ANTIALIAS)
+@pytest.mark.parametrize("back_end", BACK_ENDS)
 @pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in DEGENERATE.items()])
-def test_a_degenerate_gaussian_gives_finite_images_and_gradients(changes: dict) -> None:
-    rendering, gradients, _ = run(concatenate([room(300, 2), one(**changes)]), camera(97, 53))
+def test_a_degenerate_gaussian_gives_finite_images_and_gradients(changes: dict, back_end, antialias: bool) -> None:
+    scene, view = concatenate([room(300, 2), one(**changes)]), camera(97, 53)
+    rendering, gradients, _ = run(scene, view, back_end(antialias))
     assert_finite(rendering, gradients)
+    np.testing.assert_allclose(rendering.rgb, run(scene, view, cpu(antialias))[0].rgb, atol=1e-3, rtol=1e-4)
+
+
+@pytest.mark.parametrize("back_end", BACK_ENDS)
+def test_side_outputs_of_a_poisoned_and_degenerate_set_are_finite(back_end) -> None:
+    sets = [room(300, 2), concatenate([one(**changes) for changes in [*POISON.values(), *DEGENERATE.values()]])]
+    rendering = back_end().forward(sets, camera(97, 53), sides=("set_id", "normals"))
+    for value in vars(rendering).values():
+        assert np.isfinite(value).all()
+    length = np.linalg.norm(rendering.normals, axis=2)
+    assert ((abs(length - 1) < 1e-5) | (length == 0)).all()
 
 
 def test_g01_nothing_nearer_than_the_near_plane_is_drawn() -> None:

@@ -72,6 +72,18 @@ class Gaussians:
         """The same shapes with constant colours (N, 3): what feature maps such as the truth map are rendered from."""
         return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh_from_rgb(rgb)[:, None, :])
 
+    def offset(self, logit_opacities: np.ndarray, sh_constant: np.ndarray) -> Gaussians:
+        """The same Gaussians with offsets for one moment of time, (N,) and (N, 3), added to what is stored, not to what is seen.
+
+        Added to logits, an offset of any size leaves the opacity between 0 and 1 and its gradient alive; added to the opacity itself,
+        0.95 + 0.2 would make later layers count negatively (numerics G14, reading U48). An offset of zeros changes nothing.
+        """
+        if logit_opacities.shape != (self.count,) or sh_constant.shape != (self.count, 3):
+            raise ValueError(f"offsets of {logit_opacities.shape} and {sh_constant.shape} do not fit {self.count} Gaussians")
+        sh = self.sh.copy()
+        sh[:, 0] += sh_constant
+        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities + logit_opacities, sh)
+
 
 def sh_from_rgb(rgb: np.ndarray) -> np.ndarray:
     """The constant spherical harmonic (..., 3) that shows as ``rgb`` (..., 3)."""

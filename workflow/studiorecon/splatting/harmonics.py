@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour from spherical harmonics (degree 0 to 3, 3DGS order and signs), sixteen Gaussians at a time, and its gradient."""
+"""Colour from spherical harmonics (degree 0 to 3, 3DGS order and signs), sixteen Gaussians at a time, and its gradient.
+
+How many bands the cameras can tell apart is ``degree_supported``'s to say.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,25 @@ C1 = np.float32(0.4886025119029199)
 D0, D2, D4 = np.float32(1.0925484305920792), np.float32(0.31539156525252005), np.float32(0.5462742152960396)
 T0, T1, T2 = np.float32(-0.5900435899266435), np.float32(2.890611442640554), np.float32(-0.4570457994644658)
 T3, T5 = np.float32(0.3731763325901154), np.float32(1.445305721320277)
+
+DEGREE_MAX = 3
+DISTINCT_DEG = 5.0
+"""Directions closer than this show the same colour of every band up to degree 3, so they count once."""
+
+
+def degree_supported(directions: np.ndarray) -> int:
+    """The largest degree d, at most 3, for which there are (d + 1)² distinct viewing directions (numerics G15).
+
+    ``directions`` (N, 3) point from what is seen to the cameras, any length; zeros and NaN do not count. With fewer directions than
+    coefficients the bands reproduce every camera's exposure error exactly and invent what lies between.
+    """
+    length = np.linalg.norm(directions, axis=1, keepdims=True)
+    usable = np.isfinite(length[:, 0]) & (length[:, 0] > 0)
+    distinct: list[np.ndarray] = []
+    for unit in directions[usable] / length[usable]:
+        if all(unit @ other < np.cos(np.radians(DISTINCT_DEG)) for other in distinct):
+            distinct.append(unit)
+    return max(0, min(DEGREE_MAX, int(np.sqrt(len(distinct))) - 1))
 
 
 @njit(**INLINE)

@@ -93,7 +93,8 @@ def project(means_m: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tens
     in_image = jacobian @ (rotation @ (_rotations(quaternions) * scales[:, None, :]))
     covariances = in_image @ in_image.transpose(1, 2) + float(DILATION_PX2) * torch.eye(2, dtype=torch.float64)
     sharp = torch.linalg.cross(in_image[:, 0], in_image[:, 1]).square().sum(-1)
-    compensation = torch.sqrt(sharp / (covariances[:, 0, 0] * covariances[:, 1, 1] - covariances[:, 0, 1] ** 2))
+    shrinkage = sharp / (covariances[:, 0, 0] * covariances[:, 1, 1] - covariances[:, 0, 1] ** 2)
+    compensation = torch.sqrt(shrinkage.clamp_min(1e-30))  # the root of 0 has no gradient
     centres = torch.stack([fx * in_camera[:, 0] / safe + cx, fy * in_camera[:, 1] / safe + cy], -1)
     return Splats(centres, covariances, compensation, depth)
 
