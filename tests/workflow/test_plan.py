@@ -43,10 +43,20 @@ def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Pa
     assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
 
 
+def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:
+    (dataset / "intri.yml").rename(dataset / "hidden")
+    plan = on(house, dataset).plan()
+    files_only = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--config", "cameras={source: files}", check=False)
+    (dataset / "hidden").rename(dataset / "intri.yml")
+    assert plan["people_sightings"] == 3
+    assert plan["cameras_uncalibrated"] == 1
+    assert "cameras_calibration" not in plan
+    assert "has no calibration" in files_only.stdout
+
+
 @pytest.mark.parametrize(
     ("remove", "words"),
     [
-        ("intri.yml", "has no calibration"),
         ("keypoints", "has no 2D keypoints"),
         ("keypoints/back", "camera back"),
         ("videos", "neither videos"),

@@ -25,11 +25,11 @@ if FROM_PEOPLE:
             layout=DATASET.keypoint_layout,
             first_frame=DATASET.keypoint_first_frame,
             start=DATASET.first_frame,
-            count=DATASET.frame_count,
+            frame_count=DATASET.frame_count,
         shell:
             "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
             " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-            " --start {params.start} --count {params.count} --source {input.source:q}"
+            " --start {params.start} --count {params.frame_count} --source {input.source:q}"
             " --sightings {output.sightings:q} --size {output.size:q}"
 
     rule cameras_uncalibrated:
