@@ -36,6 +36,7 @@ wildcard_constraints:
     camera=ONE_OF_THE_CAMERAS,
     person=r"p\d+",
     segment=r"\d+",
+    picture=r"\d+",
     shot="[A-Za-z0-9_-]+",
 
 

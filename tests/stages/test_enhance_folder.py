@@ -71,6 +71,14 @@ def test_a_cut_starts_the_injection_anew(capsys: pytest.CaptureFixture) -> None:
     assert "cut" not in "".join(capsys.readouterr()), "panning is no cut"
 
 
+@pytest.mark.parametrize("at", [5, 6, 7])
+def test_a_part_that_starts_shortly_after_a_cut_knows_of_it(at: int) -> None:
+    pictures = panning(5, 3) + panning(5, 4)
+    whole = played(pictures, Warmer())
+    rest = played(pictures[at:], Warmer(), tuple(zip(pictures[at - 3 : at], whole[at - 3 : at])))
+    np.testing.assert_array_equal(np.stack(whole[at:]), np.stack(rest))
+
+
 def test_pictures_of_two_sizes_are_refused() -> None:
     pictures = [*panning(2), np.zeros((32, 48, 3), np.uint8)]
     with pytest.raises(Refusal, match="picture 2 of segment a is 48x32 and the one before it 96x64"):

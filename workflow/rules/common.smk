@@ -57,6 +57,10 @@ TRAINING = list(DATASET.training)
 HELDOUT = list(DATASET.held_out)
 # Cameras with a clean plate of the user's own: there, people without keypoints stand out (people.hull).
 PLATED = [c for c in TRAINING if c in DATASET.plates] if config["people"]["hull"]["use"] == "auto" else []
+# The user's own say on who is who: a file named in the configuration counts before the dataset's.
+CORRECTED = (
+    [str(config["people"]["identities"])] if config["people"]["identities"] else [str(DATASET.identities)] if DATASET.identities else []
+)
 SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"] else len(TRAINING) - 1)]
 # Every film, and "train": the training cameras themselves, which enhancement and report compare with the photos.
 FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]
@@ -72,12 +76,15 @@ if not FROM_PEOPLE and not DATASET.calibration:
         f"dataset {DATASET.folder} has no calibration: put intri.yml and extri.yml, a COLMAP model (sparse/0), a Pose2Sim or "
         "caliscope .toml, a .qca.txt or a transforms.json there, or name it in capture.yaml (calibration: FILE)"
     )
-if DATASET.people and not DATASET.keypoints:
+if CORRECTED and not Path(CORRECTED[0]).is_file():
+    raise WorkflowError(f"people.identities names {CORRECTED[0]}, which does not exist; copy results/{SCENE}/people/identities.tsv there")
+if DATASET.people and not DATASET.keypoints and len(PLATED) < config["people"]["hull"]["limits"]["cameras"]:
     raise WorkflowError(
-        f"dataset {DATASET.folder} has no 2D keypoints: put keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or "
+        f"dataset {DATASET.folder} has no 2D keypoints: put keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or clean "
+        f"plates of {config['people']['hull']['limits']['cameras']} training cameras (plates/<camera>.png; there are {len(PLATED)}), or "
         "write people: 0 into capture.yaml for an empty room"
     )
-if DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
+if DATASET.keypoints and DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
     raise WorkflowError(
         f"camera {blind[0]} of dataset {DATASET.folder} has no keypoints in {next(iter(DATASET.keypoints.values())).parent}: "
         f"add {blind[0]}/*.json there, or leave the camera out with train: [...] in capture.yaml"
@@ -90,8 +97,8 @@ if FROM_PEOPLE and (unseen := [c for c in CAMERAS if c not in DATASET.keypoints]
 
 
 def settings(section):
-    """One stage's section of the configuration as JSON: the whole of what its steps are told."""
-    return json.dumps(config[section], sort_keys=True)
+    """One stage's section of the configuration as JSON: the whole of what its steps are told, but for the names of the user's files."""
+    return json.dumps({k: v for k, v in config[section].items() if (section, k) != ("people", "identities")}, sort_keys=True)
 
 
 def code(step):
@@ -117,6 +124,16 @@ def fits(wildcards):
     return [f"results/{wildcards.scene}/people/{p}.npz" for p in people(wildcards)]
 
 
+def tracks_of(wildcards):
+    """Which tracks are this person's: a file of their own, so that a change of somebody else's is none of theirs."""
+    return f"{checkpoints.people_associate.get(scene=wildcards.scene).output.who}/{wildcards.person}.tsv"
+
+
+def silhouettes_of(wildcards):
+    """Silhouettes of this person, if no keypoints are there."""
+    return f"{checkpoints.people_associate.get(scene=wildcards.scene).output.who}/{wildcards.person}.npz"
+
+
 def human_gaussians(wildcards):
     """Canonical Gaussians of every person."""
     return [f"results/{wildcards.scene}/humans/{p}.ply" for p in people(wildcards)]
@@ -135,8 +152,8 @@ def masks(wildcards):
 
 
 def detections(wildcards):
-    """Keypoints of every training camera; none when the room is known to be empty."""
-    if not DATASET.people:
+    """Keypoints of every training camera; none when the room is known to be empty, or only plates show who is there."""
+    if not DATASET.people or not DATASET.keypoints:
         return []
     return [f"results/{wildcards.scene}/people/detections/{c}.npz" for c in TRAINING]
 
@@ -187,8 +204,8 @@ def scene_products():
         f"{scene}/cameras/images.txt",
         f"{scene}/cameras/heldout/images.txt",
         f"{scene}/cameras/doctor.json",
-        *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people),
-        *(f"{scene}/people/people.tsv" for _ in [SCENE] if DATASET.people),
+        *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people and DATASET.keypoints),
+        *(f"{scene}/people/{name}" for name in ("people.tsv", "desk.html") if DATASET.people),
         *(f"{scene}/depth/{c}.exr" for c in TRAINING),
         f"{scene}/survey/decisions.json",
         f"{scene}/views/path.json",
@@ -196,6 +213,7 @@ def scene_products():
         f"{scene}/background/scene.ply",
         *(f"{scene}/render/{s}.mkv" for s in SHOTS),
         *(f"{scene}/enhance/{s}.mp4" for s in FILMS),
+        *(f"{scene}/enhance/{s}.compare.mp4" for s in FILMS),
         f"{scene}/report/metrics.json",
         f"{scene}/report/index.html",
         f"{scene}/deliver/manifest.json",

@@ -33,3 +33,56 @@ rule enhance_shot:
         " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
         " --model {input.model} --manifest {input.manifest} --videos {input.videos:q}"
         " --video {output.video} --film {output.film}"
+
+
+# On request: snakemake results/SCENE/enhance/orbit.37.steps.png shows how picture 37 was made.
+rule enhance_sheet:
+    input:
+        render="results/{scene}/render/{shot}.mkv",
+        render_path="results/{scene}/render/{shot}.json",
+        video="results/{scene}/enhance/{shot}.mkv",
+    output:
+        image="results/{scene}/enhance/{shot}.{picture}.steps.png",
+    log:
+        "logs/{scene}/enhance/sheet/{shot}.{picture}.log",
+    benchmark:
+        "benchmarks/{scene}/enhance/sheet/{shot}.{picture}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=800,
+    params:
+        settings=settings("enhance"),
+        code=code("enhance.sheet"),
+    shell:
+        "python -m studiorecon enhance.sheet --settings {params.settings:q} --log {log}"
+        " --shot {wildcards.shot} --picture {wildcards.picture} --render {input.render:q} --render-path {input.render_path:q}"
+        " --video {input.video:q} --image {output.image:q}"
+
+
+rule enhance_comparison:
+    input:
+        render="results/{scene}/render/{shot}.mkv",
+        render_path="results/{scene}/render/{shot}.json",
+        video="results/{scene}/enhance/{shot}.mkv",
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=CAMERAS, allow_missing=True),
+    output:
+        beside="results/{scene}/enhance/{shot}.compare.mp4",
+        wipe="results/{scene}/enhance/{shot}.wipe.mp4",
+    log:
+        "logs/{scene}/enhance/comparison/{shot}.log",
+    benchmark:
+        "benchmarks/{scene}/enhance/comparison/{shot}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("enhance"),
+        code=code("enhance.comparison"),
+    shell:
+        "python -m studiorecon enhance.comparison --settings {params.settings:q} --log {log}"
+        " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --video {input.video:q}"
+        " --videos {input.videos:q} --beside {output.beside:q} --wipe {output.wipe:q}"

@@ -79,10 +79,7 @@ def enhanced(
     segment = steps[0].segment if steps and before else None
     checked = False
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        for raw, output in list(before)[-injection.history :] if injection.history else ():
-            grey = grey_levels(raw)
-            link = backward_flow(grey, history[0].grey, flow_preset, injection.check) if history else (None, None)
-            history.appendleft(Past(to_float(output), grey, *link))
+        history.extend(history_of(before, injection, flow_preset))
         for number, (step, picture, depth_mm) in enumerate(zip(steps, pictures, depths_mm, strict=True)):
             photo = to_float(reference(step))
             depth_m = depth_mm.astype(np.float32) / 1000
@@ -109,6 +106,23 @@ def enhanced(
             link = (mixed.flows[0], mixed.valid[0]) if mixed.flows else (None, None)
             history.appendleft(Past(to_float(output), grey, *link))
             yield output
+
+
+def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injection, flow_preset: str) -> list[Past]:
+    """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs ``before`` it.
+
+    Nothing from before a cut. Deterministic inside ``one_thread``.
+    """
+    history: list[Past] = []
+    for raw, output in list(before)[-injection.history :] if injection.history else ():
+        grey = grey_levels(raw)
+        link: tuple = (None, None)
+        if history:
+            link = backward_flow(grey, history[0].grey, flow_preset, injection.check)
+            if injection.check and link[1].mean() < injection.cut_share:
+                history, link = [], (None, None)
+        history.insert(0, Past(to_float(output), grey, *link))
+    return history
 
 
 def stands_still(steps: Sequence[Step], pictures: Iterable[np.ndarray]) -> bool:

@@ -56,7 +56,8 @@ def source(camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.nd
     if transfer.smooth_px > 0:
         size = 2 * int(np.ceil(3 * transfer.smooth_px)) + 1
         residual = gaussian_blur(residual, size, transfer.smooth_px)
-    depth = depth_m.astype(np.float32)
+    # What is no depth is unknown; it would spread through the edge test's window.
+    depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
     edge = cv2.dilate(depth, window) - cv2.erode(depth, window) > transfer.depth_tolerance * np.maximum(depth, 1e-6)
     return Source(camera, residual, np.where(edge, 0, depth).astype(np.float32))
@@ -68,7 +69,7 @@ def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source],
     Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards the borders
     of the seen area. The residual is the cover-weighted mean over sources.
     """
-    known = depth_m > 0
+    known = np.isfinite(depth_m) & (depth_m > 0)
     points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64))
     rays = points - camera.centre_m
     distances = _length(rays)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``enhance.sheet``: how one picture of a film was made: the render, what was injected into it from where, and what came out.
+
+Computed again from the stored films: what is fed back is what is stored, so the sheet shows exactly what happened.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.recursion import Blend, blend, history_of
+from studiorecon.errors import Refusal
+from studiorecon.images.flow import grey_levels, one_thread
+from studiorecon.images.seeking import read_frames_from
+from studiorecon.images.video import to_bytes
+from studiorecon.progress import say
+from studiorecon.scene.files import complete
+from studiorecon.scene.path import read_path
+
+_BAR_PX = 22
+_INK, _PAPER = (30, 30, 30), (255, 255, 255)
+# Differences between output and render are shown this many times larger, about mid grey.
+_GAIN = 8
+
+
+@dataclass(frozen=True)
+class Settings:
+    injection: Injection
+    flow_preset: str
+
+
+def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float]:
+    """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = not to be trusted; and the longest, pixels."""
+    length = np.hypot(flow[..., 0], flow[..., 1])
+    longest = float(np.percentile(length[valid], 99)) if valid.any() else 0.0
+    hue = (np.degrees(np.arctan2(flow[..., 1], flow[..., 0])) % 360 / 2).astype(np.uint8)
+    strength = (255 * np.clip(length / max(longest, 0.5), 0, 1)).astype(np.uint8)
+    colours = cv2.cvtColor(np.stack([hue, strength, np.full_like(hue, 255)], axis=-1), cv2.COLOR_HSV2RGB)
+    return np.where(valid[..., None], colours, 128).astype(np.uint8), longest
+
+
+def sheet(render: np.ndarray, mixed: Blend, output: np.ndarray) -> np.ndarray:
+    """(H', W', 3) uint8 contact sheet: render, input, output and change; below, flow and confidence of each earlier output."""
+    change = np.clip(128 + _GAIN * (output.astype(np.int16) - render), 0, 255).astype(np.uint8)
+    share = to_bytes(mixed.injected)
+    top = [
+        ("render", render),
+        (
+            f"injected share, up to {100 * float(mixed.injected.max(initial=0)):.0f} %",
+            cv2.applyColorMap(share, cv2.COLORMAP_VIRIDIS)[..., ::-1],
+        ),
+        ("input of the enhancer", to_bytes(mixed.blended)),
+        ("output", output),
+        (f"output - render, x {_GAIN}", change),
+    ]
+    below = []
+    for back, (flow, valid, trust) in enumerate(zip(mixed.flows, mixed.valid, mixed.confidences), 1):
+        colours, longest = flow_picture(flow, valid)
+        below.append((f"flow to {back} before, up to {longest:.1f} px", colours))
+        below.append((f"confidence, mean {float(trust.mean()):.2f}", np.repeat(to_bytes(trust)[..., None], 3, axis=-1)))
+    columns = max(len(top), len(below))
+    return np.concatenate([_row(top, columns), _row(below, columns)] if below else [_row(top, columns)], axis=0)
+
+
+def _row(tiles: list[tuple[str, np.ndarray]], columns: int) -> np.ndarray:
+    height, width = tiles[0][1].shape[:2]
+    row = np.full((height + _BAR_PX, width * columns, 3), 255, np.uint8)
+    for column, (words, picture) in enumerate(tiles):
+        part = np.full((height + _BAR_PX, width, 3), _PAPER, np.uint8)
+        part[_BAR_PX:] = picture
+        cv2.putText(part, words, (4, _BAR_PX - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
+        row[:, column * width : (column + 1) * width] = part
+    return row
+
+
+def run(settings: Settings, shot: str, picture: int, render: Path, render_path: Path, video: Path, image: Path) -> None:
+    """Write the sheet of one picture; raises Refusal when the shot has no such picture."""
+    steps, _ = read_path(render_path)
+    if not 0 <= picture < len(steps):
+        raise Refusal(f"shot {shot} has pictures 0 to {len(steps) - 1}, not {picture}")
+    segment = steps[picture].segment
+    first = next(i for i in range(picture, -1, -1) if i == 0 or steps[i - 1].segment != segment)
+    start = max(first, picture - settings.injection.history)
+    raw = list(read_frames_from(render, start, picture + 1))
+    made = list(read_frames_from(video, start, picture + 1))
+    with one_thread(), ThreadPoolExecutor(max_workers=1) as pool:
+        history = history_of(list(zip(raw[:-1], made[:-1])), settings.injection, settings.flow_preset)
+        mixed = blend(raw[-1], grey_levels(raw[-1]), history, settings.injection, settings.flow_preset, pool)
+    done, data = cv2.imencode(".png", np.ascontiguousarray(sheet(raw[-1], mixed, made[-1])[..., ::-1]))
+    assert done
+    with complete(image) as partial:
+        partial.write_bytes(data.tobytes())
+    say(f"{image} shows how picture {picture} of {shot} was made, with {len(mixed.flows)} earlier outputs injected")
