@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,15 +17,17 @@ from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
 from studiorecon.images.video import read_frame, write_lossless, write_watchable
-from studiorecon.report import compare, page, score, sections
+from studiorecon.report import compare, evaluate, page, paper, score, sections
 from studiorecon.report.bodies import compare_bodies, match, similarity_aligned
 from studiorecon.report.cost import cost, read_benchmark
 from studiorecon.report.measures import Flicker, measure_picture, summary
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.report.truth import View, regions
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import Step, write_path
-from studiorecon.scene.people import Person, write_person
+from studiorecon.scene.people import Person, read_person, write_person
 
 from tests.stages.made_scene import FPS, FRAMES, WH, ring, write_scene
 
@@ -65,10 +68,17 @@ def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
     photo = cv2.GaussianBlur(rng.integers(0, 255, (64, 96, 3), dtype=np.uint8), (0, 0), 2)
     flicker = Flicker("medium")
     noisy = [np.clip(photo + rng.normal(0, 5, photo.shape), 0, 255).astype(np.uint8) for _ in range(3)]
-    values = [flicker.measure(photo, {"still": photo, "noisy": picture}) for picture in noisy]
+    seen = {"seen": np.ones((64, 96), bool), "unseen": np.zeros((64, 96), bool)}
+    values = [flicker.measure(photo, {"still": photo, "noisy": picture}, seen) for picture in noisy]
     assert values[0]["still"]["temporal_l1"] is None
     assert values[2]["still"]["temporal_l1"] == pytest.approx(0, abs=1e-6)
-    assert values[2]["noisy"]["temporal_l1"] * 255 == pytest.approx(5 * 2 / np.sqrt(np.pi), rel=0.1)
+    noise = values[2]["noisy"]
+    assert noise["temporal_l1"] * 255 == pytest.approx(5 * 2 / np.sqrt(np.pi), rel=0.1)
+    assert noise["warp_rms"] * 255 == pytest.approx(5 * np.sqrt(2), rel=0.1)
+    assert noise["warp_rms"] ** 2 == pytest.approx(noise["warp_square"])
+    assert noise["flicker_excess"] == pytest.approx(noise["temporal_l1"], abs=1e-6), "the photos do not flicker"
+    assert noise["temporal_l1_seen"] == noise["temporal_l1"]
+    assert noise["temporal_l1_unseen"] is None
 
 
 def walking(rng: np.random.Generator, frames: int = 20) -> np.ndarray:
@@ -145,13 +155,17 @@ def test_a_surface_is_seen_while_nobody_stands_before_the_camera_that_sees_it(tm
         "c1": wall_view(near, tmp_path / "near.mkv"),
         "c2": wall_view(behind, tmp_path / "behind.mkv"),
     }
-    found = list(regions(views, held, ["c1", "c2"], 0, 3, 0.05))
+    found = list(regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10)))
     assert found[0]["people"].sum() == 300
     assert not (found[0]["people"] & (found[0]["seen"] | found[0]["unseen"])).any()
     assert found[0]["seen"].mean() > 0.5
     assert found[1]["seen"].sum() == 0, "somebody covers the whole picture of the camera that sees the wall"
     assert found[2]["seen"].sum() >= found[0]["seen"].sum()
     np.testing.assert_array_equal(found[2]["seen"] | found[2]["unseen"], found[2]["background"])
+    assert not (found[2]["seen_strict"] & ~found[2]["seen"]).any()
+    assert not (found[2]["seen"] & ~found[2]["seen_loose"]).any()
+    assert found[0]["people_wide"].sum() > found[0]["people"].sum()
+    assert "people_seen" not in found[0], "this truth has no depth of people"
 
 
 def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> None:
@@ -160,7 +174,7 @@ def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> No
     mask[40:80, 100:160] = 1
     write_lossless(tmp_path / "m.mkv", [mask], FPS)
     views = {"c0": wall_view(camera.resized((WH[0] * 2, WH[1] * 2)), tmp_path / "m.mkv")}
-    people = next(regions(views, camera, [], 0, 1, 0.05))["people"]
+    people = next(regions(views, camera, [], 0, 1, 0.05, (0.02, 0.10)))["people"]
     expected = np.zeros((WH[1], WH[0]), bool)
     expected[20:40, 50:80] = True
     np.testing.assert_array_equal(people, expected)
@@ -173,15 +187,21 @@ def test_any_renders_can_be_compared_with_any_photos(tmp_path: Path, capsys: pyt
     (tmp_path / "truth/a").mkdir(parents=True)
     for index, photo in enumerate(photos):
         cv2.imwrite(str(tmp_path / f"truth/a/{index:03d}.png"), photo[..., ::-1])
-    arguments = ["report.compare", "--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth")]
-    assert command.main([*arguments, "--metrics", str(tmp_path / "m.json")]) == 0
-    assert read_json(tmp_path / "m.json")["psnr"]["value"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-6)
+    arguments = ["report.score", "--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth")]
+    assert command.main([*arguments, "--output", str(tmp_path / "m.json")]) == 0
+    result = read_json(tmp_path / "m.json")
+    assert result["pictures"]["renders"]["psnr"]["value"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-6)
+    for name in ("psnr_people", "ssim_seen", "psnr_people_seen"):
+        assert result["pictures"]["renders"][name]["value"] is None
+        assert result["pictures"]["renders"][name]["reason"]
+    assert all(result[part]["reason"] for part in ("lpips", "pck", "bodies", "identities"))
+    assert set(result["pictures"]["renders"]) <= set(result["definitions"])
     assert "psnr: 28.13" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("name", "size", "count", "sentence"),
-    [("b", (48, 64), 3, "no camera"), ("a", (40, 64), 3, "differ in size"), ("a", (48, 64), 2, "different numbers of frames")],
+    [("b", (48, 64), 3, "no camera"), ("a", (40, 64), 3, "differ in size"), ("a", (48, 64), 2, "ends after 2 frames")],
 )
 def test_renders_that_do_not_fit_the_photos_are_refused(
     tmp_path: Path, name: str, size: tuple[int, int], count: int, sentence: str
@@ -189,7 +209,7 @@ def test_renders_that_do_not_fit_the_photos_are_refused(
     write_lossless(tmp_path / "truth/a.mkv", [np.zeros((48, 64, 3), np.uint8)] * 3, 10.0)
     write_lossless(tmp_path / f"renders/{name}.mkv", [np.zeros((*size, 3), np.uint8)] * count, 10.0)
     with pytest.raises(Refusal, match=sentence):
-        compare.run(tmp_path / "renders", tmp_path / "truth")
+        score.run(tmp_path / "renders", tmp_path / "truth")
 
 
 def test_pictures_for_readers_mark_what_they_should() -> None:
@@ -231,10 +251,11 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
     section = default_settings("report")
     common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
     shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
-    score.run(
-        settings_module.load(score.Settings, section, "report"), **common, **shot, heldout_model=folder / "cameras/heldout/images.txt",
+    evaluate.run(
+        settings_module.load(evaluate.Settings, section, "report"), **common, **shot, heldout_model=folder / "cameras/heldout/images.txt",
         videos=[folder / f"capture/{c.name}.mkv" for c in reversed(held_out)], enhanced=[folder / "enhance/heldout.mkv"],
-        truth_maps=[folder / "render/heldout.truth.mkv"], fits=[], metrics=folder / "report/metrics.json",
+        truth_maps=[folder / "render/heldout.truth.mkv"], fits=[], detections=[], identities=[],
+        metrics=folder / "report/metrics.json",
     )  # fmt: skip
     page.run(
         settings_module.load(page.Settings, section, "report"), **common, metrics=folder / "report/metrics.json",
@@ -244,7 +265,8 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
         renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],
         heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
         heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"], benchmarks=folder / "none",
-        configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences", costs=folder / "report/cost.json",
+        configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences",
+        paper=root / "resources/paper/results.tsv", costs=folder / "report/cost.json",
         page=folder / "report/index.html",
     )  # fmt: skip
     return folder
@@ -262,7 +284,9 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
         assert "truth" in metrics["pictures"]["raw"][name]["reason"]
     assert metrics["pictures"]["raw"]["temporal_l1"]["cameras"]["view0"]["skipped"] == 1
     assert metrics["bodies"]["mpjpe_world_mm"] is None
-    assert metrics["lpips"] == {"value": None, "reason": metrics["lpips"]["reason"], "cameras": {}}
+    assert metrics["lpips"] == {"value": None, "interval": None, "reason": metrics["lpips"]["reason"], "cameras": {}}
+    assert metrics["training"] is None, "there are held-out cameras"
+    assert set(metrics["inputs"]) >= {"render/heldout.mkv", "enhance/heldout.mkv", "view0.mkv"}
     assert metrics["coverage"]["heldout"]["inferred"] == 1.0
 
 
@@ -284,10 +308,11 @@ def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
     write_json(tmp_path / "unused.json", {})
     for name in ("cameras", "images"):
         (tmp_path / f"{name}.txt").write_text("# none\n")
-    score.run(
-        settings_module.load(score.Settings, default_settings("report"), "report"), scene="made",
+    evaluate.run(
+        settings_module.load(evaluate.Settings, default_settings("report"), "report"), scene="made",
         manifest=reported / "capture/manifest.json", model=reported / "cameras/images.txt", heldout_model=tmp_path / "images.txt",
-        videos=[], render=[], render_path=[], enhanced=[], truth_maps=[], fits=[], metrics=tmp_path / "metrics.json",
+        videos=[], render=[], render_path=[], enhanced=[], truth_maps=[], fits=[], detections=[],
+        identities=[], metrics=tmp_path / "metrics.json",
     )  # fmt: skip
     values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
     assert values["value"] is None
@@ -302,6 +327,174 @@ def test_bodies_are_scored_from_the_files(tmp_path: Path) -> None:
             np.zeros((20, 24)), True,
         )  # fmt: skip
         write_person(tmp_path / folder / "p0.npz", person)
-    result = score.score_bodies([tmp_path / "people/p0.npz"], tmp_path / "truth", 0)
+    result = evaluate.score_bodies([read_person(tmp_path / "people/p0.npz")], tmp_path / "truth", 0)
     assert result["mpjpe_world_mm"] == pytest.approx(20)
-    assert score.score_bodies([], None, 0)["reason"]
+    assert evaluate.score_bodies([], None, 0)["reason"]
+
+
+def write_folders(folder: Path, shift: int = 10, frames: int = 30, cameras: str = "ab") -> None:
+    """``truth`` and ``renders`` of moving noise, the renders brighter by ``shift`` levels and a little noisy, and ``masks`` of a block."""
+    rng = np.random.default_rng(5)
+    for camera in cameras:
+        base = cv2.GaussianBlur(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8), (0, 0), 2)
+        photos = [np.roll(base, frame, axis=1) for frame in range(frames)]
+        noise = [rng.normal(0, 1 + frame % 3, base.shape) for frame in range(frames)]
+        write_lossless(folder / f"truth/{camera}.mkv", photos, 10.0)
+        renders = [np.clip(p + shift + n, 0, 255).astype(np.uint8) for p, n in zip(photos, noise)]
+        write_lossless(folder / f"renders/{camera}.mkv", renders, 10.0)
+        mask = np.zeros((48, 64), np.uint8)
+        mask[10:40, 20:50] = 1
+        write_lossless(folder / f"masks/{camera}.mkv", [mask] * frames, 10.0)
+
+
+def scored(folder: Path, name: str, masks: bool = False) -> Path:
+    score.run(folder / "renders", folder / "truth", folder / "masks" if masks else None, folder / name)
+    return folder / name
+
+
+def test_masks_add_numbers_of_people_and_room_and_every_number_has_raw_values_and_an_interval(tmp_path: Path) -> None:
+    write_folders(tmp_path)
+    result = read_json(scored(tmp_path, "m.json", masks=True))
+    for name in ("psnr", "psnr_people", "psnr_people_wide", "psnr_background", "ssim_people", "temporal_l1", "flicker_excess"):
+        entry = result["pictures"]["renders"][name]
+        low, high = entry["interval"]
+        assert low <= entry["value"] <= high
+        assert [len(entry["cameras"][c]["frames"]) for c in "ab"] == [30, 30]
+        assert entry["cameras"]["a"]["used"] + entry["cameras"]["a"]["skipped"] == 30
+    assert result["pictures"]["renders"]["psnr_seen"]["value"] is None
+    assert result["pictures"]["renders"]["psnr"]["cameras"]["a"]["capped"] == 0
+    assert result["pictures"]["photo"]["temporal_l1"]["value"] is not None
+    assert result["provenance"]["masks"].startswith("given")
+
+
+def test_the_command_alone_and_a_run_are_told_the_same(default_settings: Callable) -> None:
+    section = default_settings("report")
+    assert section["flow_preset"] == score._FLOW_PRESET
+    assert (section["bootstrap_samples"], section["seed"]) == (score._BOOTSTRAP.samples, score._BOOTSTRAP.seed)
+
+
+def test_one_film_or_one_folder_of_pictures_is_one_camera(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=3, cameras="a")
+    for name in ("renders", "truth"):
+        (tmp_path / f"{name}_only").mkdir()
+        for frame in range(3):
+            picture = read_frame(tmp_path / f"{name}/a.mkv", frame)
+            cv2.imwrite(str(tmp_path / f"{name}_only/{frame}.png"), picture[..., ::-1])
+    folders = score.score(tmp_path / "renders_only", tmp_path / "truth_only", None)
+    films = score.score(tmp_path / "renders/a.mkv", tmp_path / "truth/a.mkv", None)
+    assert folders["pictures"]["renders"]["psnr"]["value"] == films["pictures"]["renders"]["psnr"]["value"]
+
+
+def test_scoring_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=8)
+    assert scored(tmp_path, "one.json").read_bytes() == scored(tmp_path, "two.json").read_bytes()
+
+
+def test_a_better_result_is_told_from_an_equal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, shift in (("worse", 12), ("better", 6)):
+        write_folders(tmp_path / name, shift)
+        scored(tmp_path / name, "m.json")
+    worse, better = tmp_path / "worse/m.json", tmp_path / "better/m.json"
+    arguments = ["report.compare", "--first", str(worse), "--second", str(better), "--output", str(tmp_path / "c.json")]
+    assert command.main(arguments) == 0
+    found = read_json(tmp_path / "c.json")["psnr"]
+    assert found["significant"] is True
+    assert found["interval"][0] > 3
+    assert (found["drawn"], found["pairs"]) == ("blocks of frames", 60)
+    assert "over blocks of frames" in capsys.readouterr().out
+    compare.run([worse], [worse], output=tmp_path / "same.json")
+    same = read_json(tmp_path / "same.json")["psnr"]
+    assert (same["difference"], same["significant"]) == (0.0, False)
+    again = [shutil.copy(file, tmp_path / f"{file.parent.name}{seed}.json") for file in (worse, better) for seed in (1, 2)]
+    compare.run([worse, *again[:2]], [better, *again[2:]], output=tmp_path / "seeds.json")
+    assert read_json(tmp_path / "seeds.json")["psnr"]["first"] == {"mean": found["first"]["mean"], "half_range": 0.0, "seeds": 3}
+
+
+def test_results_that_were_not_measured_alike_are_refused(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=6)
+    plain, masked = scored(tmp_path, "plain.json"), scored(tmp_path, "masked.json", masks=True)
+    with pytest.raises(Refusal, match=r"plain\.json and .*masked\.json were measured with different masks"):
+        compare.run([plain], [masked])
+    values = read_json(plain)
+    values["provenance"]["libraries"]["opencv"] = "3.4"
+    write_json(tmp_path / "old.json", values)
+    with pytest.raises(Refusal, match=r"different libraries \(opencv .* and 3\.4\)"):
+        compare.run([plain], [tmp_path / "old.json"])
+    values = read_json(masked)
+    values["inputs"]["masks"]["a"] = "0" * 64
+    write_json(tmp_path / "other.json", values)
+    with pytest.raises(Refusal, match="different masks of camera a"):
+        compare.run([masked], [tmp_path / "other.json"])
+    values = read_json(plain)
+    values["inputs"]["truth"]["a"] = "0" * 64
+    write_json(tmp_path / "elsewhere.json", values)
+    with pytest.raises(Refusal, match="no scene in common"):
+        compare.run([plain], [tmp_path / "elsewhere.json"])
+
+
+def test_a_result_that_is_cut_off_or_mixed_is_refused_by_name(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=6)
+    whole = scored(tmp_path, "whole.json")
+    (tmp_path / "cut.json").write_text(whole.read_text()[:2000])
+    with pytest.raises(Refusal, match=r"cut\.json is not readable JSON"):
+        compare.run([whole], [tmp_path / "cut.json"])
+    values = read_json(whole)
+    values["pictures"]["renders"]["psnr"]["cameras"]["a"]["frames"].pop()
+    write_json(tmp_path / "mixed.json", values)
+    with pytest.raises(Refusal, match=r"mixed\.json counts other values of renders\.psnr of camera a"):
+        compare.run([whole], [tmp_path / "mixed.json"])
+    write_json(tmp_path / "no.json", {"a": 1})
+    with pytest.raises(Refusal, match="is not a result"):
+        compare.run([whole], [tmp_path / "no.json"])
+
+
+@pytest.mark.parametrize("frames", [[0, 2, 4, 6, 8, 10], [0, 1, 2], None])
+def test_a_film_of_another_run_is_refused_by_name(reported: Path, tmp_path: Path, frames: list[int] | None) -> None:
+    held_out, capture = read_model(reported / "cameras/heldout"), read_manifest(reported / "capture/manifest.json")
+    name = "elsewhere" if frames is None else held_out[0].name
+    write_path(tmp_path / "heldout.json", [Step(held_out[0], float(f), name) for f in frames or range(FRAMES)], FPS)
+    with pytest.raises(Refusal, match=r"heldout\.json .* belongs to another run"):
+        evaluate.first_frames(tmp_path / "heldout.json", held_out[:1], capture)
+
+
+def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
+    reported: Path, default_settings: Callable, tmp_path: Path
+) -> None:
+    """The footage itself as render: the numbers stand under ``training``, and none among the results."""
+    for name in ("cameras", "images"):
+        (tmp_path / f"{name}.txt").write_text("# none\n")
+    training = read_model(reported / "cameras")
+    pictures = [read_frame(reported / f"capture/{c.name}.mkv", f) for c in training for f in range(FRAMES)]
+    write_lossless(tmp_path / "train.mkv", pictures, FPS)
+    write_path(tmp_path / "train.json", [Step(c, float(f), c.name) for c in training for f in range(FRAMES)], FPS)
+    evaluate.run(
+        settings_module.load(evaluate.Settings, default_settings("report"), "report"), scene="made",
+        manifest=reported / "capture/manifest.json", model=reported / "cameras/images.txt", heldout_model=tmp_path / "images.txt",
+        videos=[reported / f"capture/{c.name}.mkv" for c in training], render=[tmp_path / "train.mkv"],
+        render_path=[tmp_path / "train.json"], enhanced=[], truth_maps=[], fits=[], detections=[], identities=[],
+        metrics=tmp_path / "metrics.json",
+    )  # fmt: skip
+    metrics = read_json(tmp_path / "metrics.json")
+    assert metrics["training"]["raw"]["psnr"]["value"] == 100.0
+    assert metrics["training"]["raw"]["psnr"]["cameras"][training[0].name]["capped"] == FRAMES
+    assert metrics["pictures"]["raw"]["psnr"]["value"] is None
+
+
+def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, root: Path) -> None:
+    header, rows = paper.table(read_json(reported / "report/metrics.json"), root / "resources/paper/results.tsv")
+    assert [name for name in header if "other data" in name] == [f"{m} (other data)" for m in paper.METHODS]
+    by_measure = {row[0]: row for row in rows}
+    assert by_measure["PSNR ↑"][3:7] == ["20.44", "17.06", "16.68", "17.21"]
+    assert by_measure["LPIPS ↓"][1:3] == [MISSING, MISSING]
+    assert "Beside the paper" in (reported / "report/index.html").read_text()
+
+
+def test_the_papers_means_are_the_means_of_its_scenes(root: Path) -> None:
+    lines = read_table(root / "resources/paper/results.tsv", paper.COLUMNS)
+    for method, measures in paper.paper_rows(root / "resources/paper/results.tsv").items():
+        for name in ("psnr", "ssim", "lpips"):
+            each = [
+                float(x["value"]) for x in lines if x["table"] in ("tab:360", "tab:180") and (x["method"], x["measure"]) == (method, name)
+            ]
+            assert len(each) == 8
+            assert measures[name][0] == pytest.approx(np.mean(each), abs=0.0051 if name == "psnr" else 0.0011)

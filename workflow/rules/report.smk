@@ -1,35 +1,33 @@
 # How good the result is, and one page that shows everything.
 
 
-rule report_score:
+rule report_evaluate:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model="results/{scene}/cameras/images.txt",
         heldout_model="results/{scene}/cameras/heldout/images.txt",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT or TRAINING, allow_missing=True),
         render=collect(
             "results/{scene}/render/{shot}.mkv",
-            shot=[s for s in FILMS if s == "heldout"],
+            shot=[s for s in SHOTS if s == ("heldout" if HELDOUT else "train")],
             allow_missing=True,
         ),
         render_path=collect(
             "results/{scene}/render/{shot}.json",
-            shot=[s for s in FILMS if s == "heldout"],
+            shot=[s for s in SHOTS if s == ("heldout" if HELDOUT else "train")],
             allow_missing=True,
         ),
-        enhanced=collect(
-            "results/{scene}/enhance/{shot}.mkv",
-            shot=[s for s in FILMS if s == "heldout"],
-            allow_missing=True,
-        ),
+        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=[s for s in FILMS if s == "heldout"], allow_missing=True),
         truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
         fits=fits,
+        detections=detections,
+        identities="results/{scene}/people/identities.tsv" if DATASET.people else [],
     output:
         metrics="results/{scene}/report/metrics.json",
     log:
-        "logs/{scene}/report/score.log",
+        "logs/{scene}/report/evaluate.log",
     benchmark:
-        "benchmarks/{scene}/report/score.tsv"
+        "benchmarks/{scene}/report/evaluate.tsv"
     container:
         image("core")
     threads: 2
@@ -37,13 +35,14 @@ rule report_score:
         mem_mb=1500,
     params:
         settings=settings("report"),
-        code=code("report.score"),
+        code=code("report.evaluate"),
         truth=f"--truth {DATASET.truth}" if DATASET.truth else "",
     shell:
-        "python -m studiorecon report.score --settings {params.settings:q} --log {log}"
+        "python -m studiorecon report.evaluate --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --heldout-model {input.heldout_model}"
         " --videos {input.videos:q} --render {input.render:q} --render-path {input.render_path:q} --enhanced {input.enhanced:q}"
-        " --truth-maps {input.truth_maps:q} --fits {input.fits:q} {params.truth} --metrics {output.metrics}"
+        " --truth-maps {input.truth_maps:q} --fits {input.fits:q} --detections {input.detections:q}"
+        " --identities {input.identities:q} {params.truth} --metrics {output.metrics}"
 
 
 rule report_page:
@@ -81,6 +80,7 @@ rule report_page:
             shot=[s for s in FILMS if s == "heldout"],
             allow_missing=True,
         ),
+        paper=Path(workflow.basedir) / "resources/paper/results.tsv",
         # Last, so that the page counts what they cost.
         delivered="results/{scene}/deliver/manifest.json",
     output:
@@ -113,4 +113,4 @@ rule report_page:
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
         " --heldout-path {input.heldout_path:q} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
-        " --licences {params.licences:q} --costs {output.costs} --page {output.page}"
+        " --licences {params.licences:q} --paper {input.paper:q} --costs {output.costs} --page {output.page}"

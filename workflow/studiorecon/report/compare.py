@@ -1,92 +1,138 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.compare``: any renders against any photos, by hand: ``python -m studiorecon report.compare --renders DIR --truth DIR``.
+"""``report.compare``: is one result better than another? ``python -m studiorecon report.compare --first A.json --second B.json``.
 
-Each folder holds one video (``<camera>.mkv``, ``.mp4``, …) or one folder of pictures (``<camera>/*.png``) per camera; frames are
-compared in order. Prints the measures, and writes them as JSON when ``--metrics FILE`` is given.
+Each side is one or several files that ``report.score`` or a run wrote: several seeds of a scene, several scenes, or both. Prints the
+difference of every measure, second minus first, with its 95 % interval, paired per scene, camera and frame; a difference whose interval
+holds 0 is no claim. Results of different photos, masks, libraries, code or settings are refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 
 from studiorecon.errors import Refusal
-from studiorecon.images.flow import one_thread
-from studiorecon.images.video import read_frames
-from studiorecon.progress import progress, say
-from studiorecon.report.measures import FULL, TEMPORAL, Flicker, measure_picture, summary
-from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES
-from studiorecon.scene.files import write_json
+from studiorecon.progress import say
+from studiorecon.report.intervals import Bootstrap, over_seeds, paired_difference
+from studiorecon.scene.files import read_json, write_json
+
+_MUST_AGREE = ("masks", "libraries", "code", "settings")
+_PREFERRED = ("enhanced", "raw", "renders")
+_SAMPLES, _SEED = 2000, 0
 
 
-def cameras_in(folder: Path) -> dict[str, Path]:
-    """camera → its video or folder of pictures; raises Refusal when there is none."""
-    if not folder.is_dir():
-        raise Refusal(f"{folder} is not a folder; give one with a video or a folder of pictures per camera")
-    found = {}
-    for entry in sorted(folder.iterdir()):
-        if entry.is_dir() and _pictures(entry):
-            found[entry.name] = entry
-        elif entry.suffix.lower() in VIDEO_SUFFIXES and "." not in entry.stem:
-            found[entry.stem] = entry
-    if not found:
-        raise Refusal(f"{folder} holds neither videos nor folders of pictures; put <camera>.mkv or <camera>/*.png there")
-    return found
+def read_result(path: Path) -> dict[str, Any]:
+    """A result file; Refusal naming it when it is cut off, of another kind, or holds cameras with different numbers of frames."""
+    result = read_json(path)
+    if not isinstance(result, Mapping) or not {"pictures", "provenance", "definitions"} <= set(result):
+        raise Refusal(f"{path} is not a result of report.score or of a run: it lacks pictures, definitions or provenance; score it again")
+    if missing := [name for name in _MUST_AGREE if name not in result["provenance"]]:
+        raise Refusal(f"{path} does not say which {missing[0]} it was made with; score it again")
+    for version, measures in result["pictures"].items():
+        for name, entry in measures.items():
+            for camera, values in entry["cameras"].items():
+                if len(values["frames"]) != values["used"] + values["skipped"]:
+                    raise Refusal(f"{path} counts other values of {version}.{name} of camera {camera} than it holds; score it again")
+    return dict(result)
 
 
-def frames_of(source: Path) -> Iterator[np.ndarray]:
-    """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
-    if source.is_file():
-        yield from read_frames(source)
-        return
-    for path in _pictures(source):
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise Refusal(f"{path} is not a readable picture")
-        yield picture[..., ::-1]
+def check_comparable(results: Mapping[Path, Mapping[str, Any]]) -> None:
+    """Refusal, naming two files and what differs, unless all were measured alike."""
+    (first, reference), *others = results.items()
+    for path, result in others:
+        for name in _MUST_AGREE:
+            mine, theirs = reference["provenance"][name], result["provenance"][name]
+            if name == "settings":  # a run has settings that folders of pictures do not need
+                mine, theirs = ({key: side[key] for key in mine if key in theirs} for side in (mine, theirs))
+            if mine != theirs:
+                raise Refusal(f"{first} and {path} were measured with different {name} ({_brief(mine, theirs)}); score both again alike")
+        mine, theirs = (r.get("inputs", {}).get("masks") or {} for r in (reference, result))
+        if differing := [camera for camera in mine if camera in theirs and mine[camera] != theirs[camera]]:
+            raise Refusal(f"{first} and {path} were measured with different masks of camera {differing[0]}; score both again alike")
 
 
-def compare_camera(camera: str, renders: Path, truth: Path, flow_preset: str) -> list[dict[str, float | None]]:
-    """The measures of each frame of one camera; raises Refusal when sizes or numbers of frames differ."""
-    values, flicker = [], Flicker(flow_preset)
-    pairs = zip(frames_of(renders), frames_of(truth), strict=True)
-    try:
-        for picture, photo in progress(pairs, f"frames of {camera}"):
-            if picture.shape != photo.shape:
-                sizes = f"{picture.shape[1]}×{picture.shape[0]} and {photo.shape[1]}×{photo.shape[0]}"
-                raise Refusal(f"the frames of {renders} and {truth} differ in size ({sizes}); resize one of them")
-            values.append({**measure_picture(picture, photo, {}), **flicker.measure(photo, {"render": picture})["render"]})
-    except ValueError as error:
-        if "zip()" not in str(error):
-            raise
-        raise Refusal(f"{renders} and {truth} have different numbers of frames; cut the longer one") from None
-    return values
+def version_of(result: Mapping[str, Any], wanted: str | None, path: Path) -> str:
+    """The version of the pictures to compare: the wanted one, else enhanced, raw or renders, whichever is there first."""
+    measured = [name for name in _PREFERRED if result["pictures"].get(name, {}).get("psnr", {}).get("value") is not None]
+    if wanted is not None and wanted not in measured:
+        raise Refusal(f"{path} has no measured pictures called {wanted} (it has: {', '.join(measured) or 'none'})")
+    if not measured:
+        raise Refusal(f"{path} holds no measured pictures: without a held-out camera there is nothing to compare")
+    return wanted or measured[0]
 
 
-def run(renders: Path, truth: Path, metrics: Path | None = None) -> None:
-    """Compare every camera that both folders have."""
-    left, right = cameras_in(renders), cameras_in(truth)
-    common = [camera for camera in left if camera in right]
+def compare(first: Mapping[Path, Mapping[str, Any]], second: Mapping[Path, Mapping[str, Any]], version: str | None) -> dict[str, Any]:
+    """measure → both sides over seeds, and the paired difference; only scenes, cameras and frames that both sides measured count."""
+    sides = []
+    for results in (first, second):
+        scenes: dict[str, list[Mapping[str, Any]]] = {}
+        for path, result in results.items():
+            scenes.setdefault(scene_of(result), []).append(result["pictures"][version_of(result, version, path)])
+        sides.append(scenes)
+    common = [scene for scene in sides[0] if scene in sides[1]]
     if not common:
-        raise Refusal(f"no camera of {renders} ({', '.join(left)}) is in {truth} ({', '.join(right)}); name the files alike")
-    for camera in sorted(set(left) ^ set(right)):
-        say(f"camera {camera} is in one folder only and is left out")
-    with one_thread():
-        measured = {camera: compare_camera(camera, left[camera], right[camera], "medium") for camera in common}
-    result = {name: summary({c: [v[name] for v in values] for c, values in measured.items()}, "no frames") for name in (*FULL, *TEMPORAL)}
-    for name, entry in result.items():
-        each = ", ".join(f"{c} {_shown(e['value'])}" for c, e in entry["cameras"].items())
-        say(f"{name}: {_shown(entry['value'])} ({each})")
-    if metrics is not None:
-        write_json(metrics, result)
+        raise Refusal(f"{next(iter(first))} and {next(iter(second))} have no scene in common: their photos differ")
+    # A measure that was not taken on both sides is no difference; it stays listed with what is there.
+    names = sorted(set.intersection(*(set(run) for scenes in sides for runs in scenes.values() for run in runs)))
+    bootstrap, result = Bootstrap(_SAMPLES, _SEED), {}
+    for name in names:
+        paired = {s: tuple(_seed_mean([run[name]["cameras"] for run in scenes[s]]) for scenes in sides) for s in common}
+        each = [over_seeds([_mean_value(scenes, common, name, seed) for seed in range(_seeds(scenes, common))]) for scenes in sides]
+        result[name] = {"first": each[0], "second": each[1], **paired_difference(paired, bootstrap)}
+    return result
 
 
-def _pictures(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURE_SUFFIXES]
+def scene_of(result: Mapping[str, Any]) -> str:
+    """What makes two results of one scene: the digests of the true pictures (or, for a run, of its footage)."""
+    inputs = result.get("inputs", {})
+    truth = inputs.get("truth") or {name: value for name, value in inputs.items() if "/" not in name and name.endswith(".mkv")}
+    return " ".join(f"{camera}={value}" for camera, value in sorted(truth.items()))
 
 
-def _shown(value: float | None) -> str:
-    return "not measured" if value is None else f"{value:.4f}"
+def run(first: list[Path], second: list[Path], version: str | None = None, output: Path | None = None) -> None:
+    """Compare two sides; ``version`` (raw, enhanced, renders) names the pictures when a run has several."""
+    if not first or not second:
+        raise Refusal("name the results to compare: --first A.json --second B.json")
+    results = {path: read_result(path) for path in (*first, *second)}
+    check_comparable(results)
+    found = compare({path: results[path] for path in first}, {path: results[path] for path in second}, version)
+    for name, entry in found.items():
+        if entry["difference"] is not None:
+            say(f"{name}: {_told(entry)}")
+    if output is not None:
+        write_json(output, found)
+
+
+def _told(entry: Mapping[str, Any]) -> str:
+    sides = " → ".join("not measured" if s["mean"] is None else f"{s['mean']:.4f}" for s in (entry["first"], entry["second"]))
+    if entry["interval"] is None:
+        return f"{sides}, difference {entry['difference']:+.4f}, too few frames or scenes for an interval"
+    low, high = entry["interval"]
+    claim = "" if entry["significant"] else ": no claim"
+    return f"{sides}, difference {entry['difference']:+.4f} [{low:+.4f}, {high:+.4f}] over {entry['drawn']}{claim}"
+
+
+def _seeds(scenes: Mapping[str, Sequence], common: Sequence[str]) -> int:
+    return min(len(scenes[scene]) for scene in common)
+
+
+def _mean_value(scenes: Mapping[str, Sequence[Mapping[str, Any]]], common: Sequence[str], name: str, seed: int) -> float | None:
+    values = [scenes[scene][seed][name]["value"] for scene in common]
+    return None if any(value is None for value in values) else float(np.mean(values))
+
+
+def _seed_mean(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[float | None]]:
+    """camera → value per frame, mean over the seeds of one scene; None where any seed has none."""
+    cameras = [camera for camera in runs[0] if all(camera in run for run in runs)]
+    frames = {camera: zip(*(run[camera]["frames"] for run in runs)) for camera in cameras}
+    return {camera: [None if None in values else float(np.mean(values)) for values in each] for camera, each in frames.items()}
+
+
+def _brief(mine: Any, theirs: Any) -> str:
+    if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
+        keys = [key for key in sorted({*mine, *theirs}) if mine.get(key) != theirs.get(key)]
+        return ", ".join(f"{key} {mine.get(key)} and {theirs.get(key)}" for key in keys)
+    return f"{mine} and {theirs}"

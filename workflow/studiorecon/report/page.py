@@ -117,6 +117,7 @@ def run(
     benchmarks: Path,
     configuration: str,
     licences: Path,
+    paper: Path,
     costs: Path,
     page: Path,
 ) -> None:
@@ -134,6 +135,7 @@ def run(
     if heldout_render and heldout_enhanced:
         body += strips(capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings)
     body.append(sections.measures(measured))
+    body.append(sections.paper(measured, paper))
     body.append(sections.people(measured))
     if masks:
         body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))

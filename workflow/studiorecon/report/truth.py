@@ -2,7 +2,7 @@
 """Exact truth of a made studio, which no other stage may read: who is where in a held-out picture, and what was seen of the room.
 
 The folder holds ``cameras.json`` (ideal pinholes), ``depth/<camera>.exr`` (the empty room), ``masks/<camera>.mkv`` (0 room, k + 1
-person k, 255 props) and ``bodies/<person>.npz``.
+person k, 255 props), ``bodies/<person>.npz`` and, when the studio was told to keep it, ``depth_frames/<camera>.mkv``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from studiorecon.images.exr import read_depth
+from studiorecon.images.regions import dilated
 from studiorecon.images.video import read_frames
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
@@ -22,6 +23,10 @@ from studiorecon.scene.files import read_json
 from studiorecon.scene.people import read_person
 
 _PROPS = 255
+# The people mask's second variant, 10 px wider all around, takes the silhouettes in (evaluation 1.2).
+_WIDE_PX = 21
+# The studio keeps depth with people as whole millimetres.
+_DEPTH_UNITS_PER_M = 1000
 
 
 @dataclass(frozen=True)
@@ -50,40 +55,87 @@ def true_pixels(working: Camera, true: Camera) -> np.ndarray:
     return rays * np.array(true.focal_px) + np.array(true.principal_px)
 
 
-def room_seen_by(points_m: np.ndarray, depth_known: np.ndarray, view: View, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) bool: room points (H, W, 3) that a training camera sees in the empty room, and the pixels (H, W, 2) it sees them at.
+def seen_by(
+    points_m: np.ndarray, known: np.ndarray, camera: Camera, depth_m: np.ndarray, tolerances: Sequence[float]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees, and its pixels (..., 2) of them.
 
-    Seen: in front, inside the picture, depth within ``tolerance`` of the camera's own (relative), away from its depth edges.
+    Seen: in front, inside the picture, and |z − z_n| ≤ tolerance · z_n with the camera's own depth z_n (relative to that one: 5 m
+    read as 4.75 m is 5.3 % or 5.0 % by the choice, numerics V02), which must be a finite positive number (V01: inf passes ``<=``) and
+    away from depth edges, judged by the first tolerance.
     """
+    usable = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
-    depth = view.room_depth_m
-    edge = cv2.dilate(depth, window) - cv2.erode(depth, window) > tolerance * np.maximum(depth, 1e-6)
-    pixels, distance = view.camera.project(points_m)
-    found, inside = sample(np.where(edge, np.float32(0), depth), pixels, "nearest")
-    return depth_known & inside & (distance > 0) & (found > 0) & (np.abs(found - distance) <= tolerance * found), pixels
+    edge = cv2.dilate(usable, window) - cv2.erode(usable, window) > tolerances[0] * np.maximum(usable, 1e-6)
+    pixels, distance = camera.project(points_m)
+    found, inside = sample(np.where(edge, np.float32(0), usable), pixels, "nearest")
+    possible = known & inside & (distance > 0) & (found > 0)
+    gap = np.where(possible, np.abs(found - np.where(possible, distance, 0)), np.inf)
+    return [possible & (gap <= tolerance * found) for tolerance in tolerances], pixels
 
 
 def regions(
-    views: dict[str, View], camera: Camera, training: Sequence[str], first_frame: int, frames: int, tolerance: float
+    views: dict[str, View],
+    camera: Camera,
+    training: Sequence[str],
+    first_frame: int,
+    frames: int,
+    tolerance: float,
+    sensitivity: tuple[float, float],
 ) -> Iterator[dict[str, np.ndarray]]:
-    """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen, unseen.
+    """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen, unseen, ….
 
-    A background pixel is seen when at that time some training camera sees the same surface with nobody in front of it. People's
-    pixels are neither: their depth over time is not part of the truth.
+    A background pixel is seen when at that time some training camera sees the same surface with nobody in front of it; ``_strict`` and
+    ``_loose`` are the same at the two tolerances of ``sensitivity``. A person's pixel needs that frame's depth, which the studio keeps
+    when told to (``truth: depth_frames``); without it ``people_seen`` and ``people_unseen`` are absent.
     """
     own = views[camera.name]
     pixels = true_pixels(camera, own.camera)
     depth_m, inside = sample(own.room_depth_m, pixels, "nearest")
-    known = inside & (depth_m > 0)
-    points = own.camera.unproject(pixels, depth_m.astype(np.float64))
-    others = [room_seen_by(points, known, views[name], tolerance) for name in training]
+    known = inside & np.isfinite(depth_m) & (depth_m > 0)
+    points = own.camera.unproject(pixels, np.where(known, depth_m, 1.0).astype(np.float64))
+    tolerances = (tolerance, *sensitivity)
+    others = [seen_by(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
     stop = first_frame + frames
     streams = [read_frames(views[name].masks, first_frame, stop) for name in training]
+    moving = _depth_frames(views, [camera.name, *training], first_frame, stop)
     for mask in read_frames(own.masks, first_frame, stop):
         labels = np.where(inside, sample(mask, pixels, "nearest")[0], _PROPS)
         background = labels == 0
-        seen = np.zeros(labels.shape, bool)
+        seen = [np.zeros(labels.shape, bool) for _ in tolerances]
         for (visible, where), stream in zip(others, streams):
-            seen |= visible & (sample(next(stream), where, "nearest")[0] == 0)
+            clear = sample(next(stream), where, "nearest")[0] == 0
+            for total, each in zip(seen, visible):
+                total |= each & clear
         people = (labels > 0) & (labels < _PROPS)
-        yield {"people": people, "background": background, "seen": background & seen, "unseen": background & ~seen}
+        found = {"people": people, "people_wide": dilated(people, _WIDE_PX), "background": background}
+        for suffix, each in zip(("", "_strict", "_loose"), seen):
+            found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
+        if moving is not None:
+            found |= _people_seen(people, pixels, own.camera, [views[n].camera for n in training], next(moving), tolerance)
+        yield found
+
+
+def _people_seen(
+    people: np.ndarray, pixels: np.ndarray, own: Camera, training: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float
+) -> dict[str, np.ndarray]:
+    """People's pixels (H, W) that some training camera sees in the same frame, and those that none does."""
+    where = pixels[people]
+    depth_m = sample(depths_m[0], where, "nearest")[0].astype(np.float64)
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    points = own.unproject(where, np.where(known, depth_m, 1.0))
+    covered = np.zeros(len(where), bool)
+    for camera, depth in zip(training, depths_m[1:]):
+        covered |= seen_by(points, known, camera, depth, (tolerance,))[0][0]
+    seen, unseen = np.zeros(people.shape, bool), np.zeros(people.shape, bool)
+    seen[people], unseen[people] = covered, known & ~covered
+    return {"people_seen": seen, "people_unseen": unseen}
+
+
+def _depth_frames(views: dict[str, View], names: Sequence[str], start: int, stop: int) -> Iterator[list[np.ndarray]] | None:
+    """Depth in metres of the named cameras, frame by frame; None when the studio did not keep it."""
+    paths = [views[name].masks.parent.parent / "depth_frames" / f"{name}.mkv" for name in names]
+    if not all(path.is_file() for path in paths):
+        return None
+    streams = zip(*(read_frames(path, start, stop) for path in paths))
+    return ([depth.astype(np.float32) / _DEPTH_UNITS_PER_M for depth in depths] for depths in streams)

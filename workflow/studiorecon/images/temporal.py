@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The inner loops of the temporal measures: where two flows agree, and what changed against the moved previous picture."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
+    """(H, W) bool: |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5 with p + f inside the picture (Sundaram et al. 2010).
+
+    r is read bilinearly; a flow that is not finite leads nowhere. 12 ms at 1280×704.
+    """
+    height, width = flow.shape[:2]
+    found = np.zeros((height, width), np.bool_)
+    for y in range(height):
+        for x in range(width):
+            u, v = np.float64(flow[y, x, 0]), np.float64(flow[y, x, 1])
+            at_x, at_y = x + u, y + v
+            # Written so that NaN is refused.
+            if not (at_x >= 0.0 and at_y >= 0.0 and at_x <= width - 1 and at_y <= height - 1):
+                continue
+            left, top = min(int(at_x), width - 2), min(int(at_y), height - 2)
+            wx, wy = at_x - left, at_y - top
+            back_u, back_v = 0.0, 0.0
+            for dy in range(2):
+                for dx in range(2):
+                    weight = (wx if dx else 1 - wx) * (wy if dy else 1 - wy)
+                    if weight > 0:
+                        back_u += weight * reverse_flow[top + dy, left + dx, 0]
+                        back_v += weight * reverse_flow[top + dy, left + dx, 1]
+            gap = (u + back_u) ** 2 + (v + back_v) ** 2
+            found[y, x] = gap < 0.01 * (u * u + v * v + back_u * back_u + back_v * back_v) + 0.5
+    return found
+
+
+@numba.njit(cache=True, nogil=True)
+def change(current: np.ndarray, previous: np.ndarray, flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) absolute and squared difference, mean over channels, of ``current`` and ``previous`` (H, W, 3) uint8 moved by ``flow``.
+
+    In units of the range (levels / 255); the previous picture is read bilinearly at p + flow(p), which ``valid`` promises to lie inside.
+    NaN outside ``valid``.
+    """
+    height, width, channels = current.shape
+    absolute, square = np.full((height, width), np.nan), np.full((height, width), np.nan)
+    for y in range(height):
+        for x in range(width):
+            if not valid[y, x]:
+                continue
+            at_x, at_y = x + np.float64(flow[y, x, 0]), y + np.float64(flow[y, x, 1])
+            left, top = min(max(int(at_x), 0), width - 2), min(max(int(at_y), 0), height - 2)
+            wx, wy = at_x - left, at_y - top
+            sum_absolute, sum_square = 0.0, 0.0
+            for c in range(channels):
+                above = (1 - wx) * previous[top, left, c] + wx * previous[top, left + 1, c]
+                below = (1 - wx) * previous[top + 1, left, c] + wx * previous[top + 1, left + 1, c]
+                gap = (current[y, x, c] - (1 - wy) * above - wy * below) / 255
+                sum_absolute += abs(gap)
+                sum_square += gap * gap
+            absolute[y, x], square[y, x] = sum_absolute / channels, sum_square / channels
+    return absolute, square
