@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The gsplat back end on this machine's GPU, in one call: its tests, then a training of the paper's size.
+
+    python -m tests.bench.gpu [--iterations 7000] [--count 300000]
+
+Writes ``tests/bench/results/<gpu>.json``. The bar: 7,000 iterations of 300,000 Gaussians at 1280×704 in at most 90 s on an H200.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from studiorecon.errors import Refusal
+from studiorecon.splatting.device import resolve
+from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.targets import Target
+
+from tests.foundations.splatting_scenes import camera_on_ring, room
+from tests.foundations.test_splatting_training import SETTINGS
+
+RESULTS = Path(__file__).resolve().parent / "results"
+BAR_S = 90.0
+
+
+def measure(count: int, width: int, height: int, iterations: int) -> dict[str, float]:
+    """Seconds of a training without its first 20 iterations' compiling, and its PSNR on views it did not see."""
+    from studiorecon.splatting.cuda_training import train
+    from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+
+    truth, rasteriser = room(count, 0), GsplatRasteriser(near_m=0.01)
+    targets = [Target(v, rasteriser.forward(truth, v).rgb.clip(0, 1)) for v in (camera_on_ring(i, 60, width, height) for i in range(60))]
+    begin = replace(truth, sh=np.zeros_like(truth.sh), logit_opacities=np.full(count, np.log(0.1 / 0.9)))
+    settings = replace(SETTINGS, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0, cap=count)
+    train(begin, targets, replace(settings, iterations=20), np.random.default_rng(0), extent_m=4.0)
+    began = time.perf_counter()
+    trained = train(begin, targets, settings, np.random.default_rng(0), extent_m=4.0)
+    seconds = time.perf_counter() - began
+    errors = []
+    for view in (camera_on_ring(i + 0.5, 12, width, height) for i in range(12)):
+        shown, wanted = (rasteriser.forward(g, view).rgb.clip(0, 1) for g in (trained.gaussians, truth))
+        errors.append(float(((shown - wanted) ** 2).mean()))
+    return {"seconds": seconds, "seconds_for_7000": seconds * 7000 / iterations, "heldout_psnr_db": -10 * float(np.log10(np.mean(errors)))}
+
+
+def agreement(count: int, width: int, height: int) -> float:
+    """Mean absolute difference between this GPU's picture and the CPU's."""
+    from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+
+    scene, view = room(count, 0), camera_on_ring(0, 60, width, height)
+    pictures = [r.forward(scene, view).rgb for r in (Rasteriser(near_m=0.01), GsplatRasteriser(near_m=0.01))]
+    return float(np.abs(pictures[0] - pictures[1]).mean())
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--iterations", type=int, default=7000)
+    parser.add_argument("--count", type=int, default=300_000)
+    options = parser.parse_args()
+    try:
+        resolve("cuda")
+    except Refusal as refusal:
+        print(f"tests.bench.gpu: {refusal}", file=sys.stderr)
+        return 1
+    import torch
+
+    name = torch.cuda.get_device_name().replace(" ", "-")
+    passed = subprocess.run([sys.executable, "-m", "pytest", "-q", "-m", "gpu", "tests/gpu"], check=False).returncode == 0
+    figures = measure(options.count, 1280, 704, options.iterations)
+    result = {
+        "gpu": name, "tests_passed": passed, "count": options.count, "iterations": options.iterations, **figures,
+        "difference_from_cpu": agreement(options.count, 1280, 704), "bar_s": BAR_S, "bar_holds": figures["seconds_for_7000"] <= BAR_S,
+    }  # fmt: skip
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+    print(json.dumps(result, indent=1))
+    return 0 if passed else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
