@@ -27,6 +27,7 @@ from studiorecon.geometry.rotations import exp, log
 from studiorecon.people import associate, detections
 from studiorecon.people.grouping import group_tracks, track_margins
 from studiorecon.people.tracking import tracks, without_duplicates
+from studiorecon.people.verdicts import identities_from_keypoints
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.identity_scores import identity_scores
@@ -149,12 +150,13 @@ def bodies(take: Take, camera: Camera, frame: np.ndarray, who: np.ndarray, rng: 
 
 def score(found: list[Detections], owners: list[np.ndarray], take: Take, options: associate.Settings) -> dict[str, float]:
     """Scores of one draw, after association has judged who is a person at all."""
+    limits = options.association, options.triangulation, options.evidence
     started = time.perf_counter()
     with redirect_stdout(io.StringIO()):
-        table, rows = associate.identities_from_keypoints(options, take.cameras, found, [], FRAMES, 30.0)[:2]
+        table, rows = identities_from_keypoints(*limits, take.cameras, found, [], FRAMES, 30.0)
     seconds = time.perf_counter() - started
     names = {name: k for k, (name, *_) in enumerate(rows)}
-    given = [np.array([names.get(table[d.camera, int(t)], -1) for t in d.track]) for d in found]
+    given = [np.array([names.get(table[d.camera, int(t)].person, -1) for t in d.track]) for d in found]
     view = np.repeat(np.arange(len(found)), [len(d.frame) for d in found])
     scores = identity_scores(np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given))
     groups = group_tracks(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)

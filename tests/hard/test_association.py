@@ -12,10 +12,11 @@ from studiorecon.geometry.correspondence import groups_of
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.people.affinity import affinities, pose_distances, window_distances
-from studiorecon.people.associate import Settings, judge
+from studiorecon.people.associate import Settings
 from studiorecon.people.grouping import group_tracks, track_margins
 from studiorecon.people.pairs import TrackPairs, margins
 from studiorecon.people.tracking import match
+from studiorecon.people.verdicts import judge
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

@@ -50,7 +50,7 @@ def front_end_of(
     plates = [out / f"{n}.plate.png" for n in names]
     for name, video, path, picture in zip(names, videos, found, plates):
         plate.run(load(plate), video, out / f"{name}.json", lenses, [path], [data.plates[name]], picture)
-    outputs = [out / "people.tsv", out / "identities.tsv", out / "standing.npz"]
+    outputs = [out / "people.tsv", out / "identities.tsv", out / "association.json", out / "who"]
     associate.run(
         load(associate), model, out / "manifest.json", found, videos, names, plates, root / "resources" / "body.npz", [], *outputs
     )

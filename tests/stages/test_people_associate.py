@@ -192,10 +192,10 @@ def run_association(tmp_path: Path, cameras, found, options, videos=(), correcte
     paths = [tmp_path / f"{d.camera}.npz" for d in found]
     for path, d in zip(paths, found):
         write_detections(path, d)
-    outputs = [tmp_path / n for n in ("people.tsv", "identities.tsv", "standing.npz")]
+    outputs = [tmp_path / n for n in ("people.tsv", "identities.tsv", "association.json", "who")]
     model, body = tmp_path / "cameras" / "images.txt", Path("never read: no plates")
     associate.run(options, model, tmp_path / "manifest.json", paths, list(videos), [], [], body, list(corrected), *outputs)
-    assert read_standing(tmp_path / "standing.npz") == []
+    assert all(read_standing(path) == [] for path in (tmp_path / "who").glob("*.npz"))
     return read_people(tmp_path / "people.tsv"), read_identities(tmp_path / "identities.tsv")
 
 
@@ -290,7 +290,7 @@ def test_the_right_people_come_out_of_the_real_takes(real_data, tmp_path, people
     people, identities, _ = front_end(real_data, root, tmp_path, "multi", default_settings)
     assert people == ["p0", "p1"]
     assert sum(person == "" for person in identities.values()) >= 6  # the ghost in four cameras, the bystander in two
-    woman = read_standing(tmp_path / "multi" / "standing.npz")[0]
+    woman = read_standing(tmp_path / "multi" / "who" / "p1.npz")[0]
     assert woman.name == "p1"
     assert len(woman.frames) == 100
     assert woman.start.agreement > 0.7

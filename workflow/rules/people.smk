@@ -32,19 +32,16 @@ checkpoint people_associate:
     input:
         model="results/{scene}/cameras/images.txt",
         manifest="results/{scene}/capture/manifest.json",
-        detections=collect(
-            "results/{scene}/people/detections/{camera}.npz",
-            camera=TRAINING,
-            allow_missing=True,
-        ),
+        detections=detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         plates=collect("results/{scene}/capture/{camera}.plate.png", camera=PLATED, allow_missing=True),
-        corrected=[str(DATASET.identities)] if DATASET.identities else [],
+        corrected=CORRECTED,
         body=BODY,
     output:
         people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
-        standing="results/{scene}/people/standing.npz",
+        association="results/{scene}/people/association.json",
+        who=directory("results/{scene}/people/who"),
     log:
         "logs/{scene}/people/associate.log",
     benchmark:
@@ -62,20 +59,43 @@ checkpoint people_associate:
         "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
         " --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plated {params.plated:q} --plates {input.plates:q} --corrected {input.corrected:q} --body {input.body:q}"
-        " --people {output.people:q} --identities {output.identities:q} --standing {output.standing:q}"
+        " --people {output.people:q} --identities {output.identities:q} --association {output.association:q} --who {output.who:q}"
+
+
+rule people_desk:
+    input:
+        association="results/{scene}/people/association.json",
+        people="results/{scene}/people/people.tsv",
+        identities="results/{scene}/people/identities.tsv",
+        detections=detections,
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+    output:
+        page="results/{scene}/people/desk.html",
+    log:
+        "logs/{scene}/people/desk.log",
+    benchmark:
+        "benchmarks/{scene}/people/desk.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("people"),
+        code=code("people.desk"),
+    shell:
+        "python -m studiorecon people.desk --settings {params.settings:q} --log {log}"
+        " --association {input.association:q} --people {input.people:q} --identities {input.identities:q}"
+        " --detections {input.detections:q} --videos {input.videos:q} --page {output.page:q}"
 
 
 rule people_fit:
     input:
         model="results/{scene}/cameras/images.txt",
         manifest="results/{scene}/capture/manifest.json",
-        detections=collect(
-            "results/{scene}/people/detections/{camera}.npz",
-            camera=TRAINING,
-            allow_missing=True,
-        ),
-        identities="results/{scene}/people/identities.tsv",
-        standing="results/{scene}/people/standing.npz",
+        detections=detections,
+        identities=tracks_of,
+        standing=silhouettes_of,
         body=BODY,
     output:
         fit="results/{scene}/people/{person}.npz",

@@ -58,7 +58,7 @@ def to_working_pixels(keypoints: np.ndarray, lens: Lens, footage: Footage, setti
     detectors give up to 6) are clipped.
     """
     recorded = keypoints[..., :2]
-    confidence = np.clip(np.nan_to_num(keypoints[..., 2]), 0.0, 1.0)
+    confidence = np.clip(np.where(np.isfinite(keypoints[..., 2]), keypoints[..., 2], 0.0), 0.0, 1.0)
     present = (confidence >= settings.detection_confidence) & (confidence > 0) & np.isfinite(recorded).all(-1) & (recorded != 0).any(-1)
     pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
     mapped = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
@@ -70,10 +70,18 @@ def to_working_pixels(keypoints: np.ndarray, lens: Lens, footage: Footage, setti
     return np.concatenate([np.where(present[..., None], working, np.nan), np.where(present, confidence, 0.0)[..., None]], axis=-1)
 
 
+def unusable(keypoints: np.ndarray) -> int:
+    """How many of the recorded keypoints (D, K, 3) claim to be there and are no numbers."""
+    broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
+    return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
+
+
 def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footage, first_frame: int, settings: Settings) -> Detections:
     """Detections of one camera with track ids; ``first_frame``: number in the keypoint files of the video's first frame."""
     frame, recorded = to_arrays(entries, footage, first_frame)
     keypoints = to_working_pixels(recorded, lens, footage, settings)
+    if broken := unusable(recorded):
+        say(f"camera {footage.camera}: {broken} of {recorded[..., 0].size} keypoints are not finite, and were left out")
     keep = (keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints
     frame, keypoints = frame[keep], keypoints[keep]
     keep = without_duplicates(frame, keypoints, settings.tracking)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Correcting who is who: a changed line of identities.tsv fits again whom it concerns, and nobody else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from .conftest import House, make_house
+
+RESULTS = tuple(f"results/tiny/people/{name}" for name in ("desk.html", "p0.npz", "p1.npz"))
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A house in which everybody was found and fitted."""
+    made = make_house(tmp_path_factory.mktemp("identities"), "resources/studio/tiny.yaml")
+    made.snakemake(*RESULTS, "--cores", "2")
+    return made
+
+
+def people(house: House) -> Path:
+    return house.folder / "results/tiny/people"
+
+
+def corrected(house: House, person: str) -> tuple[str, str]:
+    """Options that name a copy of identities.tsv in which the last line of ``person`` is nobody's."""
+    lines = (people(house) / "identities.tsv").read_text().splitlines()
+    last = max(k for k, line in enumerate(lines) if line.endswith(f"\t{person}"))
+    lines[last] = lines[last].removesuffix(person)
+    (house.folder / "corrected.tsv").write_text("\n".join(lines) + "\n")
+    overlay = house.folder / "corrected.yaml"
+    overlay.write_text(yaml.safe_dump({"people": {"identities": "corrected.tsv"}}))
+    return "--configfile", str(overlay)
+
+
+def test_one_changed_line_fits_one_person_again(fitted: House) -> None:
+    before = {p: (people(fitted) / f"{p}.npz").stat().st_mtime_ns for p in ("p0", "p1")}
+    detected = (people(fitted) / "detections/cam1.npz").stat().st_mtime_ns
+    options = corrected(fitted, "p1")
+    done = fitted.snakemake(*RESULTS, "--cores", "2", *options)
+    after = {p: (people(fitted) / f"{p}.npz").stat().st_mtime_ns for p in ("p0", "p1")}
+    assert after["p0"] == before["p0"], done.stdout[-4000:]
+    assert after["p1"] > before["p1"], "the corrected person was fitted again"
+    assert (people(fitted) / "detections/cam1.npz").stat().st_mtime_ns == detected, "the file's name is no setting of the detections"
+    assert "corrected by hand" in (people(fitted) / "desk.html").read_text()
+    assert "corrected" in (people(fitted) / "people.tsv").read_text()
+    assert fitted.plan(*RESULTS, *options) == {}
+
+
+def test_a_correction_that_is_not_there_is_named(fitted: House) -> None:
+    overlay = fitted.folder / "missing.yaml"
+    overlay.write_text(yaml.safe_dump({"people": {"identities": "nowhere.tsv"}}))
+    done = fitted.snakemake("--dry-run", "--configfile", str(overlay), check=False)
+    assert done.returncode != 0
+    assert "people.identities names nowhere.tsv" in done.stdout
