@@ -78,7 +78,7 @@ class Lpips:
         ours.requires_grad_(True)
         distance = self.distance(ours, theirs)
         (gradient,) = torch.autograd.grad(distance, ours)
-        return float(distance), np.ascontiguousarray(gradient[0].numpy().transpose(1, 2, 0).astype(np.float32))
+        return distance.item(), np.ascontiguousarray(gradient[0].numpy().transpose(1, 2, 0).astype(np.float32))
 
 
 def normalised(features: Any) -> Any:

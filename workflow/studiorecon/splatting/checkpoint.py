@@ -63,7 +63,8 @@ class Checkpoint:
         if not self.path.is_file():
             return None
         try:
-            with np.load(self.path, allow_pickle=False) as stored:  # every member's CRC is checked while it is read
+            # Every member's CRC is checked while it is read.
+            with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as stored:
                 facts = json.loads(str(stored[_FACTS]))
                 if facts.pop("mark") != self._mark:
                     say(f"{self.path} belongs to other settings, inputs or code and is not used; training starts anew")

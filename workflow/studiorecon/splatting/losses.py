@@ -67,7 +67,7 @@ class Photometric:
         used = weight > 0
         padded = aligned(3 * self._plane)
         inside = padded.reshape(3, height + 2 * RADIUS, self._wide)[:, RADIUS : RADIUS + height, PAD : PAD + width]
-        inside[:] = np.where(used[..., None], rgb, np.nan_to_num(rgb)).transpose(2, 0, 1)
+        inside[:] = np.where(used[..., None], rgb, np.clip(np.nan_to_num(rgb), 0, 1)).transpose(2, 0, 1)
         wide_weight = aligned(height * (self._wide - 2 * PAD))
         wide_weight.reshape(height, -1)[:, :width] = np.where(used, weight, 0)
         mean = square = None

@@ -59,7 +59,7 @@ def perceptual(
     if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
         return 0.0, gradient
     used = np.ones(rendered.shape[:2], bool)[rows, columns] if weight is None else weight[rows, columns] > 0
-    wanted = np.where(used[..., None], target[rows, columns], np.nan_to_num(target[rows, columns])).astype(np.float32)
+    wanted = np.where(used[..., None], target[rows, columns], np.clip(np.nan_to_num(target[rows, columns]), 0, 1)).astype(np.float32)
     shown = np.where(used[..., None], rendered[rows, columns], wanted).astype(np.float32)
     distance, slope = network(shown, wanted)
     strength = settings.weight * settings.every

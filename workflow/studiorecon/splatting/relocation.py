@@ -22,7 +22,7 @@ COPIES_MAX = 50
 """Most copies of one Gaussian: the alternating sum of the scale factor loses all digits soon after."""
 _OPACITY_RANGE = 1e-6, 1 - 1e-6
 # Random walk: full strength for opacity 0, half at 0.005, nothing above 0.1 (the paper's k = 100 and t = 0.995).
-_NOISE_STEEPNESS, _NOISE_OPACITY, _NOISE_NONE = 100.0, 0.005, 0.1
+NOISE_STEEPNESS, NOISE_OPACITY, NOISE_NONE = 100.0, 0.005, 0.1
 
 
 def shared_opacity(opacity: np.ndarray, copies: np.ndarray) -> np.ndarray:
@@ -77,13 +77,13 @@ def relocate(gaussians: Gaussians, *, dead_opacity: float, growth: float, cap: i
 def wander(blocked: BlockedGaussians, strength: float, rng: np.random.Generator) -> None:
     """Moves the faint Gaussians in place by ``strength`` · σ(−100 (o − 0.005)) · Σ η, Σ the covariance, η normal (equation 9)."""
     blocks = blocked.parameters.reshape(-1, ROWS, LANES)
-    block, lane = np.nonzero(blocks[:, OPACITY] < _NOISE_NONE)
+    block, lane = np.nonzero(blocks[:, OPACITY] < NOISE_NONE)
     inside = block * LANES + lane < blocked.count
     block, lane = block[inside], lane[inside]
     chosen = blocks[block, :, lane].astype(np.float64)
     rotations = rotations_of(chosen[:, QUATERNION:OPACITY])
     drawn = np.einsum("nji,nj->ni", rotations, rng.normal(size=(len(block), 3)))
     spread = np.einsum("nij,nj->ni", rotations, chosen[:, SCALE:QUATERNION] ** 2 * drawn)
-    gate = 1 / (1 + np.exp(_NOISE_STEEPNESS * (chosen[:, OPACITY] - _NOISE_OPACITY)))
+    gate = 1 / (1 + np.exp(NOISE_STEEPNESS * (chosen[:, OPACITY] - NOISE_OPACITY)))
     for axis in range(MEAN, SCALE):
         blocks[block, axis, lane] += (strength * gate * spread[:, axis - MEAN]).astype(np.float32)

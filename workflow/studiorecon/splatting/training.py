@@ -196,9 +196,10 @@ class _Run:
 
     def _settle_epsilons(self, by_blocks: np.ndarray, visible: np.ndarray) -> None:
         """Per kind of parameter: ``adam_epsilon`` × root mean square gradient over the first steps."""
-        shown = visible.reshape(-1, 1, LANES) != 0
-        seen = np.where(shown, by_blocks.reshape(-1, ROWS, LANES), 0).astype(np.float64)
-        self._squares += np.square(np.nan_to_num(seen)).sum(axis=(0, 2)) / max(1, int(shown.sum())) / EPSILON_STEPS
+        shown, gradients = visible.reshape(-1, 1, LANES) != 0, by_blocks.reshape(-1, ROWS, LANES)
+        # An infinite gradient that counted here would make epsilon infinite, and nothing would ever move again.
+        seen = np.where(shown & np.isfinite(gradients), gradients, 0).astype(np.float64)
+        self._squares += np.square(seen).sum(axis=(0, 2)) / max(1, int(shown.sum())) / EPSILON_STEPS
         for rows in (slice(0, SCALE), slice(SCALE, QUATERNION), slice(QUATERNION, OPACITY), slice(OPACITY, SH), slice(SH, ROWS)):
             typical = np.sqrt(self._squares[rows].max() * EPSILON_STEPS / self.steps)
             self._epsilons[rows] = max(self.settings.adam_epsilon * typical, EPSILON_LEAST)
