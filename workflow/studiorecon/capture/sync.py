@@ -68,7 +68,10 @@ def _lag(camera: str, index: int, energies: Sequence[np.ndarray], search: int, m
         return Lag(camera, 0, correlation, at_zero, False, reason)
 
     own = energies[index]
-    others = [_standardised(e) for i, e in enumerate(energies) if i != index and len(e) == len(own) and e.std() > 0]
+    if broken := int((~np.isfinite(own)).sum()):
+        return unknown(f"{broken} of {len(own)} values of its motion are not finite")
+    usable = [i for i, e in enumerate(energies) if i != index and len(e) == len(own) and np.isfinite(e).all() and e.std() > 0]
+    others = [_standardised(energies[i]) for i in usable]
     if not others or own.std() == 0:
         return unknown("nothing moves in its pictures or in the others'")
     reference = np.mean(others, axis=0)

@@ -16,8 +16,9 @@ def depth_breaks(depth_m: np.ndarray, jump: float) -> np.ndarray:
     pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such pixels
     (numerics C12).
     """
-    known = depth_m > 0
-    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    depth_m = np.where(known, depth_m, 1.0)
+    inverse = np.where(known, 1.0 / depth_m, 0.0)
     padded = np.pad(inverse, 1, mode="edge")
     bends = [
         np.abs(padded[1:-1, 2:] - 2 * inverse + padded[1:-1, :-2]),
@@ -38,7 +39,7 @@ def points_and_normals(depth_m: np.ndarray, camera: Camera, jump: float = np.inf
     and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth is taken as 1 m.
     """
     height, width = camera.hw
-    known = depth_m > 0
+    known = np.isfinite(depth_m) & (depth_m > 0)
     inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 1.0).astype(np.float64)
     points = camera.unproject(camera.pixel_centres(), 1.0 / inverse)
     # On the plane n·X = o in camera axes, 1/z = n·ray/o is affine in the pixel: its gradient and value give n up to length.

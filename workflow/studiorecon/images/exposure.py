@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.arrays import require
+
 # Colours outside this range are clipped or noise: their ratio says nothing about gains.
 DARKEST, BRIGHTEST = 0.03, 0.97
 
@@ -23,7 +25,11 @@ class Overlap:
 
 
 def compare(first: int, second: int, first_rgb: np.ndarray, second_rgb: np.ndarray, least_pixels: int) -> Overlap | None:
-    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable ones."""
+    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable ones.
+
+    Colours that are not numbers are not usable. Raises ValueError for colours that do not belong together.
+    """
+    require("second_rgb", second_rgb, ("N", 3), require("first_rgb", first_rgb, ("N", 3)))
     usable = ((first_rgb > DARKEST) & (first_rgb < BRIGHTEST) & (second_rgb > DARKEST) & (second_rgb < BRIGHTEST)).all(axis=-1)
     count = int(usable.sum())
     if count < max(least_pixels, 1):

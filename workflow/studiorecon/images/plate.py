@@ -9,6 +9,7 @@ import cv2
 import numba
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.scene.files import complete
 
 # Rows that are turned to time-last order at once: bounds the copy of the clip.
@@ -43,7 +44,11 @@ def temporal_modes(frames: np.ndarray, free: np.ndarray, agree_levels: float) ->
     Returns:
         (H, W, 3) float32 mean of the agreeing colours, 0..255 (0 where never free); (H, W) int how many agree; (H, W) int how
         many agree on the best colour that is clearly another one. Costs at most T² comparisons per pixel.
+        Raises ValueError for arrays that do not belong together, or frames that are not uint8.
     """
+    require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
+    if frames.dtype != np.uint8:
+        raise ValueError(f"frames are {frames.dtype}, expected uint8: agreement is in grey levels")
     height, width = frames.shape[1:3]
     colour = np.zeros((height, width, 3), np.float32)
     votes, rival = np.zeros((height, width), np.int32), np.zeros((height, width), np.int32)

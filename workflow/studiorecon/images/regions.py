@@ -6,12 +6,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
+
 
 def dilated(region: np.ndarray, size_px: int) -> np.ndarray:
     """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, numerics U24; 0 or 1 = unchanged).
 
-    Raises ValueError for an even size, which would shift the region by half a pixel.
+    Raises ValueError for an even size, which would shift the region by half a pixel, or a region that is no picture.
     """
+    require("region", region, ("H", "W"))
     if size_px <= 1:
         return region.astype(bool)
     if size_px % 2 == 0:
@@ -56,6 +59,7 @@ def without_holes(region: np.ndarray, largest_px: float) -> np.ndarray:
 
 
 def iou(first: np.ndarray, second: np.ndarray) -> float:
-    """Intersection over union of two regions; NaN when both are empty."""
+    """Intersection over union of two regions; NaN when both are empty. Raises ValueError for regions of two sizes."""
+    require("second", second, first.shape)
     union = int((first | second).sum())
     return float((first & second).sum() / union) if union else float("nan")

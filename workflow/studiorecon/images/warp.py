@@ -12,6 +12,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
+
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
 
@@ -21,8 +23,10 @@ def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linea
 
     A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).
     Elsewhere the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite
-    (numerics E06, E13: zero padding or an unmasked NaN would enter every later mean).
+    (numerics E06, E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other shapes.
     """
+    require("image", image, ("H", "W", ...))
+    require("pixels", pixels, ("h", "w", 2))
     height, width = image.shape[:2]
     finite = np.isfinite(pixels).all(axis=-1)
     # Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed point.
@@ -54,8 +58,9 @@ def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", 
     """Backward warp: the output at pixel p is the image at p + flow(p); also (H, W) bool where that lies inside the image.
 
     ``flow`` is (H, W, 2) in pixels, from the output to the image (numerics E09: a forward flow moves things the wrong way).
-    A zero flow returns the image itself, bit for bit (E07).
+    A zero flow returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
     """
+    require("flow", flow, ("H", "W", 2))
     height, width = flow.shape[:2]
     columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     return sample(image, np.stack([columns, rows], axis=-1) + flow, how)

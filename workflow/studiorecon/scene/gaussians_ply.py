@@ -50,7 +50,7 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 def read_ply(path: Path) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
-    Says how many hold a value that is not finite: they are never drawn. Raises Refusal naming the file for anything but this layout.
+    Says how many hold a value that is not a number: they are never drawn. Raises Refusal naming the file for anything but this layout.
     """
     if not path.is_file():
         raise Refusal(f"{path} is missing")
@@ -65,10 +65,11 @@ def read_ply(path: Path) -> Gaussians:
         raise Refusal(f"{path} is cut off: it promises {count} Gaussians and holds {(len(data) - body) // (4 * len(names))}; make it again")
     table = np.frombuffer(data, "<f4", count * len(names), body).reshape(count, len(names)).astype(np.float32)
     column = {name: i for i, name in enumerate(names)}
-    numbers = table[:, [i for name, i in column.items() if name not in ("nx", "ny", "nz")]]
-    bad = int((~np.isfinite(numbers).all(axis=1)).sum())
+    numbers = table[:, [i for name, i in column.items() if name not in ("nx", "ny", "nz", "opacity")]]
+    # An infinite logit is an opacity of exactly 0 or 1, which some writers store.
+    bad = int((~np.isfinite(numbers).all(axis=1) | np.isnan(table[:, column["opacity"]])).sum())
     if bad:
-        say(f"{path.name}: {bad} of {count} Gaussians hold a value that is not finite and are not drawn")
+        say(f"{path.name}: {bad} of {count} Gaussians hold a value that is not a number and are not drawn")
 
     def columns(*wanted: str) -> np.ndarray:
         return table[:, [column[name] for name in wanted]]

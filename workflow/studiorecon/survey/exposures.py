@@ -32,7 +32,7 @@ def overlaps(views: Sequence[View], tolerance: float, least_pixels: int) -> tupl
     for i, first in enumerate(views):
         pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
         depth_m = first.depth_m[::_STRIDE, ::_STRIDE].reshape(-1)
-        known = (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
+        known = np.isfinite(depth_m) & (depth_m > 0) & first.measured[::_STRIDE, ::_STRIDE].reshape(-1)
         colours = first.rgb[::_STRIDE, ::_STRIDE].reshape(-1, 3)[known]
         points = first.camera.unproject(pixels[known], depth_m[known])
         for j, second in enumerate(views):
