@@ -24,6 +24,11 @@ from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, read_detections
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#4d4d4d")
 _NOBODY = "#999999"
 _MARGIN_SHARE = 0.18  # how much more than the keypoints' box is shown
+_SOURCES = {
+    "keypoints": "found by keypoints",
+    "corrected": "corrected by hand",
+    "hull": "found by its silhouette against the plates: no keypoints, no tracks to correct",
+}
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:76rem;padding:0 1rem;color:#1b1b1b;background:#fff}
 h1{font-size:1.5rem;margin-bottom:.2rem}h2{font-size:1.15rem;margin:2rem 0 .4rem;border-top:1px solid #ddd;padding-top:1rem}
@@ -183,7 +188,7 @@ def _page(
     for row in rows:
         colour = colour_of(row["person"])
         by_hull = row["source"] == "hull"
-        words = "found by its silhouette against the plates: no keypoints, no tracks to correct" if by_hull else f"from {row['source']}"
+        words = _SOURCES[row["source"]]
         parts.append(
             f'<h2 style="--c:{colour}"><span class="who">{row["person"]}</span> <span class="note">{row["frames"]} frames, '
             f"confidence {row['confidence']}, {words}; seen by {escape(row['cameras'])}</span></h2>"
