@@ -36,7 +36,7 @@ def world_from_people(points_m: np.ndarray, group: np.ndarray, frame: np.ndarray
     both = np.isfinite(ankles).all((1, 2))
     lower = ankles[both][np.arange(both.sum()), (ankles[both] @ up).argmin(1)]
     normal, spread_m = _plane(lower, up)
-    tilt = np.degrees(np.arccos(np.clip(normal @ up, -1, 1)))
+    tilt = np.degrees(np.arctan2(np.linalg.norm(np.cross(normal, up)), normal @ up))
     how = f"up is the mean of {len(upright)} upright bodies; their feet stood within {spread_m:.2f} m, too little to show the floor"
     if spread_m >= _LEAST_FLOOR_M and tilt <= _MOST_TILT_DEG:
         how = f"up is the normal of the floor under {len(lower)} steps, {tilt:.1f}° from the mean of upright bodies"

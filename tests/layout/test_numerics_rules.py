@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rules of arithmetic that a glance at the syntax can hold: no half precision, no Euler angles, no naked arccos."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+HALF = {"float16", "bfloat16", ".half()"}
+EULER = {"as_euler", "from_euler"}
+ARCCOS = {"arccos", "acos"}
+# Where a rule may be broken, and why.
+ALLOWED = {
+    (
+        "studio.truth",
+        "float16",
+    ): "stored pixel motion of the made studio, up to tens of pixels: a quarter of the file, nothing is computed in it",
+}
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+
+
+def names_used(path: Path) -> set[str]:
+    """Every attribute, name and call keyword in a module's code; words in comments and docstrings do not count."""
+    tree = ast.parse(path.read_text())
+    attributes = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    called = {node.func.attr for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)}
+    methods = {f".{name}()" for name in called}
+    return attributes | methods | {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} | dtype_strings(tree)
+
+
+def dtype_strings(tree: ast.AST) -> set[str]:
+    """Texts that are handed to a function as they stand: ``astype("float16")``."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    values = [v for call in calls for v in [*call.args, *(k.value for k in call.keywords)]]
+    return {v.value for v in values if isinstance(v, ast.Constant) and isinstance(v.value, str)}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+@pytest.mark.parametrize(
+    ("forbidden", "why"),
+    [
+        (HALF, "nothing numeric in half precision (numerics rule 1, rows L07, I05, O01)"),
+        (EULER, "no Euler angles (row R21)"),
+        (ARCCOS, "angles by atan2: arccos of a rounded 1 is NaN (rows R02, I13)"),
+    ],
+    ids=["half", "euler", "arccos"],
+)
+def test_code_keeps_to_the_rule(path: Path, forbidden: set[str], why: str) -> None:
+    broken = {word for word in names_used(path) & forbidden if (name_of(path), word) not in ALLOWED}
+    assert not broken, f"{name_of(path)} uses {', '.join(sorted(broken))}: {why}"
+
+
+def test_every_exception_is_still_needed() -> None:
+    for (module, word), reason in ALLOWED.items():
+        assert reason
+        assert word in names_used(PACKAGE.joinpath(*module.split(".")).with_suffix(".py")), f"{module} no longer uses {word}"
+
+
+def test_no_public_function_inverts_a_rotation_by_solving() -> None:
+    """A rotation's inverse is its transpose, which is exact; a solver's is not (row C01)."""
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "inv":
+                argument = ast.unparse(node.args[0])
+                assert "rotation" not in argument, f"{name_of(path)} inverts {argument}; use its transpose"
