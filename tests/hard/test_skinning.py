@@ -54,8 +54,10 @@ def test_the_grid_reads_back_the_coordinates_it_was_built_from(axis: int) -> Non
     assert np.abs(2 * grid.query(points)[:, 0] - 1 - points[:, axis]).max() < 1e-4
 
 
-@pytest.mark.parametrize("angle_deg", [90.0, 150.0, 180.0], ids="L04-{:g}".format)
-def test_a_collapsing_twist_still_turns_by_a_rotation(angle_deg: float) -> None:
+@pytest.mark.parametrize(
+    ("angle_deg", "left"), [(0.0, 1.0), (90.0, 0.7071), (150.0, 0.2588), (180.0, 0.0)], ids=["L04-0", "L04-90", "L04-150", "L04-180"]
+)
+def test_a_collapsing_twist_is_reported_and_still_turns_by_a_rotation(angle_deg: float, left: float) -> None:
     # The blend's determinant is 4e-33 at 180°: its polar factor does not exist, and inverting it gives noise.
     posing, transforms = twisted(angle_deg)
     means, quaternions, _ = pose_one(posing, transforms, np.array([0.1, 0.1, 0.0]))
@@ -64,6 +66,27 @@ def test_a_collapsing_twist_still_turns_by_a_rotation(angle_deg: float) -> None:
     assert np.linalg.det(turn) == pytest.approx(1, abs=1e-9)
     assert np.isfinite(means).all()
     assert np.linalg.norm(quaternions) == pytest.approx(1, abs=1e-6)
+    # The radius about the twist's axis shrinks to what is reported.
+    assert posing.thinnest()[0] == pytest.approx(left, abs=1e-4)
+    assert np.linalg.norm(means[0, 1:]) == pytest.approx(0.1 * left, abs=1e-5)
+
+
+@pytest.mark.parametrize("angle_deg", [60.0, 90.0, 110.0], ids="L04-limits-{:g}".format)
+def test_joints_within_their_limits_do_not_collapse(body: BodyModel, angle_deg: float) -> None:
+    # A forearm twisted as far as bodies allow (prior: 97°) keeps more than half of its radius at the elbow and the wrist.
+    bones, weights = strongest(body.weights, 4)
+    poses = np.zeros((1, 24, 3))
+    poses[0, 18, 0] = np.deg2rad(angle_deg)
+    posing = Posing(bones, weights)
+    rest = body.rest_vertices(np.zeros(10)).astype(np.float32)
+    quaternions = np.tile(IDENTITY, (len(rest), 1))
+    posing.out(
+        rest,
+        quaternions,
+        np.zeros((len(rest), 1, 3), np.float32),
+        body.joint_transforms(poses.reshape(1, 72), np.zeros(10), np.zeros((1, 3)))[0],
+    )
+    assert 0.5 < posing.thinnest().min() < 0.95
 
 
 @pytest.mark.parametrize("angle_deg", [120.0, 170.0], ids="L05-{:g}".format)
