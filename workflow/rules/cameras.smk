@@ -3,35 +3,6 @@
 
 if FROM_PEOPLE:
 
-    rule people_sightings:
-        input:
-            keypoints=keypoint_source,
-            source=footage_source,
-        output:
-            sightings="results/{scene}/people/sightings/{camera}.npz",
-            size="results/{scene}/people/sightings/{camera}.json",
-        log:
-            "logs/{scene}/people/sightings/{camera}.log",
-        benchmark:
-            "benchmarks/{scene}/people/sightings/{camera}.tsv"
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=500,
-        params:
-            settings=settings("people"),
-            code=code("people.sightings"),
-            layout=DATASET.keypoint_layout,
-            first_frame=DATASET.keypoint_first_frame,
-            start=DATASET.first_frame,
-            frame_count=DATASET.frame_count,
-        shell:
-            "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
-            " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-            " --start {params.start} --count {params.frame_count} --source {input.source:q}"
-            " --sightings {output.sightings:q} --size {output.size:q}"
-
     rule cameras_uncalibrated:
         input:
             sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=CAMERAS, allow_missing=True),

@@ -11,10 +11,14 @@ import numpy as np
 
 from studiorecon.cameras.correspondences import observe
 from studiorecon.errors import Refusal
+from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
+from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 _CLEARLY = 1.5
+_TORSO_M = (0.25, 0.9)
+_MOST_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _HYPOTHESES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "as read": lambda pose: pose,
@@ -22,6 +26,82 @@ _HYPOTHESES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "axes are OpenGL's": lambda pose: _FLIP @ pose,
     "world-from-camera with OpenGL axes": lambda pose: _FLIP @ np.linalg.inv(pose),
 }
+
+
+# What the user does about a reading that fits better.
+REMEDIES = {
+    "as read": "",
+    "poses are world-from-camera": "set cameras.poses: world_from_camera",
+    "axes are OpenGL's": "set cameras.poses: opengl",
+    "world-from-camera with OpenGL axes": "set cameras.poses: world_from_camera_opengl",
+    "lengths are millimetres": "set cameras.unit: mm",
+    "lengths were divided by 1000": "set cameras.unit: m",
+}
+
+
+def verdicts(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> tuple[list[dict[str, Any]], list[float | None]]:
+    """Every reading with its score and remedy, and per camera how many times more it adds as read than under the best other reading.
+
+    What a camera adds is the agreement of everybody less that of the others alone. For its margin only its own pose is read
+    otherwise; at most 20, None when it adds nothing under any reading.
+    """
+    changes: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        **_HYPOTHESES,
+        "lengths are millimetres": lambda pose: _rescaled(pose, 0.001),
+        "lengths were divided by 1000": lambda pose: _rescaled(pose, 1000.0),
+    }
+    table = []
+    for name, change in changes.items():
+        read = [_read(c, change) for c in cameras]
+        score = _score(read, detections, frames, gate_m)
+        if name.startswith("lengths") and not (score > 0 and _human_size(read, detections, frames, gate_m)):
+            score = 0.0
+        table.append({"hypothesis": name, "score": score, "remedy": REMEDIES[name]})
+    margins: list[float | None] = []
+    full = _affinity(cameras, detections, frames, gate_m)
+    for v in range(len(cameras)):
+        rest = _affinity([c for k, c in enumerate(cameras) if k != v], [d for k, d in enumerate(detections) if k != v], frames, gate_m)
+        turned = [[_read(c, change) if k == v else c for k, c in enumerate(cameras)] for change in list(_HYPOTHESES.values())[1:]]
+        other = max(_affinity(t, detections, frames, gate_m) for t in turned)
+        own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
+        margins.append(min(own / max(rival, own / _MOST_MARGIN), _MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
+    return table, margins
+
+
+def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
+    seen, graph = observe(detections, cameras, frames, gate_m)
+    return seen.affinity / max(len(graph.view), 1)
+
+
+def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
+    return observe(detections, cameras, frames, gate_m)[0].affinity
+
+
+def _human_size(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> bool:
+    """Whether upper bodies are as long as people's: in a world a thousand times too small all rays pass close to each other."""
+    seen, _ = observe(detections, cameras, frames, gate_m)
+    if not len(seen.frame):
+        return False
+    close = Limits(min_confidence=0.1, huber_share=0.005, outlier_units=9.0, min_angle_deg=2.0, near_m=1e-4)
+    points = triangulate(seen.pixels, seen.confidence, cameras, close).points_m
+    place = {(g, f, k): p for g, f, k, p in zip(seen.group, seen.frame, seen.keypoint, points)}
+    ends = [(STABLE_KEYPOINTS.index(f"{s}_shoulder"), STABLE_KEYPOINTS.index(f"{s}_hip")) for s in ("left", "right")]
+    sides = [place[g, f, k] - place[g, f, b] for a, b in ends for g, f, k in place if k == a and (g, f, b) in place]
+    lengths = np.linalg.norm(np.array(sides).reshape(-1, 3), axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    return bool(len(lengths)) and bool(_TORSO_M[0] < np.median(lengths) < _TORSO_M[1])
+
+
+def _read(camera: Camera, change: Callable[[np.ndarray], np.ndarray]) -> Camera:
+    return replace(camera, camera_from_world=change(camera.camera_from_world))
+
+
+def _rescaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    changed = pose.copy()
+    changed[:3, 3] *= factor
+    return changed
 
 
 def check_conventions(
@@ -33,12 +113,11 @@ def check_conventions(
     """
     table = []
     for name, change in _HYPOTHESES.items():
-        seen, graph = observe(detections, [replace(c, camera_from_world=change(c.camera_from_world)) for c in cameras], frames, gate_m)
-        table.append({"hypothesis": name, "score": seen.affinity / max(len(graph.view), 1)})
+        table.append({"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)})
     best = max(table, key=lambda row: row["score"])
     if best["hypothesis"] != "as read" and best["score"] > 0.3 and best["score"] > _CLEARLY * table[0]["score"]:
         raise Refusal(
             f"the calibration fits the people only if its {best['hypothesis']} (agreement {best['score']:.2f}, against "
-            f"{table[0]['score']:.2f} as its format defines it): convert it to its format's convention, or export it again"
+            f"{table[0]['score']:.2f} as its format defines it): {REMEDIES[best['hypothesis']]}, or export it again"
         )
     return table

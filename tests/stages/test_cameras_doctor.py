@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor: what it says about good, perturbed and badly synchronised captures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.cameras import doctor, health
+from studiorecon.scene.camera import Camera
+
+from tests.foundations.camera_ring import detect, ring, walk
+
+FRAMES = 40
+PEOPLE = [walk([-0.6, -0.5, 0], [0.02, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.02, 0], FRAMES, 2.0)]
+
+
+@pytest.fixture
+def options(default_settings):
+    return settings_module.load(doctor.Settings, default_settings("cameras"), "cameras")
+
+
+def about(cameras: list[Camera], **changed) -> list[dict]:
+    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4}
+    return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
+
+
+def examined(given: list[Camera], options, shift: dict[str, int] | None = None, **changed) -> dict:
+    seen = [replace(d, frame=d.frame + (shift or {}).get(d.camera, 0)) for d in detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))]
+    return doctor.examined(given, seen, about(given, **changed), options)[0]
+
+
+def test_a_good_capture_needs_nothing(options):
+    report = examined(ring(), options)
+    assert report["advice"] == []
+    assert min(report["margin"].values()) > 1.5
+    assert report["median_px"] < 3
+    assert all(lag["low"] <= 0 <= lag["high"] and lag["valid"] for lag in report["lags_frames"].values())
+    assert report["coverage"]["1"] >= report["coverage"]["2"] >= report["coverage"]["4"] > 0.5
+    html = doctor.page("<scene>", report, b"png")
+    assert "&lt;scene&gt;" in html
+    assert "http" not in html
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: replace(c, camera_from_world=np.linalg.inv(c.camera_from_world)), "world_from_camera"),
+        (lambda c: replace(c, camera_from_world=np.diag([1.0, -1, -1, 1]) @ c.camera_from_world), "opengl"),
+        (lambda c: replace(c, camera_from_world=c.camera_from_world * np.array([[1, 1, 1, 1000.0]])), "unit: mm"),
+    ],
+    ids=["w2c that is c2w", "OpenGL axes", "mm for m"],
+)
+def test_every_wrong_convention_is_named_with_its_setting(options, change, words):
+    assert words in " ".join(examined([change(c) for c in ring()], options)["advice"])
+
+
+def test_one_inverted_camera_shows_in_its_margin(options):
+    cameras = ring()
+    cameras[2] = replace(cameras[2], camera_from_world=np.linalg.inv(cameras[2].camera_from_world))
+    report = examined(cameras, options)
+    assert report["margin"]["c2"] < 1.0
+    assert any("c2" in a for a in report["advice"])
+
+
+def test_a_late_camera_is_found_with_its_interval(options):
+    report = examined(ring(), options, shift={"c1": 3})
+    lag = report["lags_frames"]["c1"]
+    assert lag["valid"]
+    assert lag["low"] <= 3 <= lag["high"]
+    assert any("c1 is +3" in a for a in report["advice"])
+
+
+def test_unequal_footage_and_exposures_are_reported(options):
+    advice = examined(ring(), options, c1={"video_frames": 20, "fps": 25.0, "brightness": 0.1})["advice"]
+    assert [w for w in ("frame rates", "lengths", "exposures") if not any(w in a for a in advice)] == []
+
+
+def test_blind_sectors_and_coverage():
+    gaps = health.blind_sectors(ring(4)[:2], np.zeros(2))
+    assert gaps == [(90.0, 360.0)]
+    assert health.coverage(ring(4), np.zeros(2), 0.8)[3] > 0.9
+    assert health.coverage(ring(4)[:1], np.zeros(2), 0.8)[1] == 0

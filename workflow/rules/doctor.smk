@@ -1,0 +1,65 @@
+# Doctor: before anything expensive, does the calibration fit the people? snakemake doctor --config dataset=DIR
+# Reads keypoint files, headers and one picture per camera; nothing is decoded in full.
+
+
+rule people_sightings:
+    input:
+        keypoints=keypoint_source,
+        source=footage_source,
+    output:
+        sightings="results/{scene}/people/sightings/{camera}.npz",
+        size="results/{scene}/people/sightings/{camera}.json",
+    log:
+        "logs/{scene}/people/sightings/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/people/sightings/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=500,
+    params:
+        settings=settings("people"),
+        code=code("people.sightings"),
+        layout=DATASET.keypoint_layout,
+        first_frame=DATASET.keypoint_first_frame,
+        start=DATASET.first_frame,
+        frame_count=DATASET.frame_count,
+    shell:
+        "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
+        " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
+        " --start {params.start} --count {params.frame_count} --source {input.source:q}"
+        " --sightings {output.sightings:q} --size {output.size:q}"
+
+
+rule cameras_doctor:
+    input:
+        calibration="results/{scene}/cameras/calibration.json",
+        sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=list(DATASET.keypoints), allow_missing=True),
+        sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=list(DATASET.keypoints), allow_missing=True),
+        sources=[str(DATASET.footage[c]) for c in DATASET.keypoints],
+    output:
+        report="results/{scene}/cameras/doctor/doctor.json",
+        doctor="results/{scene}/cameras/doctor.html",
+    log:
+        "logs/{scene}/cameras/doctor.log",
+    benchmark:
+        "benchmarks/{scene}/cameras/doctor.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("cameras"),
+        code=code("cameras.doctor"),
+    shell:
+        "python -m studiorecon cameras.doctor --settings {params.settings:q} --log {log}"
+        " --scene {wildcards.scene:q} --calibration {input.calibration:q} --sightings {input.sightings:q} --sizes {input.sizes:q}"
+        " --sources {input.sources:q} --report {output.report:q} --doctor {output.doctor:q}"
+
+
+rule doctor:
+    input:
+        f"results/{SCENE}/cameras/doctor.html",
+    localrule: True
