@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.geometry.rotations import exp
-from studiorecon.geometry.scale import SceneScale, scene_scale
+from studiorecon.geometry.scale import SceneScale, fit_scale, scene_scale
 
 # Pelvis, head, then hip, knee, ankle, toe, shoulder, elbow, wrist, fingertip of both sides.
 _SIDE = np.array([[0, 0.1, 0.92], [0, 0.1, 0.5], [0, 0.1, 0.09], [0.05, 0.1, 0.06]])
@@ -98,7 +98,20 @@ def test_s05_noise_does_not_make_people_larger() -> None:
     # Naive: bones of 5 cm read 2.44 times too long, of 10 cm 1.47, of 40 cm 1.03; mean ratio +32 %, least squares +10 %.
     scales = [solve(made(2.0, frames=400, noise_m=0.05, seed=s), sigma=0.1).world_per_metre for s in range(5)]
     assert np.abs(np.array(scales) / 2.0 - 1).max() < 0.02
+    assert abs(np.mean(scales) / 2.0 - 1) < 0.01
     assert solve(made(2.0, frames=400, noise_m=0.05)).world_per_metre > 1.02 * 2.0  # what the correction is worth
+
+
+def test_s05_the_expected_excess_of_a_bone_is_taken_off_exactly() -> None:
+    template, scale, variance = np.linspace(0.2, 0.5, 40), 3.0, np.linspace(0.0, 0.02, 40)
+    lengths = scale * template + variance / (scale * template)
+    assert fit_scale(lengths, template, variance) == pytest.approx(scale, rel=1e-9)
+    # Both ends' deviations count, each as often as the other.
+    sigma = np.zeros((1, 20, len(TEMPLATE)))
+    sigma[..., BONES[:, 0]] = 0.05
+    noisy = made(1.0) + sigma[..., None] * np.random.default_rng(0).normal(size=(1, 20, len(TEMPLATE), 3))
+    turned = scene_scale(noisy, TEMPLATE[None], BONES[:, ::-1], np.ones((1, 20, len(TEMPLATE)), bool), sigma)
+    assert turned.world_per_metre == pytest.approx(solve(noisy, sigma=sigma).world_per_metre, rel=1e-12)
 
 
 def test_one_scale_for_the_scene_and_every_persons_own_ratio_beside_it() -> None:
