@@ -41,8 +41,9 @@ rule background_train:
     params:
         settings=settings("background"),
         code=code("background.train"),
+        device=config["device"],
     shell:
-        "python -m studiorecon background.train --settings {params.settings:q} --log {log}"
+        "python -m studiorecon background.train --settings {params.settings:q} --log {log} --device {params.device}"
         " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
         " --threads {threads} --background {output.background} --provenance {output.provenance}"

@@ -33,8 +33,9 @@ rule humans_train:
     params:
         settings=settings("humans"),
         code=code("humans.train"),
+        device=config["device"],
     shell:
-        "python -m studiorecon humans.train --settings {params.settings:q} --log {log}"
+        "python -m studiorecon humans.train --settings {params.settings:q} --log {log} --device {params.device}"
         " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
         " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"

@@ -31,8 +31,9 @@ rule render_shot:
     params:
         settings=settings("render"),
         code=code("render.shot"),
+        device=config["device"],
     shell:
-        "python -m studiorecon render.shot --settings {params.settings:q} --log {log}"
+        "python -m studiorecon render.shot --settings {params.settings:q} --log {log} --device {params.device}"
         " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
         " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
         " --avatars {input.avatars:q} --body {input.body}"

@@ -34,8 +34,8 @@ from studiorecon.scene.path import Step, read_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.shell import Shell, read_shell
 from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
+from studiorecon.splatting.device import rasteriser, resolve
 from studiorecon.splatting.perceptual import Perceptual
-from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.splatting.targets import Target, scene_extent
 from studiorecon.splatting.training import TrainingSettings, train
 
@@ -165,10 +165,10 @@ def _read_views(path: Path, views: list[Path], supports: list[Path], cameras: Se
     return targets
 
 
-def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Settings, threads: int) -> list[float]:
+def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Settings, threads: int, device: str) -> list[float]:
     """PSNR of every plate on its measured pixels, dB."""
-    rasteriser = Rasteriser(near_m=settings.training.near_m, threads=threads)
-    return [psnr(rasteriser.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
+    drawing = rasteriser(device, near_m=settings.training.near_m, threads=threads)
+    return [psnr(drawing.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
 
 
 def _network(settings: Settings, threads: int) -> Perceptual | None:
@@ -195,11 +195,13 @@ def run(
     background: Path,
     provenance: Path,
     previews: Path | None = None,
+    device: str = "cpu",
 ) -> None:
     """Train the background and write it with its provenance.
 
     A killed run goes on from ``.checkpoint`` beside ``background``; pictures of how it goes are put into ``previews``.
     """
+    device = resolve(device)
     cameras = read_model(model.parent)
     box = read_shell(shell)
     photos = _read_photos(cameras, plates, depth, box, settings)
@@ -220,12 +222,20 @@ def run(
     inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports]
     mark = fingerprint(settings, inputs, code.digest("background.train"), threads)
     checkpoint = Checkpoint(background.parent / ".checkpoint" / f"{background.stem}.npz", mark, settings.training.checkpoint_every_s)
-    trained = train(
-        start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background",
-        network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
-    )  # fmt: skip
+    if device == "cuda":
+        from studiorecon.splatting.cuda_training import train as train_on_cuda
+
+        trained = train_on_cuda(
+            start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background",
+            network=_network(settings, threads), previews=previews,
+        )  # fmt: skip
+    else:
+        trained = train(
+            start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background",
+            network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
+        )  # fmt: skip
     marks = marks[trained.source]
-    scores = _plate_scores(trained.gaussians, photos, settings, threads)
+    scores = _plate_scores(trained.gaussians, photos, settings, threads, device)
     say(f"{trained.gaussians.count} Gaussians after training; plates at {np.mean(scores):.2f} dB on average, {min(scores):.2f} at worst")
     write_ply(background, trained.gaussians)
     write_npz(provenance, {"provenance": marks})

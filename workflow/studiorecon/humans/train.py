@@ -33,6 +33,7 @@ from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, read_people, read_person
 from studiorecon.scene.provenance import INFERRED, MEASURED
 from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
+from studiorecon.splatting.device import resolve
 from studiorecon.splatting.perceptual import Perceptual
 
 _BONES_KEPT = 4
@@ -105,7 +106,7 @@ def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin
 
 def run(
     settings: Settings, person: str, model: Path, manifest: Path, people: Path, videos: list[Path], masks: list[Path], fit: Path,
-    body: Path, threads: int, gaussians: Path, avatar: Path, previews: Path | None = None,
+    body: Path, threads: int, gaussians: Path, avatar: Path, previews: Path | None = None, device: str = "cpu",
 ) -> None:  # fmt: skip
     """Train one person and write the avatar.
 
@@ -149,7 +150,7 @@ def run(
     checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
     trained = train_gaussians(
         start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
-        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews),
+        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews), resolve(device),
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)

@@ -21,10 +21,11 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.adam import Adam
 from studiorecon.splatting.checkpoint import Checkpoint
+from studiorecon.splatting.device import rasteriser as rasteriser_on
 from studiorecon.splatting.feedback import Feedback
 from studiorecon.splatting.losses import coverage, photometric
 from studiorecon.splatting.perceptual import Perceptual, PerceptualSettings, perceptual
-from studiorecon.splatting.rasterise import Rasteriser, Rendering
+from studiorecon.splatting.rendering import Rendering
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-15
 
@@ -105,6 +106,7 @@ def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) 
 def train_gaussians(
     start: Gaussians, spacing_m: float, posing: Posing, motion: Motion, crops: Sequence[Crop], iterations: int, pose_from: int,
     losses: Losses, rates: Rates, limits: Limits, near_m: float, threads: int, rng: np.random.Generator, support: Support,
+    device: str = "cpu",
 ) -> Gaussians:  # fmt: skip
     """The trained canonical Gaussians; ``motion`` is refined in place from iteration ``pose_from`` on when its rate is above 0.
 
@@ -124,7 +126,7 @@ def train_gaussians(
         "harmonics": rates.harmonics,
     }
     scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
-    rasteriser = Rasteriser(near_m=near_m, threads=threads)
+    rasteriser = rasteriser_on(device, near_m=near_m, threads=threads)
     feedback, checkpoint = Feedback("person", 0, iterations, support.previews), support.checkpoint
 
     def draw(crop: Crop, behind: np.ndarray) -> tuple[Rendering, np.ndarray]:

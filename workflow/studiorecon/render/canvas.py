@@ -12,7 +12,8 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.splatting.blocks import BlockedGaussians, aligned, fill_blocks, padded_count
 from studiorecon.splatting.conventions import BLOCK_FLOATS, LANES
-from studiorecon.splatting.rasterise import Rasteriser, Rendering
+from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.rendering import Rendering
 
 _FLOATS_PER_GAUSSIAN = BLOCK_FLOATS // LANES
 
@@ -39,8 +40,8 @@ class Stage:
 class Canvas:
     """Pictures of a composite; the same bytes as rasterising all its Gaussians together, in a fraction of the time."""
 
-    def __init__(self, scene: Composite, near_m: float) -> None:
-        self._scene, self._rasteriser = scene, Rasteriser(near_m=near_m)
+    def __init__(self, scene: Composite, near_m: float, device: str = "cpu") -> None:
+        self._scene, self._rasteriser = scene, rasteriser(device, near_m=near_m)
         people, classes = scene.people_at(0.0)
         self._coloured = Stage(scene.background, people)
         self._classed = Stage(class_colours(scene.background, scene.classes), class_colours(people, classes))

@@ -27,6 +27,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import Step, write_path
+from studiorecon.splatting.device import resolve
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def run(
     depth: Path,
     path: Path,
     ledger: Path,
+    device: str = "cpu",
 ) -> None:
     """Render one shot; without people files the film shows the background alone."""
     capture = read_manifest(manifest)
@@ -80,7 +82,7 @@ def run(
     subjects = subjects_of(people, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(people)} people")
-    canvas = Canvas(scene, settings.near_m)
+    canvas = Canvas(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
     entries = []
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
