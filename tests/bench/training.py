@@ -94,16 +94,20 @@ def density_control(scene: Path, truth: Path, threads: int, only: list[str], equ
                 }  # fmt: skip
                 rows.append(row)
                 print(row, flush=True)
+                _write(rows, scene.name, threads)
                 allowed = round(iterations * rows[0]["cpu_s"] / row["cpu_s"])
                 if equal_time and row["iterations"] == iterations and abs(allowed - iterations) > 0.03 * iterations:
                     steps = [allowed]
+
+
+def _write(rows: list[dict], scene: str, threads: int) -> None:
     machine = f"{platform.machine()}, {numba.config.NUMBA_NUM_THREADS} cores, numba {numba.__version__}"
     RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps({"machine": machine, "threads": threads, "scene": scene.name, "rows": rows}, indent=1) + "\n")
+    RESULTS.write_text(json.dumps({"machine": machine, "threads": threads, "scene": scene, "rows": rows}, indent=1) + "\n")
 
 
 def lpips_cost() -> None:
-    """Seconds of one evaluation with gradient, random weights, by picture size."""
+    """Processor time of one evaluation with gradient, random weights, by picture size."""
     import torch
     from studiorecon.models.lpips import Lpips
 
@@ -114,10 +118,10 @@ def lpips_cost() -> None:
         pair = rng.random((2, height, width, 3), np.float32)
         seconds = []
         for _ in range(4):
-            began = time.perf_counter()
+            began = time.process_time()
             network(*pair)
-            seconds.append(time.perf_counter() - began)
-        print(f"LPIPS {width}x{height}: {1e3 * min(seconds):.0f} ms on {torch.get_num_threads()} threads")
+            seconds.append(time.process_time() - began)
+        print(f"LPIPS {width}x{height}: {1e3 * min(seconds):.0f} ms of processor time on {torch.get_num_threads()} threads")
 
 
 def loop_cost(threads: int, iterations: int = 300) -> None:
