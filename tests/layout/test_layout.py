@@ -77,7 +77,7 @@ def rules() -> list[tuple[str, str, str]]:
     """(rule file, step, shell text) of every rule that runs a step."""
     found = []
     for path in sorted((ROOT / "workflow/rules").glob("*.smk")):
-        for block in re.split(r"\n(?=rule |checkpoint )", path.read_text()):
+        for block in re.split(r"\n(?= *rule | *checkpoint )", path.read_text()):
             shell = block.partition("    shell:")[2]
             step = re.search(r"python -m studiorecon (\w+\.\w+)", shell)
             if step:
