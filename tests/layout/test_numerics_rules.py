@@ -18,7 +18,7 @@ ALLOWED = {
     (
         "studio.truth",
         "float16",
-    ): "stored pixel motion of the made studio, up to tens of pixels: a quarter of the file, nothing is computed in it",
+    ): "stored pixel motion of the made studio, up to tens of pixels; stored, never computed in",
 }
 
 

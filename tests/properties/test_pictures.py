@@ -267,3 +267,12 @@ def test_reading_at_pixel_centres_is_the_picture(seed: int) -> None:
         values, valid = sample(image, centres, how)
         np.testing.assert_array_equal(values, image)
         assert valid.all()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_nearer_of_two_triangles_is_the_one_that_is_seen(order: tuple[int, int]) -> None:
+    view = ring(1)[0].resized((64, 36))
+    corners = np.array([[-9.0, -9.0], [60.0 * 3, -9.0], [-9.0, 36.0 * 4]])
+    vertices = np.concatenate([view.unproject(corners, np.full(3, depth)) for depth in (2.0, 3.0)])
+    found = mesh_depth(vertices, np.array([[0, 1, 2], [3, 4, 5]])[list(order)], view)
+    np.testing.assert_allclose(found, 2.0, rtol=1e-5)
