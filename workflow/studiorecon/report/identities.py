@@ -92,8 +92,8 @@ def true_people(view: View, camera: Camera, joints_m: Mapping[str, np.ndarray], 
                 continue
             rows, columns = np.flatnonzero(mine.any(axis=1)), np.flatnonzero(mine.any(axis=0))
             box_wh = (float(columns[-1] - columns[0] + 1), float(rows[-1] - rows[0] + 1))
-            hit, on_picture = sample(mine, points[frame], "nearest")
-            here.append(TruePerson(points[frame], hit & on_picture, box_wh))
+            hit, on_picture = sample(mine, points[None, frame], "nearest")
+            here.append(TruePerson(points[frame], (hit & on_picture)[0], box_wh))
         found.append(here)
     return found
 

@@ -120,15 +120,15 @@ def _people_seen(
     people: np.ndarray, pixels: np.ndarray, own: Camera, training: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float
 ) -> dict[str, np.ndarray]:
     """People's pixels (H, W) that some training camera sees in the same frame, and those that none does."""
-    where = pixels[people]
+    where = pixels[people][None]
     depth_m = sample(depths_m[0], where, "nearest")[0].astype(np.float64)
     known = np.isfinite(depth_m) & (depth_m > 0)
     points = own.unproject(where, np.where(known, depth_m, 1.0))
-    covered = np.zeros(len(where), bool)
+    covered = np.zeros(known.shape, bool)
     for camera, depth in zip(training, depths_m[1:]):
         covered |= seen_by(points, known, camera, depth, (tolerance,))[0][0]
     seen, unseen = np.zeros(people.shape, bool), np.zeros(people.shape, bool)
-    seen[people], unseen[people] = covered, known & ~covered
+    seen[people], unseen[people] = covered[0], (known & ~covered)[0]
     return {"people_seen": seen, "people_unseen": unseen}
 
 
