@@ -37,6 +37,12 @@ def test_the_given_sigma_is_the_error_that_occurs():
     assert np.sqrt((error**2).mean()) == pytest.approx(float(np.median(found.sigma_m)), rel=0.15)
 
 
+def test_three_times_the_noise_is_nine_times_the_covariance():
+    points = cloud(20, RNG(1))
+    one, three = (triangulate(seen(ring(), points), ONES((4, 20)), ring(), LIMITS, noise_px=noise) for noise in (1.0, 3.0))
+    assert np.abs(three.covariance_m2 / one.covariance_m2 - 9).max() < 1e-6
+
+
 def test_moving_turning_and_scaling_the_world_moves_turns_and_scales_the_points():
     points, cameras = cloud(100, RNG(3)), ring()
     pixels = seen(cameras, points, 2.0, RNG(4))
