@@ -112,6 +112,7 @@ def run(
 
     A killed run goes on from ``.checkpoint`` beside ``gaussians``; pictures of how it goes are put into ``previews``.
     """
+    device = resolve(device)
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
     if not len(cameras) == len(videos) == len(masks):
@@ -146,11 +147,11 @@ def run(
     start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
     say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body]
-    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person)
+    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
     checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
     trained = train_gaussians(
         start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
-        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews), resolve(device),
+        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews), device,
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
