@@ -79,7 +79,7 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
         "model": tmp_path / "cameras/images.txt",
         "manifest": tmp_path / "capture/manifest.json",
         "video": tmp_path / "capture/cam0.mkv",
-        "detections": tmp_path / "people/detections/cam0.npz",
+        "detections": [tmp_path / "people/detections/cam0.npz"],
         "identities": tmp_path / "people/identities.tsv",
         "fits": [tmp_path / "people/p0.npz"],
         "film": tmp_path / "people/overlay/cam0.mp4",
@@ -89,6 +89,8 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
     assert film.shape == footage.shape
     changed = np.abs(film.astype(int) - footage).max(axis=-1) > 60
     assert all(20 < frame.sum() < 0.2 * frame.size for frame in changed)
+    overlay.run(**{**options, "detections": []})
+    np.testing.assert_array_equal(read_stack(options["film"]), film, err_msg="without keypoints there is nothing but the skeleton, as here")
     short = replace(person, poses=person.poses[:2])
     write_person(tmp_path / "people/p0.npz", short)
     with pytest.raises(Refusal, match="has 2 frames and the capture 6"):

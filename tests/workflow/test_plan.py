@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,20 @@ def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Pa
     (dataset / "capture.yaml").unlink()
     assert plan["background_train"] == 1
     assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
+
+
+def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path) -> None:
+    (dataset / "keypoints").rename(dataset / "hidden")
+    (dataset / "plates").mkdir()
+    for camera in ("left", "right", "back"):
+        (dataset / "plates" / f"{camera}.png").touch()
+    films = [f"results/{dataset.name}/people/overlay/{c}.mp4" for c in ("left", "right", "back")]
+    plan = on(house, dataset).plan(*films)
+    shutil.rmtree(dataset / "plates")
+    (dataset / "hidden").rename(dataset / "keypoints")
+    assert plan["people_associate"] == 1
+    assert plan["people_overlay"] == 3
+    assert "people_detections" not in plan
 
 
 def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:

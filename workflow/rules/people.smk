@@ -122,7 +122,7 @@ rule people_overlay:
         model="results/{scene}/cameras/images.txt",
         manifest="results/{scene}/capture/manifest.json",
         video="results/{scene}/capture/{camera}.mkv",
-        detections="results/{scene}/people/detections/{camera}.npz",
+        detections=branch(bool(DATASET.keypoints), then="results/{scene}/people/detections/{camera}.npz"),
         identities="results/{scene}/people/identities.tsv",
         fits=fits,
     output:

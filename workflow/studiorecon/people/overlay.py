@@ -71,9 +71,12 @@ def drawn(
 
 
 def run(
-    camera: str, model: Path, manifest: Path, video: Path, detections: Path | None, identities: Path, fits: list[Path], film: Path
+    camera: str, model: Path, manifest: Path, video: Path, detections: list[Path], identities: Path, fits: list[Path], film: Path
 ) -> None:
-    """Write one camera's overlay film; raises Refusal when a fit has another length than the capture."""
+    """Write one camera's overlay film; ``detections`` is its file, or nothing where only plates show who is there.
+
+    Raises Refusal when a fit has another length than the capture.
+    """
     capture = read_manifest(manifest)
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
@@ -82,7 +85,7 @@ def run(
     for person, fit in zip(people, fits):
         if len(person.poses) != capture.frames:
             raise Refusal(f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; fit {person.name} again")
-    seen = read_detections(detections) if detections is not None else None
+    seen = read_detections(detections[0]) if detections else None
     known = read_identities(identities)
     frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")
     written = write_watchable(film, (drawn(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps)
