@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.errors import Refusal
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMP_SHARES, LAMPS_M
 from studiorecon.studio.solids import Solid
 
@@ -46,10 +47,19 @@ class Hits:
 
 
 class Tracer:
-    """Solids in a ray-casting structure that is built once (single-threaded: cameras run side by side instead)."""
+    """Solids in a ray-casting structure that is built once (single-threaded: cameras run side by side instead).
+
+    Raises Refusal where open3d cannot be loaded: it needs system libraries that servers without a desktop lack.
+    """
 
     def __init__(self, solids: Sequence[Solid]) -> None:
-        import open3d as o3d
+        try:
+            import open3d as o3d
+        except (ImportError, OSError) as error:
+            raise Refusal(
+                f"open3d, which films the made studio, cannot be loaded ({error}); on Debian and Ubuntu: "
+                "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1"
+            ) from None
 
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
