@@ -2,7 +2,8 @@
 """``gsplat.rasterization`` as of version 1.5.3 in the eyes of its caller, computed by the float64 reference on a CPU.
 
 The names, shapes and meanings of arguments and results are gsplat's, and what gsplat would assert is asserted here. Written from its
-documentation; with gsplat's own torch pieces it agrees to rounding (tests/gpu compares with the real kernels).
+documentation; the reference's projection and harmonics are gsplat's own torch pieces' to rounding (test_gsplat_pieces.py, where gsplat can
+be imported), and tests/gpu compares with the real kernels.
 """
 
 from __future__ import annotations
