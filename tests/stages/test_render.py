@@ -15,15 +15,15 @@ from studiorecon.geometry.path import scene_centre
 from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.render import shot as render_shot
-from studiorecon.render.canvas import Canvas, together
-from studiorecon.render.composite import Composite, blocked, class_colours, millimetres, truth_levels
+from studiorecon.render.canvas import Canvas
+from studiorecon.render.composite import Composite, blocked, millimetres, truth_levels
 from studiorecon.render.ledger import LEDGER_COLUMNS
 from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
 from studiorecon.render.planning import smooth_dips
 from studiorecon.render.shots import every_frame, film_times
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.files import read_table
-from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
+from studiorecon.scene.gaussians import Gaussians, concatenate, sh_from_rgb
 from studiorecon.scene.path import Step, read_path
 from studiorecon.splatting.rasterise import Rasteriser
 
@@ -189,8 +189,7 @@ def test_the_truth_map_follows_what_is_in_front() -> None:
     camera = ring([0], "cam")[0]
     gaussians = flat(np.array([[0.0, 0, 1.0], [-1.5, 0, 1.0]]), np.full((2, 3), 0.5))
     scene = Composite(gaussians, np.array([0, 2], np.uint8), [])
-    shares = Rasteriser(near_m=0.2).forward(class_colours(*together(scene, 0.0)), camera).rgb
-    truth = truth_levels(shares)
+    truth = truth_levels(Canvas(scene, 0.2).draw(camera, 0.0, (0, 0, 0))[1])
     assert truth[WH[1] // 2, WH[0] // 2] == 255
     assert truth[0, 0] == 0
 
@@ -211,12 +210,14 @@ def test_the_canvas_draws_what_rasterising_everything_together_draws(root: Path)
     scene = Composite(static, rng.integers(0, 3, static.count).astype(np.uint8), [avatar(body, rng, "p0"), avatar(body, rng, "p1")])
     canvas, camera = Canvas(scene, 0.2), ring([30], "cam")[0]
     for frame in (0.0, 3.5, FRAMES - 1.0):
-        gaussians, classes = together(scene, frame)
+        people, classes = scene.people_at(frame)
+        gaussians, classes = concatenate([static, people]), np.concatenate([scene.classes, classes])
         rendering, shares = canvas.draw(camera, frame, (0.1, 0.2, 0.3))
         expected = Rasteriser(near_m=0.2).forward(gaussians, camera, (0.1, 0.2, 0.3))
         np.testing.assert_array_equal(rendering.rgb, expected.rgb)
         np.testing.assert_array_equal(rendering.depth_m, expected.depth_m)
-        np.testing.assert_array_equal(shares, Rasteriser(near_m=0.2).forward(class_colours(gaussians, classes), camera).rgb)
+        coloured = Rasteriser(near_m=0.2).forward(gaussians.with_colours(np.eye(3)[classes]), camera)
+        np.testing.assert_allclose(shares, coloured.rgb, atol=1e-6)
 
 
 def test_depth_in_millimetres_keeps_unknown_and_saturates() -> None:

@@ -57,11 +57,6 @@ def _classes_of(person: Posed, frame: float) -> np.ndarray:
     return person.provenance if measured else np.maximum(person.provenance, INFERRED)
 
 
-def class_colours(gaussians: Gaussians, classes: np.ndarray) -> Gaussians:
-    """The same Gaussians, coloured pure red, green or blue by class: rendering them gives each class's share of every pixel."""
-    return gaussians.with_colours(np.eye(3)[classes])
-
-
 def truth_levels(shares: np.ndarray) -> np.ndarray:
     """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
 

@@ -21,9 +21,22 @@ def paint(values, visible, splats):
                 splats[i * RECORD + RED + channel] = values[i, channel]
 
 
+@njit(parallel=True, **KERNEL)
+def collect(planes, first, image):
+    """Copies up to three drawn planes (5, H, W) into the channels of ``image`` (H, W, C) from ``first`` on."""
+    height, width, channels = image.shape
+    for y in prange(height):
+        for x in range(width):
+            for channel in range(min(3, channels - first)):
+                image[y, x, first + channel] = planes[channel, y, x]
+
+
 def in_threes(values: np.ndarray) -> list[np.ndarray]:
     """(N, C) → arrays (N, 3) of float32, the last padded with zeros."""
     count, channels = values.shape
-    padded = np.zeros((count, -(-channels // 3) * 3), np.float32)
-    padded[:, :channels] = values
+    if channels % 3 == 0:
+        padded = np.asarray(values, np.float32)
+    else:
+        padded = np.zeros((count, -(-channels // 3) * 3), np.float32)
+        padded[:, :channels] = values
     return [np.ascontiguousarray(padded[:, first : first + 3]) for first in range(0, padded.shape[1], 3)]

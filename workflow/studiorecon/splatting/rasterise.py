@@ -31,7 +31,7 @@ from studiorecon.splatting.conventions import (
     SCALE,
     TILE_PX,
 )
-from studiorecon.splatting.features import in_threes, paint
+from studiorecon.splatting.features import collect, in_threes, paint
 from studiorecon.splatting.forward import LANE_OFFSETS, blend
 from studiorecon.splatting.planes import gradients_into_planes, planes_to_images
 from studiorecon.splatting.projection import project
@@ -171,14 +171,14 @@ class Rasteriser:
         if self._blocked is None or len(values) != self._blocked.count or values.ndim != 2:
             raise ValueError(f"features of shape {values.shape} do not fit the Gaussians that were drawn last")
         splats, planes = self._splats.copy(), np.empty_like(self.planes)
+        image = np.empty((*self.planes.shape[1:], values.shape[1]), np.float32)
         lists = (self._starts, self._pairs, self._touched, self._ends)
-        drawn = []
         with self.own_threads():
-            for three in in_threes(values):
+            for index, three in enumerate(in_threes(values)):
                 paint(three, self.visible, splats)
                 blend(self.threads, *self._grid, splats, *lists, np.zeros(3, np.float32), LANE_OFFSETS, planes, self._ticket)
-                drawn.append(planes[:3].transpose(1, 2, 0).copy())
-        return np.concatenate(drawn, axis=2)[..., : values.shape[1]]
+                collect(planes, 3 * index, image)
+        return image
 
     def backward(
         self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
