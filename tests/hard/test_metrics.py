@@ -84,9 +84,9 @@ def test_squared_errors_are_exact_whatever_the_width_of_the_pictures(width: type
         pytest.param(np.full((64, 2, 2), 1e-4, np.float16), 1, id="I06-small"),
         pytest.param(np.full((64, 2, 2), 50, np.float16), 1, id="I06-large"),
         pytest.param(np.full((64, 2, 2), 6e4, np.float16), 1, id="I06-largest"),
-        pytest.param(np.zeros((64, 2, 2), np.float16), 0, id="I06-dead-f16"),
-        pytest.param(np.zeros((64, 2, 2), np.float32), 0, id="I06-dead-f32"),
-        pytest.param(np.full((64, 2, 2), 1e-25, np.float32), 1, id="I06-tiny-f32"),
+        pytest.param(np.zeros((64, 2, 2), np.float16), 0, id="I06-dead-half"),
+        pytest.param(np.zeros((64, 2, 2), np.float32), 0, id="I06-dead-single"),
+        pytest.param(np.full((64, 2, 2), 1e-25, np.float32), 1, id="I06-tiny-single"),
     ],
 )
 def test_features_get_length_one_or_stay_dead(features: np.ndarray, length: float) -> None:

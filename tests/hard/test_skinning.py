@@ -100,8 +100,8 @@ def test_a_twist_keeps_the_axes_of_a_gaussian(angle_deg: float) -> None:
     assert np.allclose(posing.turn[0], half, atol=1e-6)
 
 
-def test_surface_weights_keep_the_legs_apart(body: BodyModel) -> None:
-    """L06: a 64³ voxel (3 cm) mixes 18.5 % of the other leg where they are 2 cm apart; the surface's own weights never do."""
+def test_l06_surface_weights_keep_the_legs_apart(body: BodyModel) -> None:
+    """A 64³ voxel (3 cm) mixes 18.5 % of the other leg where they are 2 cm apart; the surface's own weights never do."""
     legs = {"left": [1, 4, 7, 10], "right": [2, 5, 8, 11]}
     rest = body.rest_vertices(np.zeros(10))
     shins = (rest[:, 1] < body.rest_joints(np.zeros(10))[4, 1]) & (np.abs(rest[:, 0]) < 0.4)
@@ -114,15 +114,15 @@ def test_surface_weights_keep_the_legs_apart(body: BodyModel) -> None:
     assert mixed.max() < 0.02
 
 
-def test_kept_weights_sum_to_one_in_single_precision(body: BodyModel) -> None:
-    """L07: half floats leave the sum off by 3.8e-4, which moves a point 5 m from the origin by 1.9 mm."""
+def test_l07_kept_weights_sum_to_one_in_single_precision(body: BodyModel) -> None:
+    """Half floats leave the sum off by 3.8e-4, which moves a point 5 m from the origin by 1.9 mm."""
     _, kept = strongest(body.weights, 4)
     assert kept.dtype == np.float32
     assert np.abs(kept.astype(np.float64).sum(axis=1) - 1).max() < 1e-6
 
 
-def test_the_zero_pose_is_the_identity(body: BodyModel) -> None:
-    """L08: joint transforms without the inverse bind double every offset."""
+def test_l08_the_zero_pose_is_the_identity(body: BodyModel) -> None:
+    """Joint transforms without the inverse bind double every offset."""
     bones, weights = strongest(body.weights, 4)
     rest = body.rest_vertices(np.zeros(10)).astype(np.float32)
     pelvis = body.rest_joints(np.zeros(10))[:1]

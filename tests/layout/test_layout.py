@@ -144,6 +144,10 @@ def test_no_registry_addresses_or_machine_paths() -> None:
             assert not pattern.search(text), f"{name} holds {pattern.search(text).group(0)}"
 
 
+# The doors to torch inside the package, opened only by ``device: cuda``.
+ON_REQUEST = {"splatting.cuda_training"}
+
+
 def test_steps_without_torch_do_not_import_it() -> None:
     for _, step, _ in rules():
         for module in reachable(step):
@@ -160,12 +164,18 @@ def test_steps_without_torch_do_not_import_it() -> None:
                 assert not heavy, f"{module} imports {heavy} at top level"
 
 
+def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
+    for path in MODULES:
+        outside = [node for node in ast.parse(path.read_text()).body if isinstance(node, (ast.Import, ast.ImportFrom))]
+        assert not code.imports(ast.Module(outside, [])) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"
+
+
 def reachable(step: str) -> set[str]:
     seen: set[str] = set()
     waiting = [step]
     while waiting:
         module = waiting.pop()
-        if module not in seen:
+        if module not in seen | ON_REQUEST:
             seen.add(module)
             waiting += code.imports(ast.parse(code.module_path(module).read_text()))
     return seen

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from studiorecon.errors import Refusal
 from studiorecon.models.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.registry import MODELS, model, of_kind
@@ -15,12 +14,17 @@ from studiorecon.models.registry import MODELS, model, of_kind
 @pytest.mark.parametrize("name", MODELS)
 def test_every_model_states_terms_weights_and_runtime(name: str) -> None:
     entry = model(name)
-    assert entry.name == name and entry.title and entry.runtime.image and entry.memory.note
-    assert entry.terms.code and entry.terms.weights
+    assert entry.name == name
+    assert entry.title
+    assert entry.runtime.image
+    assert entry.memory.note
+    assert entry.terms.code
+    assert entry.terms.weights
     assert (entry.terms.commercial == "yes") == (not entry.terms.condition)
     assert entry.weights, "a network without weights is none"
     for file in entry.weights:
-        assert not Path(file.path).is_absolute() and "://" not in file.source + file.repository
+        assert not Path(file.path).is_absolute()
+        assert "://" not in file.source + file.repository
         assert not (file.gated and file.fetchable), f"{file.path} cannot be fetched before somebody has agreed to its terms"
 
 
@@ -28,8 +32,10 @@ def test_what_forbids_commercial_use_names_what_does_instead() -> None:
     for entry in MODELS.values():
         alternative = entry.terms.alternative
         if alternative in MODELS:
-            assert model(alternative).kind == entry.kind and model(alternative).terms.commercial != "no"
-    assert model("pi3").terms.alternative == "mapanything" and model("difix").terms.alternative == "fixer"
+            assert model(alternative).kind == entry.kind
+            assert model(alternative).terms.commercial != "no"
+    assert model("pi3").terms.alternative == "mapanything"
+    assert model("difix").terms.alternative == "fixer"
     assert [m.name for m in of_kind("monocular depth")] == ["moge", "moge3"]
 
 

@@ -213,8 +213,8 @@ def test_view_weight(angle: float, cutoff: float, expected: float) -> None:
     assert view_weight(angle, cutoff, 2.0) == pytest.approx(expected)
 
 
-def test_angles_between_equal_axes_are_zero_not_nan(cameras: list[Camera]) -> None:
-    """I13: arccos(1.0000001) is NaN."""
+def test_i13_angles_between_equal_axes_are_zero_not_nan(cameras: list[Camera]) -> None:
+    # Naive: arccos(1.0000001) is NaN.
     assert angle_between_axes(cameras[0], cameras[0]) == 0
     assert cutoff_angle(cameras) == pytest.approx(0.5 * angle_between_axes(cameras[0], cameras[1]))
     assert cutoff_angle(cameras[:1]) == 0
