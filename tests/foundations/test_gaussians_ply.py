@@ -10,8 +10,9 @@ import pytest
 from studiorecon.errors import Refusal
 from studiorecon.scene.gaussians import Gaussians, concatenate, empty
 from studiorecon.scene.gaussians_ply import property_names, read_ply, write_ply
+from studiorecon.splatting.rasterise import Rasteriser
 
-from tests.foundations.splatting_scenes import room
+from tests.foundations.splatting_scenes import camera, room
 
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 
@@ -66,6 +67,11 @@ def test_ply_properties_may_come_in_any_order(tmp_path: Path) -> None:
         (lambda data: data.replace(b"property float x\n", b"property double x\n"), "floats only"),
         (lambda data: data.replace(b"end_header", b"element face 0\nend_header"), "nothing else"),
         (lambda data: data.replace(b"f_rest_44", b"g_rest_44"), "44 f_rest"),
+        (lambda data: data.replace(b"property float f_rest_44", b"property float f_rest_45"), "no property 'f_rest_44'"),
+        (lambda data: data.replace(b"property float nz", b"property float ny"), "'ny' twice"),
+        (lambda data: data.replace(b"property float nz", b"property uchar red\nproperty float nz"), "uchar red"),
+        (lambda data: data + b"\x00" * 248, "248 bytes more"),
+        (lambda data: data.replace(b"vertex 4", b"vertex -4"), "one element 'vertex'"),
     ],
 )
 def test_a_ply_that_is_not_gaussians_is_refused_by_name(tmp_path: Path, change, message: str) -> None:
@@ -74,6 +80,48 @@ def test_a_ply_that_is_not_gaussians_is_refused_by_name(tmp_path: Path, change, 
     with pytest.raises(Refusal, match=message) as refusal:
         read_ply(tmp_path / "b.ply")
     assert "b.ply" in str(refusal.value)
+
+
+def with_column(path: Path, name: str, values: np.ndarray) -> None:
+    """Adds a float property at the end of every row."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    table = np.frombuffer(body, "<f4").reshape(len(values), -1)
+    path.write_bytes(header + f"property float {name}\nend_header\n".encode() + np.column_stack([table, values]).astype("<f4").tobytes())
+
+
+def test_a_further_property_is_named_and_changes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    gaussians = room(4, 4)
+    write_ply(tmp_path / "a.ply", gaussians)
+    with_column(tmp_path / "a.ply", "confidence", np.full(4, np.nan))
+    assert_equal(read_ply(tmp_path / "a.ply"), gaussians)
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == 1
+    assert "a.ply: confidence is not used" in told[0]
+
+
+def test_rows_that_are_not_numbers_are_counted_in_one_sentence_and_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    gaussians, view = room(300, 4), camera(64, 48)
+    rows = np.arange(0, 300, 30)
+    gaussians.means_m[rows[:4], 1], gaussians.sh[rows[4:7], 9, 2], gaussians.logit_opacities[rows[7:]] = np.nan, np.inf, np.nan
+    write_ply(tmp_path / "a.ply", gaussians)
+    read = read_ply(tmp_path / "a.ply")
+    assert_equal(read, gaussians)
+    (told,) = capsys.readouterr().out.splitlines()
+    assert "a.ply: 10 of 300 Gaussians hold a value that is not a number" in told
+    rasteriser = Rasteriser(near_m=0.01, threads=1)
+    shown = rasteriser.forward(read, view).rgb
+    assert 7 <= rasteriser.refused <= 10, "colours are looked at in view only"
+    np.testing.assert_array_equal(shown, rasteriser.forward(read.take(np.setdiff1d(np.arange(300), rows)), view).rgb)
+
+
+def test_every_bit_pattern_survives_the_round_trip(tmp_path: Path) -> None:
+    """Denormals, signed zeros, infinities and NaN payloads: the file holds the stored floats, nothing is computed."""
+    bits = np.random.default_rng(0).integers(0, 1 << 32, (50, 59), np.uint32).view(np.float32)
+    gaussians = Gaussians(bits[:, :3], bits[:, 3:7], bits[:, 7:10], bits[:, 10], bits[:, 11:].reshape(50, 16, 3))
+    write_ply(tmp_path / "a.ply", gaussians)
+    read = read_ply(tmp_path / "a.ply")
+    for name in FIELDS:
+        assert getattr(read, name).tobytes() == getattr(gaussians, name).tobytes(), name
 
 
 def test_a_missing_ply_is_refused_by_name(tmp_path: Path) -> None:

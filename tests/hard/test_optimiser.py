@@ -140,6 +140,14 @@ def test_a_gradient_that_is_not_finite_is_skipped_and_counted(poison: float) -> 
     assert after.means_m[seen, 0] != before.means_m[seen, 0]
     run._adam(1, 3, np.full_like(run.state.blocked.parameters, 1e-3))
     assert state.gaussians_of(run.state).means_m[seen, 1] != before.means_m[seen, 1], "it moves again with the next good gradient"
+    values, slopes = np.zeros((3, 2), np.float32), np.ones((3, 2), np.float32)
+    slopes[1, 1] = poison
+    adam = Adam({"x": values}, (0.9, 0.999), 1e-8)
+    adam.step({"x": slopes}, {"x": 0.1})
+    assert adam.refused == 1
+    assert values[1, 1] == 0
+    adam.step({"x": np.ones_like(values)}, {"x": 0.1})
+    assert (values < 0).all()
 
 
 # Naive: log of an end rate of 0 is a domain error.

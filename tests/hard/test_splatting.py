@@ -9,16 +9,12 @@ from studiorecon.errors import Refusal
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.splatting import rasterise as rasterise_module
-from studiorecon.splatting import state, training
-from studiorecon.splatting.adam import Adam
 from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
 from studiorecon.splatting.losses import coverage, photometric
 from studiorecon.splatting.rasterise import GaussianGradients, Rasteriser, Rendering
-from studiorecon.splatting.training import exponential
 
 from tests.foundations.gsplat_stand_in import rasterization
 from tests.foundations.splatting_scenes import camera, room
-from tests.foundations.test_splatting_training import SETTINGS
 
 NEAR_M = 0.01
 BASE: dict[str, np.ndarray] = {
@@ -239,50 +235,3 @@ def test_i14_the_density_prior_is_finite_everywhere(alpha: float, prior: float) 
     loss, gradient = coverage(np.full((4, 4), alpha, np.float32), None, None, 0.0, 1.0)
     assert loss == pytest.approx(prior, abs=1e-4)
     np.testing.assert_allclose(gradient * 16, np.tanh(0.5 - alpha), atol=1e-6)
-
-
-def test_o04_what_was_not_visible_does_not_move() -> None:
-    position = np.zeros((2, 1), np.float32)
-    adam = Adam({"x": position}, (0.9, 0.999), 1e-15)
-    for step in range(100):
-        seen = np.array([True, step < 10])
-        adam.step({"x": np.where(seen, 1.0, 0.0).astype(np.float32)[:, None]}, {"x": 0.01}, rows=seen)
-    assert position[1, 0] == pytest.approx(-0.1, abs=1e-3)
-    assert position[0, 0] == pytest.approx(-1.0, abs=1e-2)
-
-
-def test_o05_rounding_noise_is_not_a_full_step() -> None:
-    gaussians = room(64, 3)
-    run = training._Run(state.start(gaussians), [], SETTINGS, np.random.default_rng(0), 1.0, 1)
-    rasteriser = run._rasteriser
-    rasteriser.draw(run.state.blocked, camera(97, 53), (0, 0, 0))
-    # Every visible Gaussian has a position gradient of 1e-3, except one whose gradient is rounding noise of that.
-    noisy = int(np.flatnonzero(rasteriser.visible)[0])
-    gradient = np.zeros_like(run.state.blocked.parameters).reshape(-1, 59, 16)
-    gradient[:, :3] = 1e-3
-    gradient[noisy // 16, :3, noisy % 16] = 1e-12
-    before = state.gaussians_of(run.state).means_m
-    run._adam(0, 3, gradient.reshape(-1))
-    steps = np.abs(state.gaussians_of(run.state).means_m - before).max(axis=1)
-    others = np.flatnonzero(rasteriser.visible)[1:]
-    rate = SETTINGS.position_lr_start
-    np.testing.assert_allclose(steps[others], rate, rtol=0.05)
-    assert steps[noisy] < 0.01 * rate
-
-
-def test_o06_one_nan_gradient_is_skipped_and_counted() -> None:
-    position = np.zeros((3, 2), np.float32)
-    adam = Adam({"x": position}, (0.9, 0.999), 1e-8)
-    gradient = np.ones((3, 2), np.float32)
-    gradient[1, 1], gradient[2, 0] = np.nan, np.inf
-    adam.step({"x": gradient}, {"x": 0.1})
-    adam.step({"x": np.ones((3, 2), np.float32)}, {"x": 0.1})
-    assert adam.refused == 2
-    assert np.isfinite(position).all()
-    assert (position < 0).all()
-
-
-def test_o07_a_schedule_may_end_at_zero() -> None:
-    rates = [exponential(1e-3, 0.0, done) for done in np.linspace(0, 1, 11)]
-    assert np.all(np.diff(rates) < 0)
-    assert rates[-1] == pytest.approx(1e-12)

@@ -50,7 +50,8 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 def read_ply(path: Path) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
-    Says how many hold a value that is not a number: they are never drawn. Raises Refusal naming the file for anything but this layout.
+    Says which further properties are not used, and how many Gaussians hold a value that is not a number: they are never drawn. Raises
+    Refusal naming the file for anything but this layout.
     """
     if not path.is_file():
         raise Refusal(f"{path} is missing")
@@ -61,11 +62,17 @@ def read_ply(path: Path) -> Gaussians:
         raise Refusal(f"{path} is not a PLY file (no header)")
     count, names = _header(path, data[:end].decode("ascii", errors="replace"))
     bands = _bands(path, names)
-    if len(data) - body < 4 * count * len(names):
-        raise Refusal(f"{path} is cut off: it promises {count} Gaussians and holds {(len(data) - body) // (4 * len(names))}; make it again")
+    held, row = len(data) - body, 4 * len(names)
+    if held < count * row:
+        raise Refusal(f"{path} is cut off: it promises {count} Gaussians and holds {held // row}; make it again")
+    if held > count * row:
+        raise Refusal(f"{path} holds {held - count * row} bytes more than the {count} Gaussians it promises; make it again")
     table = np.frombuffer(data, "<f4", count * len(names), body).reshape(count, len(names)).astype(np.float32)
     column = {name: i for i, name in enumerate(names)}
-    numbers = table[:, [i for name, i in column.items() if name not in ("nx", "ny", "nz", "opacity")]]
+    known = property_names(bands)
+    if extra := [name for name in names if name not in known]:
+        say(f"{path.name}: {', '.join(extra)} {'is' if len(extra) == 1 else 'are'} not used, the 3DGS layout has no such property")
+    numbers = table[:, [column[name] for name in known if name not in ("nx", "ny", "nz", "opacity")]]
     # An infinite logit is an opacity of exactly 0 or 1, which some writers store.
     bad = int((~np.isfinite(numbers).all(axis=1) | np.isnan(table[:, column["opacity"]])).sum())
     if bad:
@@ -109,4 +116,6 @@ def _bands(path: Path, names: list[str]) -> int:
     missing = [name for name in property_names(bands) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
         raise Refusal(f"{path} has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
+    if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        raise Refusal(f"{path} has the property {twice[0]!r} twice; nobody can tell which one is meant")
     return bands
