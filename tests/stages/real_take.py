@@ -20,7 +20,7 @@ from studiorecon.scene.people import read_identities, read_people
 def front_end(
     real_data: Path, root: Path, folder: Path, take: str, default_settings: Callable[..., dict[str, Any]]
 ) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
-    """People, identities and the doctor's report of ``pose2sim_balancing/<take>``; files under ``folder/<take>``."""
+    """People, identities and the refinement's report of ``pose2sim_balancing/<take>``; files under ``folder/<take>``."""
     data = open_dataset(real_data / "pose2sim_balancing" / take, root / "tests" / "captures" / f"pose2sim_{take}.yaml")
     return front_end_of(data, root, folder / take, default_settings)
 
@@ -28,7 +28,7 @@ def front_end(
 def front_end_of(
     data: Dataset, root: Path, out: Path, default_settings: Callable[..., dict[str, Any]]
 ) -> tuple[list[str], dict[tuple[str, int], str], dict[str, Any]]:
-    """People, identities and the doctor's report of a dataset with plates for all cameras; files in ``out``."""
+    """People, identities and the refinement's report of a dataset with plates for all cameras, keypoints or none; files in ``out``."""
 
     def load(module: Any, **changed: Any) -> Any:
         stage = module.__name__.split(".")[1]
@@ -40,18 +40,19 @@ def front_end_of(
         frames.run(load(frames), data.footage[name], lenses, name, 0, 0, 0, out / f"{name}.mkv", out / f"{name}.json")
     videos = [out / f"{n}.mkv" for n in names]
     manifest.run(load(manifest), out.name, [out / f"{n}.json" for n in names], [], out / "manifest.json")
-    found = [out / f"{n}.npz" for n in names]
+    found = [out / f"{n}.npz" for n in names if data.keypoints]
     for name, path in zip(names, found):
         about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame
         detections.run(load(detections), name, *about, out / f"{name}.json", lenses, path)
     model = out / "model" / "images.txt"
-    doctor = [out / "doctor.json", out / "doctor.png"]
-    refine.run(load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", *doctor)
+    reports = [out / "refinement.json", out / "refinement.png"]
+    refine.run(load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", *reports)
     plates = [out / f"{n}.plate.png" for n in names]
-    for name, video, path, picture in zip(names, videos, found, plates):
-        plate.run(load(plate), video, out / f"{name}.json", lenses, [path], [data.plates[name]], picture)
+    for name, video, picture in zip(names, videos, plates):
+        known = [out / f"{name}.npz"] if data.keypoints else []
+        plate.run(load(plate), video, out / f"{name}.json", lenses, known, [data.plates[name]], picture)
     outputs = [out / "people.tsv", out / "identities.tsv", out / "association.json", out / "who"]
     associate.run(
         load(associate), model, out / "manifest.json", found, videos, names, plates, root / "resources" / "body.npz", [], *outputs
     )
-    return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "doctor.json")
+    return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "refinement.json")

@@ -13,8 +13,9 @@ from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.people import fit, hull, upright
-from studiorecon.people.contour import Silhouette, Targets
+from studiorecon.people.contour import Silhouette
 from studiorecon.people.foreground import FOREGROUND, UNKNOWN
+from studiorecon.people.label_film import FilmTargets, LabelFilm
 from studiorecon.people.standing import Standing, read_standing, write_standing
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.dataset import open_dataset
@@ -106,14 +107,17 @@ def test_a_body_follows_its_silhouettes_and_survives_its_file(body: BodyModel, c
     frames = 12
     poses, trans = poses_of(body, frames)
     labels = [silhouettes(body, cameras, p, t) for p, t in zip(poses, trans)]
-    walk = upright.Walk({t: Targets.of(m) for t, m in enumerate(labels)}, dict(enumerate(trans[:, :2])), FPS)
+    film = LabelFilm(np.array([c.wh for c in cameras]), enumerate(labels))
+    walk = upright.Walk(FilmTargets(film), dict(enumerate(trans[:, :2])), FPS)
     surface = Silhouette(body, cameras, options.hull.contour)
     start = upright.shaped(surface, walk, upright.find(surface, walk, 0.0, 1.7))
     names = tuple(c.name for c in cameras)
-    person = Standing("p1", names, names, np.array([c.wh for c in cameras]), np.arange(frames), trans[:, :2], labels, start)
+    person = Standing("p1", names, names, trans[:, :2], film, start)
     write_standing(tmp_path / "standing.npz", [person])
     (back,) = read_standing(tmp_path / "standing.npz")
+    assert back.frames.tolist() == list(range(frames))
     assert all((a == b).all() for a, b in zip(back.labels[5], labels[5]))
+    assert back.start.facing == start.facing
     fitted = fit.fit_standing(back, cameras, body, frames, FPS, options)
     error_mm = 1000 * np.linalg.norm(fitted.joints - body.joints(poses, np.zeros(10), trans), axis=-1)
     assert error_mm.mean() < 60

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,24 @@ def test_one_changed_line_fits_one_person_again(fitted: House) -> None:
     assert "corrected by hand" in (people(fitted) / "desk.html").read_text()
     assert "corrected" in (people(fitted) / "people.tsv").read_text()
     assert fitted.plan(*RESULTS, *options) == {}
+
+
+def test_masks_made_again_train_nobody_again_whom_they_show_unchanged(fitted: House) -> None:
+    """Masks show everybody, so a correction makes them all again; whose own crops are the same stays as trained, to the bit."""
+    avatars = [f"results/tiny/humans/p0.{kind}" for kind in ("ply", "npz")]
+    quick = fitted.folder / "quick.yaml"
+    quick.write_text(yaml.safe_dump({"humans": {"iterations": 5, "gaussians": 500}}))
+    options = avatars[0], "--cores", "2", "--configfile", str(quick)
+    fitted.snakemake(*options)
+    before = [hashlib.sha256((fitted.folder / a).read_bytes()).hexdigest() for a in avatars]
+    again = fitted.snakemake(*options, "--forcerun", "masks_segment")
+    assert "the result stands as it is" in again.stdout
+    assert [hashlib.sha256((fitted.folder / a).read_bytes()).hexdigest() for a in avatars] == before
+    assert fitted.plan(*options) == {}
+    # Another setting is another result.
+    quick.write_text(yaml.safe_dump({"humans": {"iterations": 6, "gaussians": 500}}))
+    assert "the result stands" not in fitted.snakemake(*options).stdout
+    assert hashlib.sha256((fitted.folder / avatars[0]).read_bytes()).hexdigest() != before[0]
 
 
 def test_a_correction_that_is_not_there_is_named(fitted: House) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.posing import Posing
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
+from studiorecon.progress import say
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
@@ -96,12 +99,29 @@ class Avatar:
         return Gaussians(means, quaternions, own.log_scales, own.logit_opacities, sh)
 
 
-def write_avatar(ply: Path, npz: Path, avatar: Avatar) -> None:
-    """Write the canonical Gaussians and, beside them, what moves them (AMASS-style names)."""
+def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
+    """Write the canonical Gaussians and, beside them, what moves them (AMASS-style names) and ``mark``, what they were trained from."""
     write_ply(ply, avatar.gaussians)
     arrays = {name: getattr(avatar, name) for name in _ARRAYS}
     arrays |= {"person": avatar.person, "body": avatar.model.identity, "mocap_framerate": avatar.fps, "metric": avatar.metric}
-    write_npz(npz, arrays | {"seen_share": avatar.seen_share})
+    write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
+
+
+def written_from(ply: Path, npz: Path) -> str:
+    """The mark that ``write_avatar`` was given; "" when a file is missing, cannot be read, or the two were not written together."""
+    if not (ply.is_file() and npz.is_file()):
+        return ""
+    try:
+        with open(npz, "rb") as file, np.load(file, allow_pickle=False) as data:
+            return str(data["mark"]) if str(data["gaussians_sha256"]) == _sha256(ply) else ""
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        say(f"{npz} cannot be read ({error}); it is made again")
+        return ""
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:

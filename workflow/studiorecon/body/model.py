@@ -25,6 +25,12 @@ JOINT_NAMES = (
     "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 )  # fmt: skip
+# For every joint its partner of the other side, itself in the middle.
+OTHER_SIDE = tuple(
+    JOINT_NAMES.index({"left": f"right_{part}", "right": f"left_{part}"}.get(side, name))
+    for name in JOINT_NAMES
+    for side, _, part in [name.partition("_")]
+)
 # Vertices of SMPL's own topology (6,890) for the points that no joint stands for; limb points are taken at the joints.
 _SMPL_VERTICES = {
     "nose": 332, "right_eye": 6260, "left_eye": 2800, "right_ear": 4071, "left_ear": 583, "head_top": 411,

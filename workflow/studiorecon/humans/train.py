@@ -25,6 +25,7 @@ from studiorecon.humans.footage import Crop, crops_of
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
 from studiorecon.humans.training import Limits, Losses, Rates, Support, train_gaussians
+from studiorecon.humans.unchanged import mark_of, still_stands
 from studiorecon.images.video import read_frames
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -110,7 +111,8 @@ def run(
 ) -> None:  # fmt: skip
     """Train one person and write the avatar.
 
-    A killed run goes on from ``.checkpoint`` beside ``gaussians``; pictures of how it goes are put into ``previews``.
+    Where nothing near the person has changed since the files were written, they stay (``unchanged``). A killed run goes on from
+    ``.checkpoint`` beside ``gaussians``; pictures of how it goes are put into ``previews``.
     """
     device = resolve(device)
     cameras = read_model(model.parent)
@@ -132,6 +134,12 @@ def run(
             f"no training camera shows {settings.smallest_px} pixels of {person} in any frame with a fitted body; check the masks, or "
             "remove the person in people/identities.tsv"
         )
+    trained_from = mark_of(settings, crops, [fit, body], code.digest("humans.train"), threads, person, device)
+    if still_stands(trained_from, gaussians, avatar):
+        say(
+            f"{person}: nothing has changed in the {len(crops)} crops around {person}, the fit and the settings; the result stands as it is"
+        )
+        return
     rng = np.random.default_rng(settings.seed)
     rest = body_model.rest_vertices(fitted.betas)
     outside = np.array([name != "inside" for name in body_model.region_names])
@@ -161,7 +169,7 @@ def run(
         person=person, model=body_model, gaussians=trained, bones=bones, weights=weights,
         provenance=np.where(seen, MEASURED, INFERRED).astype(np.uint8), poses=motion.poses, trans=motion.trans_m, betas=fitted.betas,
         valid=fitted.valid, fps=fitted.fps, metric=fitted.metric,
-    ))  # fmt: skip
+    ), trained_from)  # fmt: skip
     checkpoint.remove()
 
 

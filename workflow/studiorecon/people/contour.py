@@ -121,6 +121,10 @@ class Silhouette:
         self.basis = Basis(body, share, share[:, :, None, None] * surface[:, None], ancestors, False)
         self.precision = prior.precision() * settings.pose_weight
 
+    def joints(self, state: State) -> np.ndarray:
+        """(24, 3) joints in the world, metres."""
+        return self.basis.posed(state).joints[0] + state.trans[0]
+
     def regions(self, state: State) -> list[np.ndarray]:
         """(H, W) bool per camera: where the body is seen."""
         points = self.basis.posed(state).points[0]

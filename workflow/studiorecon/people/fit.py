@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.body import alternation, fitting
 from studiorecon.body.layouts import LAYOUTS
-from studiorecon.body.model import BodyModel
+from studiorecon.body.model import OTHER_SIDE, BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
@@ -142,7 +142,7 @@ def fit_person(
     if not result.valid.any():
         raise Refusal(
             f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which two cameras agree; check the calibration "
-            "(cameras/doctor.png) and the identities (people/identities.tsv)"
+            "(cameras/refinement.png) and the identities (people/identities.tsv)"
         )
     median = _row_median(result.residual_m)
     valid = result.valid & (median <= keys.worst_frame_m)
@@ -175,11 +175,22 @@ def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frame
         )
     # What the outlines do not explain may be anywhere: the less they agree, the less is known.
     sigma = keys.sigma_m / np.maximum(agreement, 0.1)[:, None] * np.ones(24)
+    facing = person.start.facing
+    # Facing the other way, every joint would be where its partner of the other side is.
+    apart_m = _to_other_side_m(local[valid], trans[valid], person.start.state.betas, body)
+    sigma[valid] = np.hypot(sigma[valid], np.sqrt((1 - facing.probability) / 3) * apart_m)
     say(
         f"{person.name}: body measured from silhouettes alone in {valid.sum()} of {frames} frames, agreement "
-        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to about {1000 * np.median(sigma[valid]):.0f} mm"
+        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to about {1000 * np.median(sigma[valid]):.0f} mm; "
+        f"{facing.sentence()}"
     )
     return _person(person.name, local, trans, person.start.state.betas, valid, sigma, body, fps, settings)
+
+
+def _to_other_side_m(local: np.ndarray, trans_m: np.ndarray, betas: np.ndarray, body: BodyModel) -> np.ndarray:
+    """(F, 24) distance from every joint to its partner of the other side, 0 in the middle, of poses (F, 24, 3, 3)."""
+    joints = body.joints(rotations.log(local).reshape(len(local), 72), betas, trans_m)
+    return np.linalg.norm(joints - joints[:, list(OTHER_SIDE)], axis=-1)
 
 
 def _person(

@@ -7,7 +7,7 @@ Only cameras whose plate the user brought take part: a plate estimated from the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -16,9 +16,11 @@ import numpy as np
 from studiorecon.body.basis import State
 from studiorecon.body.model import BodyModel
 from studiorecon.people import hull, upright
-from studiorecon.people.contour import ContourSettings, Silhouette, Targets
-from studiorecon.people.foreground import FOREGROUND, UNKNOWN, ForegroundSettings, View, labels, outline_of, pictures
+from studiorecon.people.contour import ContourSettings, Silhouette
+from studiorecon.people.facing import Facing
+from studiorecon.people.foreground import ForegroundSettings, View, labels, outline_of, pictures
 from studiorecon.people.hull import HullLimits, Track
+from studiorecon.people.label_film import FilmTargets, LabelFilm
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
@@ -53,20 +55,21 @@ class Standing:
 
     Attributes:
         name: ``p1``, …; cameras: names of the cameras whose silhouettes these are; seen_by: those that show the person.
-        wh: (V, 2) size of the silhouettes; frames: (F,) frames that have some.
-        places_m: (F, 2) where the hull stood.
-        labels: F lists of V pictures (H, W) uint8, see ``foreground``.
-        start: where the fit starts; ``margin`` says how sure its facing is.
+        labels: the silhouettes of the frames that have some; places_m: (F, 2) where the hull stood in them.
+        start: where the fit starts, and how sure its facing is.
     """
 
     name: str
     cameras: tuple[str, ...]
     seen_by: tuple[str, ...]
-    wh: np.ndarray
-    frames: np.ndarray
     places_m: np.ndarray
-    labels: list[list[np.ndarray]]
+    labels: LabelFilm
     start: upright.Found
+
+    @property
+    def frames(self) -> np.ndarray:
+        """(F,) frames that have silhouettes."""
+        return np.array(list(self.labels), dtype=np.int64)
 
 
 def find_standing(
@@ -78,9 +81,8 @@ def find_standing(
     for track in _lasting(views, known, body, fps, settings):
         shown, extent_m = _silhouettes(track, views, known, body, settings)
         surface = Silhouette(body, cameras, settings.contour)
-        numbers = np.array(sorted(shown))
-        places_m = np.array([_place(track, t) for t in numbers])
-        walk = _walk(numbers, places_m, [shown[t] for t in numbers], fps)
+        places_m = np.array([_place(track, t) for t in shown])
+        walk = _walk(shown, places_m, fps)
         start = upright.shaped(surface, walk, upright.find(surface, walk, *extent_m))
         where = f"somebody without keypoints at ({track.places_m[0, 0]:.1f}, {track.places_m[0, 1]:.1f}) m"
         if start.agreement < settings.least_agreement:
@@ -91,23 +93,11 @@ def find_standing(
             continue
         seen_by = tuple(c.name for c, seen in zip(cameras, track.seen_by) if seen)
         name = f"p{len(known) + len(found)}"
-        sure = "" if start.margin > 0.01 else "; which way the person faces is uncertain"
         say(
             f"{name}: {where}, seen in {len(shown)} of {frames} frames by {', '.join(seen_by)} against the given plates; an upright body "
-            f"agrees with the silhouettes by {start.agreement:.2f}, turned round by {start.agreement - start.margin:.2f}{sure}"
+            f"agrees with the silhouettes by {start.agreement:.2f}; {start.facing.sentence()}"
         )
-        found.append(
-            Standing(
-                name,
-                tuple(c.name for c in cameras),
-                seen_by,
-                np.array([c.wh for c in cameras]),
-                numbers,
-                places_m,
-                [shown[t] for t in numbers],
-                start,
-            )
-        )
+        found.append(Standing(name, tuple(c.name for c in cameras), seen_by, places_m, shown, start))
     return found
 
 
@@ -130,10 +120,10 @@ def _lasting(views: Sequence[View], known: Sequence[Person], body: BodyModel, fp
 
 def _silhouettes(
     track: Track, views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: HullSettings
-) -> tuple[dict[int, list[np.ndarray]], tuple[float, float]]:
+) -> tuple[LabelFilm, tuple[float, float]]:
     """Labels of every frame in which the person is there, per camera; height of the floor below and of the person, metres."""
     cameras, voxel_m = [v.camera for v in views], settings.limits.voxel_m / 2
-    shown, ends = {}, []
+    shown, ends = LabelFilm(np.array([c.wh for c in cameras])), []
     for t, rgbs in progress(pictures(views, 1), "silhouettes"):
         place = _place(track, t)
         pictured = _labels(rgbs, t, views, known, body, settings.foreground)
@@ -142,7 +132,7 @@ def _silhouettes(
         if part is None or part.seen_by.sum() < 2:
             continue
         ends.append((part.cells_m[:, 2].min(), part.cells_m[:, 2].max()))
-        shown[t] = [hull.silhouette(part, v, c, label, voxel_m) for v, (c, label) in enumerate(zip(cameras, pictured))]
+        shown.add(t, [hull.silhouette(part, v, c, label, voxel_m) for v, (c, label) in enumerate(zip(cameras, pictured))])
     low, high = np.median(ends, axis=0)
     return shown, (float(low), float(high - low))
 
@@ -157,9 +147,8 @@ def _place(track: Track, frame: int) -> np.ndarray:
     return np.array([np.interp(frame, track.frames, track.places_m[:, axis]) for axis in (0, 1)])
 
 
-def _walk(frames: np.ndarray, places_m: np.ndarray, labels: list[list[np.ndarray]], fps: float) -> upright.Walk:
-    numbers = [int(t) for t in frames]
-    return upright.Walk({t: Targets.of(p) for t, p in zip(numbers, labels)}, dict(zip(numbers, places_m)), fps)
+def _walk(shown: LabelFilm, places_m: np.ndarray, fps: float) -> upright.Walk:
+    return upright.Walk(FilmTargets(shown), dict(zip(shown, places_m)), fps)
 
 
 def follow_standing(
@@ -167,27 +156,26 @@ def follow_standing(
 ) -> dict[int, tuple[State, float]]:
     """State and agreement of every frame with silhouettes; ``cameras`` are the model's, any size."""
     by_name = {c.name: c for c in cameras}
-    sized = [by_name[name].resized(tuple(int(n) for n in wh)) for name, wh in zip(person.cameras, person.wh)]
-    walk = _walk(person.frames, person.places_m, person.labels, fps)
+    sized = [by_name[name].resized(tuple(int(n) for n in wh)) for name, wh in zip(person.cameras, person.labels.wh)]
+    walk = _walk(person.labels, person.places_m, fps)
     return upright.follow(Silhouette(body, sized, settings.contour), walk, person.start.frame, person.start.state)
 
 
 def write_standing(path: Path, people: Sequence[Standing]) -> None:
-    """Write everybody's silhouettes (as bits) and starts; nobody is an empty list of names."""
+    """Write everybody's silhouettes and starts; nobody is an empty list of names."""
     arrays: dict[str, np.ndarray] = {"names": np.array([p.name for p in people], dtype=str)}
     for p in people:
-        flat = [np.concatenate([picture.ravel() for picture in pictures]) for pictures in p.labels]
-        start = {"frame": p.start.frame, "local": p.start.state.local, "trans": p.start.state.trans, "betas": p.start.state.betas}
         fields = {
-            "cameras": np.array(p.cameras), "seen_by": np.array(p.seen_by), "wh": p.wh, "frames": p.frames, "places": p.places_m,
-            "somebody": np.packbits(np.stack(flat) == FOREGROUND, axis=1), "unknown": np.packbits(np.stack(flat) == UNKNOWN, axis=1),
-            "agreement": p.start.agreement, "margin": p.start.margin, **start,
+            "cameras": np.array(p.cameras), "seen_by": np.array(p.seen_by), "places": p.places_m, **p.labels.to_arrays(),
+            "frame": p.start.frame, "local": p.start.state.local, "trans": p.start.state.trans, "betas": p.start.state.betas,
+            "agreement": p.start.agreement, "facing": np.array(astuple(p.start.facing)),
         }  # fmt: skip
         arrays |= {f"{p.name}_{key}": np.asarray(value) for key, value in fields.items()}
     write_npz(path, arrays)
 
 
 def read_standing(path: Path) -> list[Standing]:
+    """Everybody in a file of ``write_standing``."""
     with np.load(path, allow_pickle=False) as data:
         return [
             _standing(str(name), {k.removeprefix(f"{name}_"): data[k] for k in data.files if k.startswith(f"{name}_")})
@@ -196,14 +184,8 @@ def read_standing(path: Path) -> list[Standing]:
 
 
 def _standing(name: str, fields: dict[str, np.ndarray]) -> Standing:
-    sizes = fields["wh"].prod(1)
-    somebody, unknown = (np.unpackbits(fields[k], axis=1, count=int(sizes.sum())) for k in ("somebody", "unknown"))
-    rows = somebody * np.uint8(FOREGROUND) + unknown * np.uint8(UNKNOWN)
-    cuts = np.cumsum(sizes)[:-1]
-    pictures = [[part.reshape(h, w) for part, (w, h) in zip(np.split(row, cuts), fields["wh"])] for row in rows]
     state = State(fields["local"], fields["trans"], fields["betas"], 0.0, np.zeros((0, 3)))
-    start = upright.Found(int(fields["frame"]), state, float(fields["agreement"]), float(fields["margin"]))
-    names = tuple(str(c) for c in fields["cameras"])
-    return Standing(
-        name, names, tuple(str(c) for c in fields["seen_by"]), fields["wh"], fields["frames"], fields["places"], pictures, start
-    )
+    facing = Facing(*(float(v) for v in fields["facing"]))
+    start = upright.Found(int(fields["frame"]), state, float(fields["agreement"]), facing)
+    cameras, seen_by = (tuple(str(c) for c in fields[key]) for key in ("cameras", "seen_by"))
+    return Standing(name, cameras, seen_by, fields["places"], LabelFilm.from_arrays(fields), start)

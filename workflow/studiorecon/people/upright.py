@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """A body over time from silhouettes alone: found upright at one frame, checked against its mirror image in time, followed both ways.
 
-A silhouette hardly tells front from back (on a real take the right facing wins by 0.01 to 0.03 of agreement), so both are fitted
-in several frames before one is believed, and the margin is reported.
+A silhouette hardly tells front from back, so both are fitted in several frames before one is believed (``facing``), and how sure
+that is travels with the start.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from studiorecon.body import prior
 from studiorecon.body.basis import State
-from studiorecon.body.model import JOINT_NAMES, upright_global_orientation
+from studiorecon.body.model import JOINT_NAMES, OTHER_SIDE, upright_global_orientation
 from studiorecon.geometry import rotations
 from studiorecon.people.contour import Before, Silhouette, Targets
+from studiorecon.people.facing import Facing, compare, witness
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.
@@ -23,6 +25,10 @@ _ARMS_RAD = (0.0, 0.9)
 _BEST = 6
 # Parts of the clip in which a start is sought; frames on each side that decide the facing, and the time between them.
 _STARTS, _HALF_WINDOW, _STEP_S = 3, 5, 0.08
+# A way of this many metres within a window is worth as much as outlines of full length; starts that agree by this much less are as good.
+_WALKED_M, _AS_GOOD = 0.5, 0.02
+# Starts whose facings differ by less are the same rival.
+_SAME_FACING_RAD = np.deg2rad(45)
 # Another guess replaces what was followed only when it agrees better by this much.
 _CLEARLY = 0.003
 _ROOT_STEPS, _POSE_STEPS, _FOLLOW_STEPS, _SHAPE_STEPS = 5, 14, 5, 8
@@ -32,8 +38,8 @@ _ROOT_STEPS, _POSE_STEPS, _FOLLOW_STEPS, _SHAPE_STEPS = 5, 14, 5, 8
 class Walk:
     """Silhouettes by frame, where the hull stood then (2,), and the frame rate."""
 
-    targets: dict[int, Targets]
-    places_m: dict[int, np.ndarray]
+    targets: Mapping[int, Targets]
+    places_m: Mapping[int, np.ndarray]
     fps: float
 
     def place_m(self, frame: int) -> np.ndarray:
@@ -41,19 +47,27 @@ class Walk:
 
     def around(self, frame: int) -> Walk:
         """The frames within about half a second of ``frame``, at most one per ``_STEP_S``, so that a limb can be followed."""
-        step = max(1, round(_STEP_S * self.fps))
-        chosen = [t for t in self.targets if abs(t - frame) <= _HALF_WINDOW * step and (t - frame) % step == 0]
+        chosen = self._near(frame)
         return Walk({t: self.targets[t] for t in chosen}, self.places_m, self.fps)
+
+    def way_m(self, frame: int) -> float:
+        """How far the hull moves in those frames, end to end; walking tells the facing."""
+        chosen = sorted(self._near(frame))
+        return float(np.linalg.norm(self.place_m(chosen[-1]) - self.place_m(chosen[0])))
+
+    def _near(self, frame: int) -> list[int]:
+        step = max(1, round(_STEP_S * self.fps))
+        return [t for t in self.targets if abs(t - frame) <= _HALF_WINDOW * step and (t - frame) % step == 0]
 
 
 @dataclass(frozen=True)
 class Found:
-    """A start: ``state`` at ``frame``, its ``agreement`` 0..1, and by how much the opposite facing agrees less (over several frames)."""
+    """A start: ``state`` at ``frame``, its ``agreement`` 0..1 over several frames, and how sure its ``facing`` is."""
 
     frame: int
     state: State
     agreement: float
-    margin: float
+    facing: Facing
 
 
 def upright(place_m: np.ndarray, floor_m: float, height_m: float, yaw_rad: float, arms_rad: float) -> State:
@@ -101,7 +115,7 @@ def turned_round(state: State) -> State:
     """The same place and outline, facing the other way: the body about its vertical, left and right limbs exchanged."""
     local = state.local.copy()
     mirror = np.diag([-1.0, 1.0, 1.0])
-    partner = [JOINT_NAMES.index(_other_side(n)) for n in JOINT_NAMES]
+    partner = list(OTHER_SIDE)
     # Seen from behind, the left arm is where the right one was: mirror the pose left to right, then turn by 180°.
     local[0] = mirror @ local[0, partner] @ mirror
     # The mirrored root faces where the mirror image does; only its heading is taken from the original, turned round.
@@ -110,30 +124,29 @@ def turned_round(state: State) -> State:
     return State(local, state.trans.copy(), state.betas.copy(), 0.0, state.corrections)
 
 
-def _other_side(name: str) -> str:
-    side, _, part = name.partition("_")
-    return {"left": f"right_{part}", "right": f"left_{part}"}.get(side, name)
-
-
 def find(surface: Silhouette, walk: Walk, floor_m: float, height_m: float) -> Found:
-    """The best of a few starts over the clip; its facing is decided by following both for a second."""
+    """The best of a few starts over the clip; its facing is decided by following both for a second, where somebody walks if they do."""
     frames = sorted(walk.targets)
-    # Where the outlines are longest the least is hidden.
+    # Where the outlines are longest the least is hidden; a second of walking says more about the facing than any outline.
     known = {t: sum(len(o.points) for o in walk.targets[t].outlines) for t in frames}
-    chosen = [max(part, key=lambda t: (known[t], -t)) for part in np.array_split(frames, _STARTS) if len(part)]
+    longest, farthest = max(known.values()), max(walk.way_m(t) for t in frames)
+    worth = {t: known[t] / max(longest, 1) + min(farthest, _WALKED_M) * walk.way_m(t) / max(farthest, 1e-6) for t in frames}
+    chosen = [max(part, key=lambda t: (worth[t], -t)) for part in np.array_split(frames, _STARTS) if len(part)]
     starts = {t: cold_start(surface, walk.targets[t], walk.place_m(t), floor_m, height_m) for t in chosen}
-    frame = int(max(chosen, key=lambda t: (starts[t][0][0], -t)))
+    best_of_all = max(tried[0][0] for tried in starts.values())
+    frame = int(max(chosen, key=lambda t: (starts[t][0][0] > best_of_all - _AS_GOOD, worth[t], -t)))
     window = walk.around(frame)
-    best = starts[frame][0][1]
+    rivals = []
+    for _, state in [*starts[frame][:2], *((0.0, turned_round(s)) for _, s in starts[frame][:2])]:
+        if all(rotations.angle(state.local[0, 0], other.local[0, 0]) > _SAME_FACING_RAD for other in rivals):
+            rivals.append(state)
     scored = []
-    for state in [*(s for _, s in starts[frame][:3]), turned_round(best)]:
+    for state in rivals:
         state = surface.refine(state, walk.targets[frame], _POSE_STEPS, free="shape", reach_px=surface.settings.reach_px)
-        followed = follow(surface, window, frame, state)
-        scored.append((float(np.mean([agreement for _, agreement in followed.values()])), state))
-    order = sorted(range(len(scored)), key=lambda i: -scored[i][0])
-    winner = scored[order[0]][1]
-    opposite = [scored[i][0] for i in order[1:] if rotations.angle(scored[i][1].local[0, 0], winner.local[0, 0]) > np.deg2rad(90)]
-    return Found(frame, winner, scored[order[0]][0], scored[order[0]][0] - max(opposite, default=0.0))
+        scored.append((witness(surface, window.targets, follow(surface, window, frame, state)), state))
+    seen, winner = max(scored, key=lambda pair: pair[0].nats)
+    opposite = [w for w, state in scored if rotations.angle(state.local[0, 0], winner.local[0, 0]) > np.deg2rad(90)]
+    return Found(frame, winner, seen.outline, compare(seen, max(opposite, key=lambda w: w.nats, default=None)))
 
 
 def follow(surface: Silhouette, walk: Walk, frame: int, state: State) -> dict[int, tuple[State, float]]:
@@ -176,4 +189,4 @@ def shaped(surface: Silhouette, walk: Walk, found: Found) -> Found:
         betas.append(fitted.betas)
     state = State(found.state.local, found.state.trans, np.median(betas, axis=0), 0.0, found.state.corrections)
     state = surface.refine(state, walk.targets[found.frame], _SHAPE_STEPS, free="pose", reach_px=(reach[0] / 3, reach[1]))
-    return Found(found.frame, state, found.agreement, found.margin)
+    return Found(found.frame, state, found.agreement, found.facing)
