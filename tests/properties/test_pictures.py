@@ -12,7 +12,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from studiorecon import settings as settings_module
-from studiorecon.enhance.enhancer import Moment, Unchanged
+from studiorecon.enhance.enhancer import Unchanged
 from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.enhance.residual import ResidualTransfer, Transfer, source
 from studiorecon.geometry.rotations import to_quaternion
@@ -23,6 +23,7 @@ from studiorecon.images.plate import temporal_modes
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.images.warp import sample, warp
+from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.shell import Shell
 from studiorecon.splatting.rasterise import rasterise

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
-from studiorecon.enhance.enhancer import Moment, Unchanged, loop_gain
+from studiorecon.enhance.enhancer import Unchanged, loop_gain
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced
 from studiorecon.enhance.residual import ResidualTransfer, Transfer, best_strength, carried_over, source
@@ -20,6 +20,7 @@ from studiorecon.errors import Refusal
 from studiorecon.images.metrics import psnr
 from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import read_frame, read_stack, write_lossless
+from studiorecon.models.protocols import Moment
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import Step, read_path

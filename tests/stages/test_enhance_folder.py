@@ -13,10 +13,11 @@ import pytest
 from studiorecon import __main__ as command_line
 from studiorecon import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
-from studiorecon.enhance.enhancer import Moment, Unchanged
+from studiorecon.enhance.enhancer import Unchanged
 from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.errors import Refusal
 from studiorecon.images.video import write_lossless
+from studiorecon.models.protocols import Moment
 from studiorecon.scene.path import Step
 
 from tests.stages.made_scene import ring

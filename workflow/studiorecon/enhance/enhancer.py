@@ -1,43 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an enhancer is, the one that does nothing, and the check that recursion through an enhancer stays stable."""
+"""The enhancer that does nothing, and the check that recursion through an enhancer stays stable."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from studiorecon.errors import Refusal
-from studiorecon.scene.camera import Camera
+from studiorecon.models.protocols import Enhancer, Moment
 
 # An enhancer may brighten a flat field by this much before its recursion drifts visibly (numerics E14: 5 % becomes 7 %).
 _LARGEST_GAIN = 1.02
-
-
-@dataclass(frozen=True)
-class Moment:
-    """What is known about one picture besides its colours.
-
-    Attributes:
-        camera: where it is seen from.
-        frame: (fractional) frame of the capture it shows.
-        depth_m: (H, W) rendered depth, 0 = unknown.
-        injected: (H, W) share of the input that comes from earlier outputs, which already were enhanced.
-    """
-
-    camera: Camera
-    frame: float
-    depth_m: np.ndarray
-    injected: np.ndarray
-
-
-class Enhancer(Protocol):
-    """Anything that improves a rendered picture, given a real photo for reference."""
-
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
-        """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
-        ...
 
 
 class Unchanged:

@@ -18,11 +18,12 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from studiorecon.enhance.enhancer import Enhancer, Unchanged
+from studiorecon.enhance.enhancer import Unchanged
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frames
+from studiorecon.models.protocols import Enhancer
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import complete

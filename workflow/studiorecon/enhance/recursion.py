@@ -16,12 +16,13 @@ from functools import partial
 import numpy as np
 
 from studiorecon.enhance.alignment import Past, backward_flow, flows_back
-from studiorecon.enhance.enhancer import Enhancer, Moment, check_gain, loop_gain
+from studiorecon.enhance.enhancer import check_gain, loop_gain
 from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.errors import Refusal
 from studiorecon.images.flow import grey_levels, one_thread
 from studiorecon.images.video import to_bytes, to_float
 from studiorecon.images.warp import warp
+from studiorecon.models.protocols import Enhancer, Moment
 from studiorecon.progress import say
 from studiorecon.scene.path import Step
 

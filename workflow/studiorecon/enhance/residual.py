@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from studiorecon.enhance.enhancer import Moment
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.warp import sample
+from studiorecon.models.protocols import Moment
 from studiorecon.scene.camera import Camera
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.enhance.enhancer import Enhancer, Unchanged
+from studiorecon.enhance.enhancer import Unchanged
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced, stands_still
@@ -19,6 +19,7 @@ from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, bes
 from studiorecon.errors import Refusal
 from studiorecon.images.streams import writing
 from studiorecon.images.video import read_frames, write_lossless, write_watchable
+from studiorecon.models.protocols import Enhancer
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest

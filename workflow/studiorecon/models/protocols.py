@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One Protocol per kind of upstream model: what a stage asks of it, in this project's conventions.
+
+Pictures are (H, W, 3) RGB, uint8 where a network reads files and float32 in [0, 1] where it improves renders; cameras have OpenCV axes,
+intrinsics in pixels with centres at +0.5; depth is z-depth, 0 = unknown. Whatever a network does otherwise, its adapter converts once.
+A model is loaded once, when its adapter is made; long clips go through as iterators, so memory does not grow with their length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Cameras and depth of some pictures of one moment, in one world of unknown unit unless ``metric``.
+
+    Attributes:
+        cameras: at the size the network worked on; the first one is the world's origin.
+        depths: per camera (H, W) float32, 0 = unknown.
+        confidences: per camera (H, W) float32 in [0, 1].
+        focal_residuals_px: per camera, median distance between a pixel and where its own point projects with the fitted focal length.
+        metric: whether the unit is a metre, approximately.
+    """
+
+    cameras: Sequence[Camera]
+    depths: Sequence[np.ndarray]
+    confidences: Sequence[np.ndarray]
+    focal_residuals_px: Sequence[float]
+    metric: bool
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """People of one frame as a body estimator sees them, in its camera's frame.
+
+    Attributes:
+        tracks: (P,) identity of each within its camera, 0-based.
+        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own.
+        joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
+    """
+
+    tracks: np.ndarray
+    shapes: np.ndarray
+    poses_rad: np.ndarray
+    translations_m: np.ndarray
+    joints_px: np.ndarray
+    confidences: np.ndarray
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is known about one picture besides its colours.
+
+    Attributes:
+        camera: where it is seen from.
+        frame: (fractional) frame of the capture it shows.
+        depth_m: (H, W) rendered depth, 0 = unknown.
+        injected: (H, W) share of the input that comes from earlier outputs, which already were enhanced.
+    """
+
+    camera: Camera
+    frame: float
+    depth_m: np.ndarray
+    injected: np.ndarray
+
+
+class PoseAndDepth(Protocol):
+    """Pi3, Pi3X, MapAnything."""
+
+    def reconstruct(self, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Reconstruction:
+        """Cameras and depth of pictures (H, W, 3) uint8 of one moment."""
+        ...
+
+
+class MonocularDepth(Protocol):
+    """MoGe."""
+
+    def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
+        """(H, W) float32 depth of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is known."""
+        ...
+
+
+class PersonSegmenter(Protocol):
+    """SAM 3."""
+
+    def segment(self, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """(H, W) uint16 per uint8 frame: 0 = nobody, else 1 + the person's number, the same through the clip."""
+        ...
+
+
+class BodyEstimator(Protocol):
+    """CoMotion."""
+
+    def bodies(self, frames: Iterable[np.ndarray], intrinsics: np.ndarray) -> Iterator[Bodies]:
+        """The people of each uint8 frame of one calibrated camera."""
+        ...
+
+
+class ViewSynthesizer(Protocol):
+    """GEN3C."""
+
+    def views(self, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
+        """(t, H, W, 3) uint8 parts of the film that a request (``models.gen3c.pre``) asks for, in order."""
+        ...
+
+
+class Enhancer(Protocol):
+    """Difix3D+, Fixer, and the embedded residual transfer: anything that improves a rendered picture, given a real photo for reference."""
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
+        ...
+
+
+class Flow(Protocol):
+    """RAFT."""
+
+    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows what p + flow(p) of the second shows."""
+        ...
+
+
+class PerceptualDistance(Protocol):
+    """LPIPS."""
+
+    def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
+        """Distance of two (h, w, 3) float32 pictures in [0, 1], and its gradient by the first."""
+        ...
+
+
+class CanonicalAvatar(Protocol):
+    """LHM: a person's Gaussians in a rest pose, from one photo."""
+
+    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> dict[str, np.ndarray]:
+        """Fields of ``scene.gaussians.Gaussians`` by name, in the rest pose, from a uint8 photo and the (H, W) mask of the person in it."""
+        ...
