@@ -287,9 +287,9 @@ def refined(tmp_path: Path, given: list[Camera], truth: list[Camera], settings, 
         write_detections(paths[-1], d)
     refine.run(
         settings, tmp_path / "calibration.json", tmp_path / "manifest.json", paths, [], tmp_path / "m" / "images.txt",
-        tmp_path / "m" / "heldout" / "images.txt", tmp_path / "doctor.json", tmp_path / "doctor.png",
+        tmp_path / "m" / "heldout" / "images.txt", tmp_path / "refinement.json", tmp_path / "refinement.png",
     )  # fmt: skip
-    return read_model(tmp_path / "m"), read_model(tmp_path / "m" / "heldout"), read_json(tmp_path / "doctor.json")
+    return read_model(tmp_path / "m"), read_model(tmp_path / "m" / "heldout"), read_json(tmp_path / "refinement.json")
 
 
 def test_a_good_calibration_is_kept_to_the_bit(tmp_path, options):
@@ -300,7 +300,7 @@ def test_a_good_calibration_is_kept_to_the_bit(tmp_path, options):
     assert [c.name for c in held_out] == ["c3"]
     for camera, truth in zip([*model, *held_out], cameras):
         assert np.abs(camera.camera_from_world - truth.camera_from_world).max() < 1e-12
-    assert (tmp_path / "doctor.png").stat().st_size > 1000
+    assert (tmp_path / "refinement.png").stat().st_size > 1000
     assert (tmp_path / "m" / "points3D.txt").read_text().count("\n") > 100
 
 
@@ -342,10 +342,10 @@ def test_without_people_the_calibration_is_used_as_given(tmp_path, options):
     write_manifest(tmp_path / "manifest.json", Manifest("x", 30.0, FRAMES, footage))
     refine.run(
         options(refine.Settings), tmp_path / "calibration.json", tmp_path / "manifest.json", [], [], tmp_path / "m" / "images.txt",
-        tmp_path / "m" / "heldout" / "images.txt", tmp_path / "doctor.json", tmp_path / "doctor.png",
+        tmp_path / "m" / "heldout" / "images.txt", tmp_path / "refinement.json", tmp_path / "refinement.png",
     )  # fmt: skip
     assert read_model(tmp_path / "m" / "heldout") == []
-    assert read_json(tmp_path / "doctor.json")["reason"] == "no keypoints"
+    assert read_json(tmp_path / "refinement.json")["reason"] == "no keypoints"
 
 
 @pytest.mark.real

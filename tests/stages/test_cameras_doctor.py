@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.cameras import doctor, health
+from studiorecon.cameras import doctor, doctor_page, health
 from studiorecon.scene.camera import Camera
 
 from tests.foundations.camera_ring import detect, ring, walk
@@ -23,7 +23,7 @@ def options(default_settings):
 
 
 def about(cameras: list[Camera], **changed) -> list[dict]:
-    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4}
+    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
     return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
 
 
@@ -39,7 +39,7 @@ def test_a_good_capture_needs_nothing(options):
     assert report["median_px"] < 3
     assert all(lag["low"] <= 0 <= lag["high"] and lag["valid"] for lag in report["lags_frames"].values())
     assert report["coverage"]["1"] >= report["coverage"]["2"] >= report["coverage"]["4"] > 0.5
-    html = doctor.page("<scene>", report, b"png")
+    html = doctor_page.page("<scene>", report, b"png")
     assert "&lt;scene&gt;" in html
     assert "http" not in html
 

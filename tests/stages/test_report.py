@@ -246,8 +246,8 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
         plate = np.dstack([read_frame(folder / f"capture/{camera.name}.mkv", 0)[..., ::-1], np.full((WH[1], WH[0]), 255, np.uint8)])
         cv2.imwrite(str(folder / f"capture/{camera.name}.plate.png"), plate)
     write_json(folder / "survey/decisions.json", {"people": {"verdict": "off", "value": 0, "threshold": 1, "reason": "an <empty> room"}})
-    write_json(folder / "cameras/doctor.json", {"median_px": 0.5})
-    cv2.imwrite(str(folder / "cameras/doctor.png"), np.full((60, 90, 3), 128, np.uint8))
+    write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
+    cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
     section = default_settings("report")
     common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
     shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
@@ -259,7 +259,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
     )  # fmt: skip
     page.run(
         settings_module.load(page.Settings, section, "report"), **common, metrics=folder / "report/metrics.json",
-        decisions=folder / "survey/decisions.json", doctor=folder / "cameras/doctor.json", sheet=folder / "cameras/doctor.png",
+        decisions=folder / "survey/decisions.json", refinement=folder / "cameras/refinement.json", sheet=folder / "cameras/refinement.png",
         plates=[folder / f"capture/{c.name}.plate.png" for c in training], depths=[folder / f"depth/{c.name}.exr" for c in training],
         training_videos=[folder / f"capture/{c.name}.mkv" for c in training], masks=[], films=[folder / "enhance/heldout.mp4"],
         renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],

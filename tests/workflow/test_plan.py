@@ -61,7 +61,8 @@ def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path)
 def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:
     (dataset / "intri.yml").rename(dataset / "hidden")
     plan = on(house, dataset).plan()
-    files_only = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--config", "cameras={source: files}", check=False)
+    files = ("--configfile", house.overlay(cameras={"source": "files"}))
+    files_only = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files, check=False)
     (dataset / "hidden").rename(dataset / "intri.yml")
     assert plan["people_sightings"] == 3
     assert plan["cameras_uncalibrated"] == 1

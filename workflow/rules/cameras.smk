@@ -66,8 +66,8 @@ rule cameras_refine:
         points="results/{scene}/cameras/points3D.txt",
         heldout_model="results/{scene}/cameras/heldout/images.txt",
         heldout_intrinsics="results/{scene}/cameras/heldout/cameras.txt",
-        doctor="results/{scene}/cameras/doctor.json",
-        sheet="results/{scene}/cameras/doctor.png",
+        refinement="results/{scene}/cameras/refinement.json",
+        sheet="results/{scene}/cameras/refinement.png",
     log:
         "logs/{scene}/cameras/refine.log",
     benchmark:
@@ -83,4 +83,4 @@ rule cameras_refine:
     shell:
         "python -m studiorecon cameras.refine --settings {params.settings:q} --log {log}"
         " --calibration {input.calibration:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
-        " --model {output.model:q} --heldout-model {output.heldout_model:q} --doctor {output.doctor:q} --sheet {output.sheet:q}"
+        " --model {output.model:q} --heldout-model {output.heldout_model:q} --refinement {output.refinement:q} --sheet {output.sheet:q}"

@@ -203,7 +203,7 @@ def scene_products():
         *(f"{scene}/capture/{c}.plate.png" for c in TRAINING),
         f"{scene}/cameras/images.txt",
         f"{scene}/cameras/heldout/images.txt",
-        f"{scene}/cameras/doctor.json",
+        f"{scene}/cameras/refinement.json",
         *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people and DATASET.keypoints),
         *(f"{scene}/people/{name}" for name in ("people.tsv", "desk.html") if DATASET.people),
         *(f"{scene}/depth/{c}.exr" for c in TRAINING),

@@ -1,5 +1,5 @@
 # Doctor: before anything expensive, does the calibration fit the people? snakemake doctor --config dataset=DIR
-# Reads keypoint files, headers and one picture per camera; nothing is decoded in full.
+# Reads keypoint files, headers and three pictures per camera; nothing is decoded in full.
 
 
 rule people_sightings:
@@ -25,21 +25,22 @@ rule people_sightings:
         first_frame=DATASET.keypoint_first_frame,
         start=DATASET.first_frame,
         frame_count=DATASET.frame_count,
+        pixel_map=lookup("{camera}", within={c: json.dumps(DATASET.pixel_maps.get(c, [])) for c in CAMERAS}),
     shell:
         "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
         " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-        " --start {params.start} --count {params.frame_count} --source {input.source:q}"
+        " --start {params.start} --count {params.frame_count} --source {input.source:q} --pixel-map {params.pixel_map:q}"
         " --sightings {output.sightings:q} --size {output.size:q}"
 
 
 rule cameras_doctor:
     input:
         calibration="results/{scene}/cameras/calibration.json",
+        sources=[str(DATASET.footage[c]) for c in CAMERAS],
         sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=list(DATASET.keypoints), allow_missing=True),
         sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=list(DATASET.keypoints), allow_missing=True),
-        sources=[str(DATASET.footage[c]) for c in DATASET.keypoints],
     output:
-        report="results/{scene}/cameras/doctor/doctor.json",
+        report="results/{scene}/cameras/doctor.json",
         doctor="results/{scene}/cameras/doctor.html",
     log:
         "logs/{scene}/cameras/doctor.log",
@@ -53,10 +54,13 @@ rule cameras_doctor:
     params:
         settings=settings("cameras"),
         code=code("cameras.doctor"),
+        cameras=CAMERAS,
+        start=DATASET.first_frame,
     shell:
         "python -m studiorecon cameras.doctor --settings {params.settings:q} --log {log}"
-        " --scene {wildcards.scene:q} --calibration {input.calibration:q} --sightings {input.sightings:q} --sizes {input.sizes:q}"
-        " --sources {input.sources:q} --report {output.report:q} --doctor {output.doctor:q}"
+        " --scene {wildcards.scene:q} --calibration {input.calibration:q} --cameras {params.cameras:q} --sources {input.sources:q}"
+        " --sightings {input.sightings:q} --sizes {input.sizes:q} --start {params.start}"
+        " --report {output.report:q} --doctor {output.doctor:q}"
 
 
 rule doctor:

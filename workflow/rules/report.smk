@@ -51,8 +51,8 @@ rule report_page:
         model="results/{scene}/cameras/images.txt",
         metrics="results/{scene}/report/metrics.json",
         decisions="results/{scene}/survey/decisions.json",
-        doctor="results/{scene}/cameras/doctor.json",
-        sheet="results/{scene}/cameras/doctor.png",
+        refinement="results/{scene}/cameras/refinement.json",
+        sheet="results/{scene}/cameras/refinement.png",
         plates=collect(
             "results/{scene}/capture/{camera}.plate.png",
             camera=TRAINING,
@@ -108,7 +108,7 @@ rule report_page:
     shell:
         "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
-        " --decisions {input.decisions} --doctor {input.doctor} --sheet {input.sheet} --plates {input.plates:q}"
+        " --decisions {input.decisions} --refinement {input.refinement} --sheet {input.sheet} --plates {input.plates:q}"
         " --depths {input.depths:q} --training-videos {input.training_videos:q} --masks {input.masks:q} --films {input.films:q}"
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"

@@ -25,9 +25,11 @@ from studiorecon.cameras.formats import (
     zju,
 )
 from studiorecon.cameras.formats.raw import Reading
+from studiorecon.cameras.lens_model import LensReading, as_model
 from studiorecon.cameras.names import match_in_order, match_names
 from studiorecon.cameras.world import metres_per_unit, settled, z_up_from_world
 from studiorecon.errors import Refusal
+from studiorecon.geometry.lens import calibration_from_video
 from studiorecon.progress import say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
@@ -61,6 +63,7 @@ class Settings:
     Attributes:
         format: "auto" (the first reader that recognises the files), or a reader's name.
         poses: "as_read" (as the format defines them), or what they really are: "world_from_camera", "opengl" axes, or both.
+        lens: "as_read", or the model that the distortion numbers really belong to: "opencv" or "fisheye".
         unit: "auto", or the unit of the calibration's lengths.
         up: "auto", or the signed axis of the calibration's world that points up.
         scale: factor on all lengths after that, for models of arbitrary scale (COLMAP without a known distance).
@@ -70,6 +73,7 @@ class Settings:
         "auto", "egohumans", "colmap", "easymocap", "qualisys", "caliscope", "pose2sim", "train_meta", "nerfstudio", "egoexo", "llff", "zju"
     ]
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"]
+    lens: LensReading
     unit: Literal["auto", "m", "cm", "mm"]
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
     scale: float
@@ -108,6 +112,8 @@ def lenses_of(
     poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
     if settings.poses != "as_read":
         notes.append(f"the poses were read as {settings.poses}, as the setting cameras.poses says")
+    if settings.lens != "as_read":
+        notes.append(f"the distortion numbers were read as those of the model {settings.lens}, as the setting cameras.lens says")
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
@@ -121,7 +127,8 @@ def lenses_of(
         intrinsics = raw.intrinsics
         if not (intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0 and np.isfinite(intrinsics).all()):
             raise Refusal(f"camera {name} in {source}: its focal length is {intrinsics[0, 0]:g}; calibrate this camera again")
-        lenses.append(Lens(name, raw.wh, intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))))
+        lens = Lens(name, raw.wh, intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name)))
+        lenses.append(as_model(lens, settings.lens))
     return lenses, notes, floor_known
 
 
@@ -131,14 +138,6 @@ def meant(pose: np.ndarray, poses: str) -> np.ndarray:
     if poses.startswith("world_from_camera"):
         turned = np.linalg.inv(pose @ _OPENGL if poses.endswith("opengl") else pose)
     return turned
-
-
-def calibration_from_video(pixel_map: Sequence[float] | None) -> np.ndarray:
-    """(2, 3) inverse of p_video = s · p_calibration + (x, y); the identity when there is no such map."""
-    if pixel_map is None:
-        return np.eye(2, 3)
-    scale, x, y = (float(v) for v in pixel_map)
-    return np.array([[1 / scale, 0, -x / scale], [0, 1 / scale, -y / scale]])
 
 
 def run(settings: Settings, files: list[Path], cameras: list[str], pixel_maps: str, calibration: Path) -> None:

@@ -33,6 +33,12 @@ class Observations:
     group: np.ndarray
     affinity: float
 
+    def of(self, which: np.ndarray) -> Observations:
+        """Those points only (N,) bool."""
+        return Observations(
+            self.pixels[:, which], self.confidence[:, which], self.frame[which], self.keypoint[which], self.group[which], self.affinity
+        )
+
 
 def observe(
     detections: Sequence[Detections], cameras: Sequence[Camera], frames: np.ndarray, gate_m: float

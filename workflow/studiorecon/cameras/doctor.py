@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cameras.doctor``: before anything expensive, does the calibration fit the people, and what does the capture lack?"""
+"""``cameras.doctor``: before anything expensive, does the calibration fit the people, and what does the capture lack?
+
+It always ends with a page: a calibration that does not fit is a finding, not a failure. ``cameras.refine`` is what refuses.
+"""
 
 from __future__ import annotations
 
-import base64
-import html
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 
-from studiorecon.cameras import health
-from studiorecon.cameras.correspondences import observe, spread_frames
-from studiorecon.cameras.hypotheses import verdicts
+from studiorecon.cameras import health, sanity
+from studiorecon.cameras.advice import verdict
+from studiorecon.cameras.correspondences import Observations, observe, spread_frames
+from studiorecon.cameras.doctor_page import page
+from studiorecon.cameras.glance import glance
+from studiorecon.cameras.hypotheses import LENS_READINGS, lens_row, verdicts
+from studiorecon.cameras.lens_model import LensReading, as_model
 from studiorecon.cameras.refine import error_medians
 from studiorecon.cameras.sheet import contact_sheet
 from studiorecon.errors import Refusal
@@ -24,13 +28,15 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, working_fro
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.people import Detections, read_detections
 
 _FRAMES = 24
 _LAG_FRAMES = 6
-_CLEAR_MARGIN = 1.5
+# Frames of a long take that the clocks are compared on: enough for any lag, and a second of work.
+_CLOCK_FRAMES = 200
+_NOBODY_REACH_M = 2.0
+Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 
 @dataclass(frozen=True)
@@ -43,114 +49,80 @@ class Settings:
 
 
 def examined(
-    cameras: Sequence[Camera], detections: Sequence[Detections], about: Sequence[dict[str, Any]], settings: Settings
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    about: Sequence[dict[str, Any]],
+    settings: Settings,
+    lens_readings: Readings | None = None,
 ) -> tuple[dict[str, Any], np.ndarray]:
-    """The report (what goes into doctor.json, with ``advice`` as sentences) and the triangulated points (N, 3)."""
+    """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
+
+    ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were another
+    model, by the names of ``hypotheses.LENS_READINGS``.
+    """
+    names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
-    chosen = spread_frames(frames, _FRAMES)
-    table, margins = verdicts(cameras, detections, chosen[:: max(1, len(chosen) // 6)], settings.refine_gate_m)
+    chosen, people = spread_frames(frames, _FRAMES), any(len(d.frame) for d in detections)
+    few = chosen[:: max(1, len(chosen) // 6)]
+    table, margins = verdicts(cameras, detections, few, settings.refine_gate_m)
     seen, _ = observe(detections, cameras, chosen, settings.refine_gate_m)
-    median, each, points = (
-        error_medians(cameras, seen, settings.limits) if len(seen.frame) else (None, [None] * len(cameras), np.zeros((0, 3)))
-    )
-    middle = np.median(points[:, :2], axis=0) if len(points) else np.mean([c.centre_m[:2] for c in cameras], axis=0)
-    reach = float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5 if len(points) else 2.0
-    found_lags = health.lags(detections, cameras, _LAG_FRAMES, settings.refine_gate_m)
+    median, each, points = None, [None] * len(cameras), np.zeros((0, 3))
+    if len(seen.frame):
+        median, each, points = error_medians(cameras, seen, settings.limits)
+    median = median if len(points) else None
+    for name, (cams, found) in (lens_readings or {}).items():
+        other, _ = observe(found, cams, chosen, settings.refine_gate_m)
+        px = error_medians(cams, other, settings.limits)[0] if len(other.frame) else float("nan")
+        table.append({**lens_row(name, cams, found, few, settings.refine_gate_m), "median_px": px if np.isfinite(px) else None})
+    shown, shown_points = _best_frame(cameras, seen, settings.limits)
+    middle, reach = _volume(cameras, points)
+    half = min(frames, _CLOCK_FRAMES) // 2
+    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
+    found_lags = health.lags(window, cameras, _LAG_FRAMES, settings.refine_gate_m) if people else []
     report: dict[str, Any] = {
-        "cameras": [c.name for c in cameras],
+        "cameras": names,
+        "people": people,
         "hypotheses": table,
-        "margin": dict(zip([c.name for c in cameras], margins)),
+        "margin": dict(zip(names, margins)),
         "median_px": median,
-        "px_per_camera": dict(zip([c.name for c in cameras], each)),
+        "px_per_camera": dict(zip(names, each)),
+        "shown_frame": shown,
         "lags_frames": {lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid} for lag in found_lags},
-        "footage": {a["camera"]: a for a in about},
+        "footage": {a["camera"]: dict(a) for a in about},
+        "facts": sanity.facts(cameras),
+        "oddities": sanity.oddities(cameras),
         "coverage": dict(zip(("1", "2", "3", "4"), health.coverage(cameras, middle, reach))),
+        "reach_m": reach,
         "blind_sectors_deg": health.blind_sectors(cameras, middle),
     }
-    return {**report, "advice": advice(report, max(max(c.wh) for c in cameras), settings)}, points
+    report["verdict"], report["advice"] = verdict(report, settings.max_error_share * max(max(c.wh) for c in cameras))
+    return report, shown_points
 
 
-def advice(report: dict[str, Any], longest_px: int, settings: Settings) -> list[str]:
-    """What to check, in sentences; empty when nothing is wrong."""
-    found = []
-    best = max(report["hypotheses"], key=lambda row: row["score"])
-    if best["hypothesis"] != "as read":
-        found.append(f"people fit better if {best['hypothesis']}: {best['remedy']}")
-    for camera, margin in report["margin"].items():
-        if margin is not None and margin < _CLEAR_MARGIN:
-            found.append(
-                f"camera {camera}: its convention is not clear (margin {margin:.2f}); check its pose, or bring more frames of people"
-            )
-    if report["median_px"] is None:
-        found.append(
-            "no person of any two cameras fits: the calibration could not be checked; is it for these cameras, in metres, synchronised?"
-        )
-    elif report["median_px"] > settings.max_error_share * longest_px:
-        found.append(f"people are {report['median_px']:.0f} px off in the median: the calibration is of other cameras or another zoom")
-    for camera, lag in report["lags_frames"].items():
-        if lag["valid"] and not lag["low"] <= 0 <= lag["high"]:
-            found.append(f"camera {camera} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f}); cut its video")
-    footage = report["footage"].values()
-    for key, what in (("fps", "frame rates"), ("video_frames", "lengths"), ("rotation_deg", "rotation tags")):
-        values = {a["camera"]: a.get(key) for a in footage}
-        if len(set(values.values())) > 1:
-            found.append(f"the {what} differ: " + ", ".join(f"{c} {v}" for c, v in values.items()))
-    light = {a["camera"]: a["brightness"] for a in footage}
-    if max(light.values()) > 1.5 * max(min(light.values()), 1e-3):
-        found.append("exposures differ: mean grey " + ", ".join(f"{c} {v:.2f}" for c, v in light.items()))
-    if report["coverage"]["2"] < 0.5:
-        found.append(f"only {report['coverage']['2']:.0%} of the volume is seen by two cameras: people there cannot be measured")
-    return found
+def replace_frames(seen: Detections, first: int, stop: int) -> Detections:
+    """The detections in frames ``first`` … ``stop`` - 1."""
+    inside = (seen.frame >= first) & (seen.frame < stop)
+    return replace(seen, frame=seen.frame[inside], track=seen.track[inside], keypoints=seen.keypoints[inside])
 
 
-def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
-    """One self-contained HTML page."""
-    rows = "".join(
-        f"<tr><td>{html.escape(c)}</td><td>{_number(report['px_per_camera'][c], '.1f')}</td><td>{_number(report['margin'][c], '.2f')}</td>"
-        f"<td>{_lag(report['lags_frames'][c])}</td><td>{a['wh'][0]}×{a['wh'][1]}</td><td>{a['fps']:g}</td><td>{a['video_frames']}</td>"
-        f"<td>{a['rotation_deg']}°</td><td>{a['brightness']:.2f}</td></tr>"
-        for c, a in report["footage"].items()
-    )
-    readings = "".join(f"<tr><td>{html.escape(h['hypothesis'])}</td><td>{h['score']:.3f}</td></tr>" for h in report["hypotheses"])
-    items = "".join(f"<li>{html.escape(a)}</li>" for a in report["advice"]) or "<li>Nothing to check.</li>"
-    covered = ", ".join(f"≥ {n}: {v:.0%}" for n, v in report["coverage"].items())
-    blind = ", ".join(f"{a:.0f}° to {b % 360:.0f}°" for a, b in report["blind_sectors_deg"]) or "none"
-    picture = base64.b64encode(sheet_png).decode("ascii")
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Doctor: {html.escape(scene)}</title><style>'
-        "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1200px;padding:0 1rem;color:#222}img{max-width:100%}"
-        "table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}</style>"
-        f"<h1>Cameras of {html.escape(scene)}</h1><h2>What to check</h2><ul>{items}</ul>"
-        f'<p><img alt="cameras with reprojected people, and from above" src="data:image/png;base64,{picture}"></p>'
-        "<h2>Cameras</h2><table><tr><th>camera</th><th>px off</th><th>margin</th><th>lag, frames</th><th>size</th><th>fps</th>"
-        f"<th>frames</th><th>rotation tag</th><th>mean grey</th></tr>{rows}</table>"
-        f"<h2>How the poses could be read</h2><table><tr><th>reading</th><th>agreement of people's rays</th></tr>{readings}</table>"
-        f"<p>Share of the volume around the people seen by cameras: {covered}. Blind sectors wider than 90°: {blind}.</p></html>\n"
-    )
+def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[int | None, np.ndarray]:
+    """The frame with most triangulated joints, and those joints (N, 3)."""
+    best: tuple[int | None, np.ndarray] = (None, np.zeros((0, 3)))
+    for frame in np.unique(seen.frame):
+        of_frame = seen.of(seen.frame == frame)
+        _, _, points = error_medians(cameras, of_frame, limits)
+        if len(points) > len(best[1]):
+            best = int(frame), points
+    return best
 
 
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)
-
-
-def _lag(lag: dict[str, Any]) -> str:
-    return f"{lag['frames']:+.1f} ({lag['low']:+.1f} to {lag['high']:+.1f})" if lag["valid"] else "undetermined"
-
-
-def first_picture(source: Path) -> tuple[np.ndarray, dict[str, Any]]:
-    """First frame (H, W, 3) uint8 RGB, upright, and what the header says: fps, frames, rotation tag."""
-    if source.is_dir():
-        files = sorted(p for p in source.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
-        picture = cv2.imread(str(files[0])) if files else None
-        if picture is None:
-            raise Refusal(f"{source} holds no readable picture")
-        return picture[..., ::-1], {"fps": 0.0, "video_frames": len(files), "rotation_deg": 0}
-    with av.open(str(source)) as container:
-        stream = container.streams.video[0]
-        frame = next(container.decode(stream))
-        turn = round(frame.rotation / 90) * 90 % 360
-        picture = np.rot90(frame.to_ndarray(format="rgb24"), turn // 90)
-        return np.ascontiguousarray(picture), {"fps": float(stream.average_rate or 0), "video_frames": stream.frames, "rotation_deg": turn}
+def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (2,) and radius in metres of where people are, or of what the cameras look at."""
+    if len(points):
+        middle = np.median(points[:, :2], axis=0)
+        return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
+    looked_at = sanity.common_point(cameras)
+    return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
 
 
 def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
@@ -163,39 +135,62 @@ def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Came
     points = np.concatenate(
         [np.where((present & valid)[..., None], pixels, np.nan), np.where(present & valid, seen.keypoints[..., 2], 0.0)[..., None]], -1
     )
-    return Camera(seen.camera, wh, intrinsics, lens.camera_from_world), Detections(seen.camera, seen.layout, seen.frame, seen.track, points)
+    return Camera(lens.name, wh, intrinsics, lens.camera_from_world), Detections(lens.name, seen.layout, seen.frame, seen.track, points)
+
+
+def nobody(camera: str) -> Detections:
+    """The sightings of a camera without keypoints."""
+    return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
 
 
 def run(
     settings: Settings,
     scene: str,
     calibration: Path,
+    cameras: list[str],
+    sources: list[Path],
     sightings: list[Path],
     sizes: list[Path],
-    sources: list[Path],
+    start: int,
     report: Path,
     doctor: Path,
 ) -> None:
-    """Write ``report`` (JSON) and ``doctor`` (HTML) for the cameras of ``sightings``; ``sources`` are their videos, in the same order."""
+    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``, used from frame ``start`` on.
+
+    ``sightings`` and ``sizes`` are there for the cameras with keypoints, in any order.
+    """
     lenses = {v["name"]: Lens.from_json(v) for v in read_json(calibration)["lenses"]}
-    cameras, detections, pictures, about = [], [], [], []
-    for npz, size, source in zip(sightings, sizes, sources, strict=True):
-        seen, facts = read_detections(npz), read_json(size)
-        picture, header = first_picture(source)
-        wh = (picture.shape[1], picture.shape[0])
-        camera, found = undistorted(seen, lenses[seen.camera], wh)
-        cameras.append(camera)
-        detections.append(found)
-        pictures.append(picture)
-        about.append(
-            {"camera": seen.camera, "wh": list(wh), "frames": facts["frames"], "brightness": float(picture.mean() / 255), **header}
-        )
-    result, points = examined(cameras, detections, about, settings)
-    shown = {"after_px_per_camera": [result["px_per_camera"][c.name] for c in cameras]}
-    sheet = contact_sheet(cameras, [], pictures, points, shown)
+    if unknown := [c for c in cameras if c not in lenses]:
+        raise Refusal(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
+    seen = {d.camera: d for d in map(read_detections, sightings)}
+    used = {v["camera"]: int(v["frames"]) for v in map(read_json, sizes)}
+    raw = [seen.get(c, nobody(c)) for c in cameras]
+    at = start + min(used.values(), default=0) // 2
+    looks = [glance(source, [start, at]) for source in sources]
+    about = [
+        {
+            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "brightness": g.brightness, "burnt": g.burnt,
+            "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg,
+        }
+        for c, g in zip(cameras, looks, strict=True)
+    ]  # fmt: skip
+
+    def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
+        both = [undistorted(d, as_model(lenses[c], model), g.wh) for c, d, g in zip(cameras, raw, looks)]
+        return [camera for camera, _ in both], [d for _, d in both]
+
+    pinholes, detections = read("as_read")
+    readings = {name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)}
+    result, points = examined(pinholes, detections, about, settings, readings)
+    pictures = [g.pictures[-1] for g in looks]
+    if result["shown_frame"] is not None:
+        pictures = [glance(source, [start + result["shown_frame"]]).pictures[0] for source in sources]
+    shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
+    sheet = contact_sheet(pinholes, [], pictures, points, shown)
     png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes()
     write_json(report, result)
     write_text(doctor, page(scene, result, png))
-    for sentence in result["advice"] or ["nothing to check"]:
+    say(f"verdict: {result['verdict']}")
+    for sentence in result["advice"]:
         say(sentence)
     say(f"the page is {doctor}")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.cameras.correspondences import observe
+from studiorecon.cameras.lens_model import LensReading
 from studiorecon.errors import Refusal
 from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
 from studiorecon.geometry.triangulation import Limits, triangulate
@@ -36,7 +37,11 @@ REMEDIES = {
     "world-from-camera with OpenGL axes": "set cameras.poses: world_from_camera_opengl",
     "lengths are millimetres": "set cameras.unit: mm",
     "lengths were divided by 1000": "set cameras.unit: m",
+    "the lenses are fisheyes": "set cameras.lens: fisheye",
+    "the lenses are not fisheyes": "set cameras.lens: opencv",
 }
+# What the lenses would be under the readings that concern them.
+LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "the lenses are not fisheyes": "opencv"}
 
 
 def verdicts(
@@ -68,6 +73,11 @@ def verdicts(
         own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
         margins.append(min(own / max(rival, own / _MOST_MARGIN), _MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
     return table, margins
+
+
+def lens_row(name: str, cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> dict[str, Any]:
+    """The row of ``verdicts`` for cameras and detections as another lens model would have them."""
+    return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
 
 
 def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:

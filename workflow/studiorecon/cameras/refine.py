@@ -55,12 +55,12 @@ class Settings:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The cameras to use and everything the doctor's page tells.
+    """The cameras to use and everything that is told about it.
 
     Attributes:
         training, held_out: cameras.
         points_m: (N, 3) triangulated keypoints.
-        report: what goes into ``doctor.json``.
+        report: what goes into ``refinement.json``.
     """
 
     training: list[Camera]
@@ -166,7 +166,7 @@ def _try_refinement(
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Fit on every other frame, judge on the rest; refit on all frames when it clearly helps."""
     order = np.unique(seen.frame, return_inverse=True)[1]
-    fitted, judged = _part(seen, order % 2 == 0), _part(seen, order % 2 == 1)
+    fitted, judged = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
     trial = refine_poses(training, fitted, settings)
     judged_before, _, _ = error_medians(training, judged, settings.limits)
     judged_after, _, _ = error_medians(trial, judged, settings.limits)
@@ -191,12 +191,6 @@ def _try_refinement(
     return refined, {**report, "refined": True, "reason": "refinement clearly helped", "changes": changes}
 
 
-def _part(seen: Observations, which: np.ndarray) -> Observations:
-    return Observations(
-        seen.pixels[:, which], seen.confidence[:, which], seen.frame[which], seen.keypoint[which], seen.group[which], seen.affinity
-    )
-
-
 def _on_floor(
     training: list[Camera], held_out: list[Camera], seen: Observations, points: np.ndarray, settings: Settings
 ) -> tuple[list[Camera], list[Camera], np.ndarray]:
@@ -216,10 +210,10 @@ def run(
     videos: list[Path],
     model: Path,
     heldout_model: Path,
-    doctor: Path,
+    refinement: Path,
     sheet: Path,
 ) -> None:
-    """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``doctor`` (JSON) and ``sheet`` (PNG)."""
+    """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet`` (PNG)."""
     import cv2
 
     found = read_manifest(manifest)
@@ -234,6 +228,6 @@ def run(
     picture = contact_sheet(outcome.training, outcome.held_out, pictures, outcome.points_m, outcome.report)
     write_model(model.parent, outcome.training, outcome.points_m)
     write_model(heldout_model.parent, outcome.held_out)
-    write_json(doctor, {**outcome.report, "calibration": {k: given.get(k) for k in ("source", "format", "notes")}})
+    write_json(refinement, {**outcome.report, "calibration": {k: given.get(k) for k in ("source", "format", "notes")}})
     with complete(sheet) as partial:
         cv2.imwrite(str(partial), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))

@@ -18,6 +18,7 @@ from studiorecon.cameras.standing_world import world_from_people
 from studiorecon.errors import Refusal
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
+from studiorecon.geometry.lens import mapped_lens
 from studiorecon.geometry.relative_pose import turn_deg
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
@@ -215,6 +216,8 @@ def run(settings: Settings, sightings: list[Path], sizes: list[Path], body: Path
     detections = [read_detections(p) for p in sightings]
     size_of = {v["camera"]: (v["wh"], v["frames"]) for v in map(read_json, sizes)}
     wh = [(int(size_of[d.camera][0][0]), int(size_of[d.camera][0][1])) for d in detections]
+    if blind := [d.camera for d in detections if not len(d.frame)]:
+        raise Refusal(f"camera {', '.join(blind)} sees nobody, and without a calibration cameras can only be found from people")
     frames = min(int(size_of[d.camera][1]) for d in detections)
     say("there is no calibration: the cameras are found from the people (cameras.source)")
     cameras, report = pose_cameras(detections, wh, json.loads(focal_px or "{}"), frames, mean_body(BodyModel.load(body)), settings)
@@ -228,6 +231,11 @@ def run(settings: Settings, sightings: list[Path], sizes: list[Path], body: Path
     ]
     for note in notes:
         say(note)
-    lenses = [Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)) for c in cameras]
+    # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
+    maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
+    lenses = [
+        mapped_lens(Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name])
+        for c in cameras
+    ]
     content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in lenses]}
     write_json(calibration, {**content, "floor_known": True, "notes": notes, "people_rig": report})

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -89,6 +90,24 @@ def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> np.
             "another shape; give its place in capture.yaml: pixel_maps: {camera: {scale: …, offset: [x, y]}}"
         )
     return np.array([[scale[0], 0, 0], [0, scale[1], 0]])
+
+
+def calibration_from_video(pixel_map: Sequence[float] | None) -> np.ndarray:
+    """(2, 3) inverse of p_video = s · p_calibration + (x, y), given as (s, x, y); the identity when there is no such map."""
+    if not pixel_map:
+        return np.eye(2, 3)
+    scale, x, y = (float(v) for v in pixel_map)
+    return np.array([[1 / scale, 0, -x / scale], [0, 1 / scale, -y / scale]])
+
+
+def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
+    """A lens known in pixels of the video, in pixels of the calibration that ``pixel_map`` (s, x, y) speaks of."""
+    if not pixel_map:
+        return lens
+    affine = calibration_from_video(pixel_map)
+    intrinsics = np.vstack([affine, [0.0, 0.0, 1.0]]) @ lens.intrinsics
+    corner = affine @ [*lens.wh, 1.0]
+    return replace(lens, wh=(round(corner[0]), round(corner[1])), intrinsics=intrinsics, calibration_from_video=affine)
 
 
 def normalised_from_calibration(pixels: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import av
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.geometry.lens import mapped_lens
 from studiorecon.people.detections import Settings, detections_of
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import read_keypoints
@@ -18,7 +20,7 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import write_detections
+from studiorecon.scene.people import Detections, write_detections
 
 
 def picture_wh(source: Path) -> tuple[int, int]:
@@ -48,17 +50,23 @@ def run(
     start: int,
     count: int,
     source: Path,
+    pixel_map: str,
     sightings: Path,
     size: Path,
 ) -> None:
     """Write the tracks of ``camera`` to ``sightings`` (npz) and the video's size and frame count to ``size`` (JSON).
 
-    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go).
+    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go); ``pixel_map`` (JSON):
+    [scale, x, y] of ``Dataset.pixel_maps``, or [].
     """
     wh = picture_wh(source)
     entries, kind = read_keypoints(keypoints)
     if not entries:
-        raise Refusal(f"{keypoints} ({kind}) holds no person, and without a calibration camera {camera} can only be found from people")
+        say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
+        nobody = np.zeros(0, dtype=np.int64)
+        write_detections(sightings, Detections(camera, "coco17", nobody, nobody, np.zeros((0, 17, 3))))
+        write_json(size, {"camera": camera, "wh": list(wh), "frames": count, "pixel_map": json.loads(pixel_map)})
+        return
     frames = count or max(e.frame for e in entries) - first_frame - start + 1
     if frames < 2:
         raise Refusal(f"{keypoints}: no detection belongs to the used frames of camera {camera}; set keypoint_first_frame in capture.yaml")
@@ -67,9 +75,9 @@ def run(
         say(note)
     # Pixels stay the video's own: a pinhole of any focal length maps them onto themselves.
     intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
-    lens = Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3))
+    lens = mapped_lens(Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map))
     footage = Footage(camera, False, wh, intrinsics.tolist(), 1.0, frames, start, source.name, "", wh, 0, 0.0, [])
     found = detections_of(entries, chosen, lens, footage, first_frame, settings)
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
-    write_json(size, {"camera": camera, "wh": list(wh), "frames": frames})
+    write_json(size, {"camera": camera, "wh": list(wh), "frames": frames, "pixel_map": json.loads(pixel_map)})

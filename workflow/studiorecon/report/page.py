@@ -101,7 +101,7 @@ def run(
     model: Path,
     metrics: Path,
     decisions: Path,
-    doctor: Path,
+    refinement: Path,
     sheet: Path,
     plates: list[Path],
     depths: list[Path],
@@ -145,7 +145,7 @@ def run(
     body += truth_pictures(renders, truth_maps, measured, width)
     body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
-    body.append(sections.cameras(read_json(doctor), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
+    body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
     body.append(sections.decisions(read_json(decisions)))
     body.append(sections.costs(spent))
     body.append(sections.settings(configuration))

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor's verdict, and what to check, in sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+CLEAR_MARGIN = 1.5
+_LEAST_AGREEMENT = 0.3
+_UNEVEN_LIGHT = 1.5
+_BURNT = 0.1
+
+# What each verdict means, as the page's headline.
+HEADLINES = {
+    "good": "This capture is ready: calibration, clocks and footage agree.",
+    "check": "The calibration fits the people. Some things are worth a look before the long run.",
+    "cannot tell": "Nobody can tell whether this calibration is right: what was found also fits a wrong one, or nothing could be compared.",
+    "wrong": "This calibration does not fit the people as it was read. The long run would refuse it.",
+}
+
+
+def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
+    """("good", "check", "cannot tell" or "wrong", sentences what to check, the gravest first).
+
+    ``report`` as ``doctor.examined`` makes it; ``limit_px`` is the median reprojection error that ``cameras.refine`` refuses.
+    """
+    wrong, unclear, rest = _wrong(report, limit_px), _unclear(report), list(report["oddities"]) + _clocks(report) + _footage(report)
+    if not report["people"]:
+        unclear = [
+            "there are no keypoints of people, so poses, clocks and unit could not be compared with anything; only the calibration itself "
+            "and the footage were looked at. Bring keypoints/<camera>/*.json, or look at the picture: does every camera point where it "
+            "really does?"
+        ]
+    elif report["median_px"] is None and not wrong:
+        unclear = [
+            "no person of any two cameras fits: are the calibration, the videos and the keypoints of the same take, and synchronised? "
+            "Or does nobody ever stand in two pictures at once?"
+        ]
+    name = "wrong" if wrong else "cannot tell" if unclear else "check" if rest else "good"
+    return name, wrong + unclear + rest
+
+
+def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
+    rows = {row["hypothesis"]: row for row in report["hypotheses"]}
+    best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
+    as_read = rows["as read"]
+    found = []
+    if best["score"] > _LEAST_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
+        found.append(
+            f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, {as_read['score']:.2f} as read): {best['remedy']}, or "
+            "export the calibration again"
+        )
+    for row in report["hypotheses"]:
+        px, now = row.get("median_px"), report["median_px"]
+        if px is not None and now is not None and CLEAR_MARGIN * px < now and row["score"] >= as_read["score"]:
+            found.append(f"people fit better if {row['hypothesis']} ({px:.1f} px off in the median, {now:.1f} px as read): {row['remedy']}")
+    if report["median_px"] is not None and report["median_px"] > limit_px:
+        worst = max((px, c) for c, px in report["px_per_camera"].items() if px is not None)
+        found.append(
+            f"people are {report['median_px']:.0f} px off in the median where {limit_px:.0f} px are allowed, worst in camera {worst[1]} "
+            f"({worst[0]:.0f} px): the calibration is of other cameras or another zoom, or the keypoints of another picture size"
+        )
+    return found
+
+
+def _unclear(report: dict[str, Any]) -> list[str]:
+    found = []
+    for camera, margin in report["margin"].items():
+        if margin is None:
+            found.append(f"camera {camera} shares nobody with the others, however its pose is read; check its pose, keypoints and clock")
+        elif margin < CLEAR_MARGIN:
+            found.append(
+                f"camera {camera}: another reading of its pose fits the people {'better' if margin < 1 else 'nearly as well'} (margin "
+                f"{margin:.2f}, {CLEAR_MARGIN} would be clear); check its pose, or bring more frames of people who walk about"
+            )
+    # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
+    rows = {row["hypothesis"]: row["score"] for row in report["hypotheses"] if "median_px" not in row}
+    as_read = rows.pop("as read")
+    close = [
+        f"{name} ({score:.2f})" for name, score in rows.items() if score > 0 and CLEAR_MARGIN * score > as_read >= score / CLEAR_MARGIN
+    ]
+    if close:
+        found.append(f"people agree about as well ({as_read:.2f} as read) if {' or '.join(close)}; more frames of people would decide it")
+    return found
+
+
+def _clocks(report: dict[str, Any]) -> list[str]:
+    return [
+        f"camera {camera} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f}); cut "
+        + f"{abs(round(lag['frames']))} frames "
+        + ("from the start of its video" if lag["frames"] > 0 else "from the start of all other videos")
+        for camera, lag in report["lags_frames"].items()
+        if lag["valid"] and not lag["low"] <= 0 <= lag["high"]
+    ]
+
+
+def _footage(report: dict[str, Any]) -> list[str]:
+    found = []
+    footage = report["footage"].values()
+    for key, what, remedy in (
+        ("fps", "frame rates", "export all at one rate"),
+        ("video_frames", "lengths", "set frames: [first, count] in capture.yaml to the part that all have"),
+        ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
+    ):
+        values = {a["camera"]: a[key] for a in footage}
+        if len(set(values.values())) > 1:
+            listed = ", ".join(f"{c} {v:g}" for c, v in values.items())
+            found.append(f"the {what} differ ({listed}): {remedy}")
+    light = {a["camera"]: a["brightness"] for a in footage}
+    if max(light.values()) > _UNEVEN_LIGHT * max(min(light.values()), 1e-3):
+        found.append(
+            "the exposures differ (mean grey "
+            + ", ".join(f"{c} {v:.2f}" for c, v in light.items())
+            + "): views of one thing will differ too"
+        )
+    found += [f"camera {a['camera']}: {a['burnt']:.0%} of its pictures are burnt out" for a in footage if a["burnt"] > _BURNT]
+    if report["coverage"]["2"] < 0.5:
+        found.append(f"only {report['coverage']['2']:.0%} of the volume is seen by two cameras: people elsewhere cannot be measured")
+    return found
