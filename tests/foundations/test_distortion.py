@@ -96,3 +96,20 @@ def test_another_shape_than_calibrated_is_refused_by_name():
 def test_coefficients_of_another_lens_are_refused():
     with pytest.raises(Refusal, match="distortion"):
         working_view(replace(PINHOLE, distortion=np.array([-0.9, 0.0, 0, 0, 0])), (640, 480), (640, 480))
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300, 50.0])
+def test_a_point_s_answer_does_not_depend_on_its_neighbours(wild):
+    """Tangential lenses settle points in blocks: bad ones, more than a block of them and a remainder change nothing for the others."""
+    coefficients = np.array([-0.3, 0.1, 5e-3, -4e-3, 0.01])
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (1300, 2))
+    distorted = distort(points, "opencv", coefficients)
+    distorted[::7, 0] = wild
+    back, valid = undistort(distorted, "opencv", coefficients)
+    assert not valid[::7].any()
+    assert np.isnan(back[::7]).all()
+    good = np.arange(1300) % 7 > 0
+    assert valid[good].all()
+    assert np.abs(back - points)[good].max() < 1e-9
+    for n in (1, 600, 1299):
+        np.testing.assert_array_equal(undistort(distorted[n], "opencv", coefficients)[0], back[n])
