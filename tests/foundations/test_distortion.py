@@ -98,7 +98,7 @@ def test_coefficients_of_another_lens_are_refused():
         working_view(replace(PINHOLE, distortion=np.array([-0.9, 0.0, 0, 0, 0])), (640, 480), (640, 480))
 
 
-@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300, 50.0])
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_point_s_answer_does_not_depend_on_its_neighbours(wild):
     """Tangential lenses settle points in blocks: bad ones, more than a block of them and a remainder change nothing for the others."""
     coefficients = np.array([-0.3, 0.1, 5e-3, -4e-3, 0.01])
