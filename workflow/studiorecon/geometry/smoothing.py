@@ -138,32 +138,47 @@ def smooth_rotations(values: np.ndarray, alpha: float, sigma_frames: float, pass
         return values.copy()
     shifts, weights = _windows(len(values), kernel(alpha, sigma_frames, passes))
     quaternions = np.moveaxis(rotations.to_quaternion(values).reshape(len(values), -1, 4), -1, 0)  # (4, T, N)
+    reach = len(shifts) // 2
+    padded = np.pad(quaternions, ((0, 0), (reach, reach), (0, 0)), mode="edge")
+    window = [(padded[:, reach + shift :][:, : len(values)], weight[:, None]) for shift, weight in zip(shifts, weights)]
     # Nearly there: the windows' mean quaternions, signs continued from the frame itself.
     centre = np.zeros_like(quaternions)
-    for shift, weight in zip(shifts, weights):
-        other = quaternions[:, _shifted(len(values), shift)]
-        centre += np.copysign(weight[:, None], np.einsum("qtn,qtn->tn", quaternions, other)) * other
+    for other, weight in window:
+        centre += np.copysign(weight, _dot(quaternions, other)) * other
     centre /= np.sqrt((centre**2).sum(0))
     for _ in range(_MEAN_STEPS):
-        turn = np.zeros((3, *centre.shape[1:]))
-        for shift, weight in zip(shifts, weights):
-            turn += weight[:, None] * _turn_between(centre, quaternions[:, _shifted(len(values), shift)])
-        centre = _turned(centre, turn)
+        total = np.zeros_like(centre)
+        for other, weight in window:
+            total += weight * _turn_per_vector(_dot(centre, other)) * other
+        centre = _turned(centre, _vector(centre, total))
     return rotations.from_quaternion(np.moveaxis(centre, 0, -1)).reshape(values.shape)
 
 
-def _turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(3, T, N) axis-angle of the shorter turn a⁻¹ b between unit quaternions (4, T, N), components first for long inner loops."""
-    dot = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
-    turn = np.empty((3, *dot.shape))
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(T, N) products of quaternions (4, T, N), components first for long inner loops."""
+    out = a[0] * b[0]
+    for i in (1, 2, 3):
+        out += a[i] * b[i]
+    return out
+
+
+def _turn_per_vector(dot: np.ndarray) -> np.ndarray:
+    """Angle of the shorter turn between unit quaternions over the length of its quaternion's vector, θ / sin(θ/2), from their product.
+
+    Turns of a window then add up before the one product with the centre. Near equality both arccos and root are that of the same rounded
+    product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way round (numerics R03).
+    """
+    cosine = np.minimum(np.abs(dot), 1 - 1e-15)
+    sine = (1 - cosine) * (1 + cosine)
+    return np.copysign(2 * np.arccos(cosine) / np.sqrt(sine), dot)
+
+
+def _vector(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(3, T, N) vector part of the products a⁻¹ b of quaternions (4, T, N)."""
+    out = np.empty((3, *a.shape[1:]))
     for i, j, k in ((1, 2, 3), (2, 3, 1), (3, 1, 2)):
-        turn[i - 1] = a[0] * b[i] - b[0] * a[i] - (a[j] * b[k] - a[k] * b[j])
-    sine = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-    # θ / sin(θ/2) tends to 2 at 0; a negative dot is the longer way round (numerics R03).
-    small = sine < 1e-12
-    factor = np.where(small, 2.0, 2.0 * np.arctan2(sine, np.abs(dot)) / np.where(small, 1.0, sine))
-    turn *= np.where(dot < 0, -factor, factor)
-    return turn
+        out[i - 1] = a[0] * b[i] - b[0] * a[i] - (a[j] * b[k] - a[k] * b[j])
+    return out
 
 
 def _turned(a: np.ndarray, turn: np.ndarray) -> np.ndarray:
