@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes that RAFT (Teed & Deng 2020) can work on: what goes into the network, and its flow back at the pictures' own size.
-
-These are the two ends of an adapter; the network between them is not here, because it needs weights.
-"""
+"""RAFT (Teed & Deng 2020) from torchvision: pictures at sizes it can work on, the network, its flow back at the pictures' own size."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.models.preflight import attribute, device, finite, staged, upstream
 
 # The correlation pyramid halves an eighth-size feature map three times: below 128 px its top is one value, and the lookup divides by
 # its size minus one (numerics E12).
@@ -58,3 +60,34 @@ def post(flow: np.ndarray, fitted: Fitted) -> np.ndarray:
     own = flow[:, top : top + height, left : left + width].astype(np.float32)
     blocks = own.reshape(2, fitted.hw[0], fitted.enlarged, fitted.hw[1], fitted.enlarged)
     return np.ascontiguousarray(blocks.mean(axis=(2, 4)).transpose(1, 2, 0)) / np.float32(fitted.enlarged)
+
+
+class Raft:
+    """``raft_large``, loaded once; satisfies ``Flow``. Weights: ``raft/raft_large_C_T_SKHT_V2.pth`` below ``weights``."""
+
+    def __init__(self, weights: Path, where: str = "cpu") -> None:
+        file = staged("raft", weights) / "raft/raft_large_C_T_SKHT_V2.pth"
+        build = attribute("raft", upstream("raft", "torchvision.models.optical_flow"), "raft_large")
+        import torch
+
+        self._device = device("raft", where, "set enhance.flow to dis")
+        self._network = build(weights=None, progress=False)
+        try:
+            self._network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
+        except Exception as error:
+            raise Refusal(f"{file} is not RAFT's state dict ({type(error).__name__}); delete it and run snakemake weights") from None
+        self._network.eval().to(self._device)
+
+    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """See ``models.protocols.Flow``."""
+        pair, fitted = pre(first, second)
+        return post(finite("raft", "flow", estimated(self._network, pair, self._device)), fitted)
+
+
+def estimated(network: Any, pair: np.ndarray, where: Any, updates: int = 12) -> np.ndarray:
+    """(2, h, w) float32 flow from the first to the second of (2, 3, h, w) float32 pictures in [-1, 1], after ``updates`` refinements."""
+    import torch
+
+    first, second = (torch.from_numpy(picture[None]).to(where) for picture in pair)
+    with torch.inference_mode():
+        return network(first, second, num_flow_updates=updates)[-1][0].float().cpu().numpy()
