@@ -103,28 +103,34 @@ class BodyModel:
         return self.shape_directions.shape[-1]
 
     def rest_vertices(self, betas: np.ndarray) -> np.ndarray:
-        """(V, 3) the shaped T-pose, pelvis at its rest position."""
+        """(V, 3) the shaped T-pose, pelvis at its rest position. Raises ValueError for another number of betas."""
         return self.template_m + self.shape_directions @ _betas(betas, self.shapes)
 
     def rest_joints(self, betas: np.ndarray) -> np.ndarray:
-        """(24, 3) joints of the shaped T-pose."""
+        """(24, 3) joints of the shaped T-pose. Raises ValueError for another number of betas."""
         return self.joint_template_m + self.joint_directions @ _betas(betas, self.shapes)
 
     def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
-        """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3)."""
+        """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3).
+
+        Raises ValueError for other shapes; so do the functions below.
+        """
         poses, trans_m = _frames(poses, trans_m)
         local = rotations.exp(poses.reshape(-1, 24, 3))
         return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
 
     def joint_transforms(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
-        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``)."""
+        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as ``joints`` does."""
         poses, trans_m = _frames(poses, trans_m)
         rest = self.rest_joints(betas)
         world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
         return skinning.world_from_rest(world, joints + trans_m[:, None], rest)
 
     def vertices(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """(T, V, 3) float32 world vertices; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given."""
+        """(T, V, 3) float32 world vertices; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given.
+
+        Raises as ``joints`` does.
+        """
         poses, trans_m = _frames(poses, trans_m)
         everything = slice(None) if chosen is None else chosen
         rest = self.rest_vertices(betas)[everything]
@@ -135,7 +141,10 @@ class BodyModel:
         return skinning.skin(rest, self.weights[everything], transforms)
 
     def keypoints(self, names: Sequence[str], poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
-        """(T, K, 3) world keypoints by name (``keypoint_names``); exact for the surface without pose correctives."""
+        """(T, K, 3) world keypoints by name (``keypoint_names``); exact for the surface without pose correctives.
+
+        Raises as ``joints`` does, and KeyError for a name that the body lacks.
+        """
         poses, trans_m = _frames(poses, trans_m)
         share, anchors = self.keypoint_basis(names)
         anchors = anchors @ np.append(1.0, _betas(betas, self.shapes))

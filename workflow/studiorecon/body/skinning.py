@@ -5,13 +5,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from studiorecon.arrays import require
+
 
 def forward_kinematics(rotations: np.ndarray, rest_joints_m: np.ndarray, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World rotations (T, 24, 3, 3) and joints (T, 24, 3), root joint at the origin.
 
     ``rotations`` (T, 24, 3, 3) are each joint's relative to its parent, ``rest_joints_m`` (24, 3) the shaped
-    T-pose, or (T, 24, 3) one per frame; parents come before their children.
+    T-pose, or (T, 24, 3) one per frame; parents come before their children. Raises ValueError that names the argument
+    for other shapes; a rotation that is not finite makes its own frame so, no other.
     """
+    sizes = require("rotations", rotations, ("T", "J", 3, 3))
+    require("rest_joints_m", rest_joints_m, ("J", 3) if np.ndim(rest_joints_m) == 2 else ("T", "J", 3), sizes)
+    require("parents", parents, ("J",), sizes)
     world = np.empty_like(rotations)
     joints = np.empty(rotations.shape[:-1])
     for j, parent in enumerate(parents):
@@ -28,7 +34,11 @@ def world_from_rest(world_rotations: np.ndarray, joints_m: np.ndarray, rest_join
     """(T, 24, 4, 4) transforms that carry rest points to the world: rotate about the rest joint, then move to the posed one.
 
     With the T-pose and the rest joints themselves this is the identity (numerics L08: the inverse bind is included).
+    Raises ValueError that names the argument for other shapes.
     """
+    sizes = require("world_rotations", world_rotations, ("T", "J", 3, 3))
+    require("joints_m", joints_m, ("T", "J", 3), sizes)
+    require("rest_joints_m", rest_joints_m, ("J", 3), sizes)
     transforms = np.zeros((*world_rotations.shape[:2], 4, 4))
     transforms[..., :3, :3] = world_rotations
     transforms[..., :3, 3] = joints_m - np.einsum("tjxy,jy->tjx", world_rotations, rest_joints_m)
@@ -40,7 +50,10 @@ def skin(points_m: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> n
     """(T, V, 3) points (V, 3) or (T, V, 3) carried by (T, J, 4, 4) transforms with weights (V, J), in the dtype of ``weights``.
 
     A dense product with BLAS beats gathering four transforms per point: 1 ms against 3 ms for 13,718 vertices in float32.
+    Raises ValueError that names the argument for other shapes.
     """
+    sizes = require("weights", weights, ("V", "J"), require("transforms", transforms, ("T", "J", 4, 4)))
+    require("points_m", points_m, ("V", 3) if np.ndim(points_m) == 2 else ("T", "V", 3), sizes)
     rows = transforms[:, :, :3, :].reshape(len(transforms), -1, 12).astype(weights.dtype)
     points = np.broadcast_to(points_m, (len(transforms), len(weights), 3)).astype(weights.dtype, copy=False)
     out = np.empty((len(transforms), len(weights), 3), dtype=weights.dtype)

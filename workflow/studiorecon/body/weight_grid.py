@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from studiorecon.arrays import require
+
 
 @dataclass(frozen=True)
 class WeightGrid:
@@ -28,7 +30,11 @@ class WeightGrid:
     weights: np.ndarray
 
     def query(self, points_m: np.ndarray) -> np.ndarray:
-        """(N, B) trilinear weights at (N, 3) canonical points, float32, rows summing to 1."""
+        """(N, B) trilinear weights at (N, 3) canonical points, float32, rows summing to 1.
+
+        Raises ValueError for another shape or points that are not finite.
+        """
+        require("points_m", points_m, ("N", 3), finite=True)
         last = self.weights.shape[0] - 1
         at = np.clip((np.asarray(points_m, np.float64) - self.origin_m) / self.spacing_m, 0, last)
         low = np.minimum(at.astype(np.int64), last - 1)
@@ -45,8 +51,9 @@ def build_weight_grid(vertices_m: np.ndarray, weights: np.ndarray, resolution: i
     """The grid of a canonical body: every node takes the inverse-distance mean of its four nearest vertices' weights.
 
     ``vertices_m`` (V, 3), ``weights`` (V, B); the cube is the body's longest side enlarged by ``margin`` (0.15 = 15 %) on
-    each side. 64³ nodes take about a second.
+    each side. 64³ nodes take about a second. Raises ValueError for other shapes or numbers that are not finite.
     """
+    require("weights", weights, ("V", "B"), require("vertices_m", vertices_m, ("V", 3), finite=True), finite=True)
     low, high = vertices_m.min(axis=0), vertices_m.max(axis=0)
     side = float((high - low).max()) * (1 + 2 * margin)
     origin = (low + high) / 2 - side / 2
@@ -62,7 +69,11 @@ def build_weight_grid(vertices_m: np.ndarray, weights: np.ndarray, resolution: i
 
 
 def strongest(weights: np.ndarray, keep: int) -> tuple[np.ndarray, np.ndarray]:
-    """The ``keep`` largest weights of every row: joints (N, keep) uint8, weights (N, keep) float32 summing to 1."""
+    """The ``keep`` largest weights of every row: joints (N, keep) uint8, weights (N, keep) float32 summing to 1.
+
+    Raises ValueError for another shape or numbers that are not finite.
+    """
+    require("weights", weights, ("N", "B"), finite=True)
     bones = np.argsort(-weights, axis=1, kind="stable")[:, :keep]
     kept = np.take_along_axis(np.asarray(weights, np.float64), bones, axis=1)
     return bones.astype(np.uint8), (kept / kept.sum(axis=1, keepdims=True)).astype(np.float32)

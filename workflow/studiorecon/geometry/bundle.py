@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.geometry.rotations import cross_matrix, exp, log
 from studiorecon.scene.camera import Camera
 
@@ -74,7 +75,8 @@ def adjust(
 
     Six numbers per camera; points are eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of
     the two-dimensional residual (T11) with the delta ``huber_px`` (V,), so residuals are in error units and the priors
-    count as one unit per standard deviation. Intrinsics stay. 0.1 s for 400 points and 4 views.
+    count as one unit per standard deviation. Intrinsics stay. 0.1 s for 400 points and 4 views. Pixels that are not finite are not
+    seen; raises ValueError that names the argument for other shapes, and for points that are seen and not finite.
     """
     state, _ = _solve(_Problem(cameras, pixels, weights, huber_px, settings, LensPrior(0.0, 0.0)), points_m, settings.iterations)
     return [moved(camera, state.rotations[v], state.centres[v]) for v, camera in enumerate(cameras)], state.points
@@ -89,7 +91,10 @@ def adjust_with_lenses(
     settings: BundleSettings,
     lens: LensPrior,
 ) -> Adjusted:
-    """As ``adjust``, with one focal factor and one radial term per camera where ``lens`` leaves them free, and what is known how well."""
+    """As ``adjust``, with one focal factor and one radial term per camera where ``lens`` leaves them free, and what is known how well.
+
+    Raises ValueError as ``adjust`` does.
+    """
     problem = _Problem(cameras, pixels, weights, huber_px, settings, lens)
     state, _ = _solve(problem, points_m, settings.iterations)
     found = []
@@ -140,6 +145,9 @@ class _Problem:
         settings: BundleSettings,
         lens: LensPrior,
     ) -> None:
+        sizes = require("pixels", pixels, (len(cameras), "N", 2))
+        require("weights", weights, (len(cameras), "N"), sizes)
+        require("huber_px", huber_px, (len(cameras),), finite=True)
         self.rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
         self.centres = np.stack([c.centre_m for c in cameras])
         self.focal = np.stack([c.focal_px for c in cameras]) / huber_px[:, None]
@@ -151,6 +159,8 @@ class _Problem:
         self.sigma = np.array([np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3 + free)
 
     def start(self, points_m: np.ndarray) -> _State:
+        require("points_m", points_m, (self.seen.shape[1], 3))
+        require("points_m that are seen", np.asarray(points_m)[self.seen.any(0)], ("n", 3), finite=True)
         return _State(self.rotations.copy(), self.centres.copy(), np.zeros((len(self.centres), 2)), np.array(points_m, dtype=np.float64))
 
     def prior(self, state: _State) -> np.ndarray:

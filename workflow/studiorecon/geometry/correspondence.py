@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -45,7 +46,7 @@ class TrackGraph:
 
 
 def stable_indices(layout: str) -> list[int]:
-    """Where the stable keypoints stand in a layout; -1 for missing ones."""
+    """Where the stable keypoints stand in a layout; -1 for missing ones. Raises KeyError for a layout that nobody wrote down."""
     names = LAYOUTS[layout].keypoints
     return [names.index(k) if k in names else -1 for k in STABLE_KEYPOINTS]
 
@@ -63,7 +64,14 @@ def stable_detections(detections: Sequence[Detections], frames: np.ndarray | Non
 def ray_distances(
     first_origin: np.ndarray, first: np.ndarray, second_origin: np.ndarray, second: np.ndarray, near_m: float = _NEAR_M
 ) -> np.ndarray:
-    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they pass behind an origin (T06)."""
+    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they pass behind an origin (T06).
+
+    Raises ValueError for other shapes. A direction that is not finite gives inf.
+    """
+    require("first", first, (..., 3))
+    require("second", second, (..., 3))
+    require("first_origin", first_origin, (3,))
+    require("second_origin", second_origin, (3,))
     baseline = second_origin - first_origin
     cosine = (first * second).sum(-1)
     sine_squared = np.maximum(1 - cosine**2, 1e-12)
@@ -107,8 +115,11 @@ def groups_of(distance_m: np.ndarray, view: np.ndarray, together: np.ndarray, ga
 
     The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that are
     seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes permutes
-    the answer up to ties, which go to the lower node.
+    the answer up to ties, which go to the lower node. Raises ValueError for other shapes.
     """
+    sizes = require("distance_m", distance_m, ("M", "M"))
+    require("view", view, ("M",), sizes)
+    require("together", together, ("M", "M"), sizes)
     finite = np.isfinite(distance_m)
     affinity = np.where(finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m), 1 - np.nan_to_num(distance_m, posinf=0.0) / gate_m, 0.0)
     forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
@@ -119,8 +130,10 @@ def groups_of(distance_m: np.ndarray, view: np.ndarray, together: np.ndarray, ga
 def groups_by_affinity(affinity: np.ndarray, forbidden: np.ndarray) -> list[list[int]]:
     """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not linked.
 
-    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out.
+    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. Raises ValueError for other
+    shapes, and for affinities that are not finite: a pair that was not measured has 0 (A02).
     """
+    require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
     forbidden = forbidden | np.eye(len(affinity), dtype=bool)
     left, found = set(range(len(affinity))), []
     while True:
@@ -162,7 +175,8 @@ def _best_group(nodes: list[int], affinity: np.ndarray, forbidden: np.ndarray) -
 
 
 def ray_directions(keypoints: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present."""
+    """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present. Raises ValueError for another shape."""
+    require("keypoints", keypoints, ("D", "K", 3))
     present = (keypoints[..., 2] > 0) & np.isfinite(keypoints[..., :2]).all(-1)
     pixels = np.where(present[..., None], keypoints[..., :2], 0.0)
     directions = camera.unproject(pixels, np.ones(pixels.shape[:-1])) - camera.centre_m
@@ -175,7 +189,11 @@ def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def median_over_shared(values: np.ndarray, present: np.ndarray, least: int) -> np.ndarray:
-    """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large."""
+    """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large.
+
+    Raises ValueError for two shapes.
+    """
+    require("present", present, ("P", "K"), require("values", values, ("P", "K")))
     count = present.sum(-1)
     ordered = np.sort(np.where(present, values, np.inf), axis=-1)
     middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[:, None], axis=-1)[:, 0]

@@ -58,7 +58,10 @@ def undistort(points: np.ndarray, model: str, coefficients: np.ndarray) -> tuple
 
 
 def fold_radius(model: str, coefficients: np.ndarray) -> float:
-    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never does."""
+    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never does.
+
+    Raises ValueError for another model or coefficients that are not finite.
+    """
     full = _full(model, coefficients)
     if model == "fisheye":
         k = full[:4]

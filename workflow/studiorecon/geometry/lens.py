@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.errors import Refusal
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.scene.camera import Lens
@@ -53,6 +54,7 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
 
     The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the calibrated
     frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics are only scaled.
+    Raises Refusal for a lens that cannot be undone at its edge, and as ``calibration_from_video_pixels``.
     """
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, calibration_from_video)
@@ -111,25 +113,39 @@ def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
 
 
 def normalised_from_calibration(pixels: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Undistorted normalised coordinates (..., 2) and validity (...,) of calibration pixels (..., 2)."""
+    """Undistorted normalised coordinates (..., 2) and validity (...,) of calibration pixels (..., 2).
+
+    Raises ValueError for another shape.
+    """
+    require("pixels", pixels, (..., 2))
     focal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]])
     return undistort((np.asarray(pixels, dtype=np.float64) - lens.intrinsics[:2, 2]) / focal, lens.model, lens.distortion)
 
 
 def working_from_calibration(pixels: np.ndarray, lens: Lens, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working picture."""
+    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working picture.
+
+    Raises ValueError for another shape.
+    """
+    require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised, valid = normalised_from_calibration(pixels, lens)
     return normalised * np.array([intrinsics[0, 0], intrinsics[1, 1]]) + intrinsics[:2, 2], valid
 
 
 def working_from_video(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Working pixels (..., 2) and validity (...,) of pixels of the video file (..., 2), centres at +0.5."""
+    """Working pixels (..., 2) and validity (...,) of pixels of the video file (..., 2), centres at +0.5.
+
+    Raises ValueError for another shape.
+    """
+    require("pixels", pixels, (..., 2))
     affine = calibration_from_video_pixels(lens, source_wh)
     return working_from_calibration(np.asarray(pixels, dtype=np.float64) @ affine[:, :2].T + affine[:, 2], lens, intrinsics)
 
 
 def video_from_working(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> np.ndarray:
-    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5."""
+    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5. Raises ValueError for another shape."""
+    require("pixels", pixels, (..., 2))
+    require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised = (pixels - intrinsics[:2, 2]) / np.array([intrinsics[0, 0], intrinsics[1, 1]])
     distorted = distort(normalised, lens.model, lens.distortion)
     calibration = distorted * np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]]) + lens.intrinsics[:2, 2]

@@ -9,7 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.geometry.rotations import slerp
+from studiorecon.arrays import require
+from studiorecon.geometry.rotations import half_turn, slerp
+from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 
 # How far in front of the rig the scene is taken to be when the optical axes do not say (parallel axes, one camera).
@@ -19,7 +21,12 @@ _ASSUMPTION_WEIGHT = 1e-3
 
 
 def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave it open."""
+    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave it open.
+
+    Raises ValueError without a camera.
+    """
+    if not cameras:
+        raise ValueError("cameras is empty: there is no scene to find the centre of")
     ahead = np.mean([c.centre_m + _ASSUMED_DISTANCE_M * c.forward for c in cameras], axis=0)
     normal, right = _ASSUMPTION_WEIGHT * np.eye(3), _ASSUMPTION_WEIGHT * ahead
     for camera in cameras:
@@ -29,7 +36,11 @@ def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def azimuths_rad(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
-    """(V,) direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi)."""
+    """(V,) direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi).
+
+    Raises ValueError for a ``centre_m`` that is no point.
+    """
+    require("centre_m", centre_m, (3,), finite=True)
     offsets = np.stack([camera.centre_m - centre_m for camera in cameras])
     return np.arctan2(offsets[:, 1], offsets[:, 0]) % (2 * np.pi)
 
@@ -38,6 +49,7 @@ def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) 
     """Camera indices counter-clockwise around the centre (U18), and the largest gap between neighbours in radians.
 
     A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown through.
+    Raises ValueError for a ``centre_m`` that is no point.
     """
     azimuth = azimuths_rad(cameras, centre_m)
     order = np.argsort(azimuth, kind="stable")
@@ -47,7 +59,12 @@ def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) 
 
 
 def look_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down looks along y."""
+    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down looks along y.
+
+    Raises ValueError for places that are not (3,) finite numbers.
+    """
+    require("eye_m", eye_m, (3,), finite=True)
+    require("target_m", target_m, (3,), finite=True)
     forward = np.asarray(target_m, np.float64) - eye_m
     length = np.linalg.norm(forward)
     forward = forward / length if length > 1e-9 else np.array([0.0, 1.0, 0.0])
@@ -59,7 +76,12 @@ def look_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
 
 
 def with_pose(camera: Camera, world_from_camera: np.ndarray, centre_m: np.ndarray) -> Camera:
-    """The camera turned to the (3, 3) rotation ``world_from_camera`` and moved to ``centre_m``."""
+    """The camera turned to the (3, 3) rotation ``world_from_camera`` and moved to ``centre_m``.
+
+    Raises ValueError for another shape or numbers that are not finite.
+    """
+    require("world_from_camera", world_from_camera, (3, 3), finite=True)
+    require("centre_m", centre_m, (3,), finite=True)
     camera_from_world = np.eye(4)
     camera_from_world[:3, :3] = world_from_camera.T
     camera_from_world[:3, 3] = -world_from_camera.T @ centre_m
@@ -67,15 +89,21 @@ def with_pose(camera: Camera, world_from_camera: np.ndarray, centre_m: np.ndarra
 
 
 def straight(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """(N, 3) points on the chord."""
+    """(N, 3) points on the chord at ``shares`` (N,) of the way. Raises ValueError for other shapes."""
+    require("start_m", start_m, (3,))
+    require("end_m", end_m, (3,))
+    require("shares", shares, ("N",))
     return start_m + shares[:, None] * (end_m - start_m)
 
 
 def arc(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray, centre_m: np.ndarray) -> np.ndarray:
     """(N, 3) points around the vertical through the centre, the short way: angle, radius and height change evenly.
 
-    Exactly opposite ends go counter-clockwise.
+    Exactly opposite ends go counter-clockwise. Raises ValueError for other shapes.
     """
+    for name, place in (("start_m", start_m), ("end_m", end_m), ("centre_m", centre_m)):
+        require(name, place, (3,))
+    require("shares", shares, ("N",))
     a, b = start_m - centre_m, end_m - centre_m
     turn = np.arctan2(a[0] * b[1] - a[1] * b[0], a[0] * b[0] + a[1] * b[1])
     # Rounding must not decide which side of the scene is flown along (R05).
@@ -87,14 +115,19 @@ def arc(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray, centre_m: np
 
 
 def clearance_share(points_m: np.ndarray, centre_m: np.ndarray) -> float:
-    """Least horizontal distance of a path (N, 3) to the centre, over the smaller of its two ends' distances."""
+    """Least horizontal distance of a path (N, 3) to the centre, over the smaller of its two ends' distances.
+
+    Raises ValueError for other shapes or points that are not finite.
+    """
+    require("points_m", points_m, ("N", 3), finite=True)
     distance = np.hypot(*(points_m - centre_m)[:, :2].T)
     ends = min(distance[0], distance[-1])
     return float(distance.min() / ends) if ends > 0 else 1.0
 
 
 def axis_miss_rad(camera: Camera, target_m: np.ndarray) -> float:
-    """Angle between the optical axis and the direction to ``target_m``, by atan2."""
+    """Angle between the optical axis and the direction to ``target_m`` (3,), by atan2. Raises ValueError for another shape."""
+    require("target_m", target_m, (3,))
     direction = target_m - camera.centre_m
     return float(np.arctan2(np.linalg.norm(np.cross(camera.forward, direction)), camera.forward @ direction))
 
@@ -114,7 +147,12 @@ def between(
     Rotations by slerp (half turns go about the world's up), centres along the chord, as the paper writes. A chord that passes the
     centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would fly through the people).
     ``look_at`` keeps the centre where the two cameras have it in their pictures, which slerp does not for unlike cameras (R08).
+    Cameras that look exactly half a turn apart are named in the log: which way to turn was a choice (R05). Raises ValueError for a
+    ``centre_m`` that is no point or fewer than one camera.
     """
+    require("centre_m", centre_m, (3,), finite=True)
+    if count < 1:
+        raise ValueError(f"count must be at least 1, not {count}")
     shares = np.arange(count) / max(count - 1, 1)
     points = straight(start.centre_m, end.centre_m, shares)
     bent = centres == "arc" or clearance_share(points, centre_m) < clearance
@@ -122,6 +160,8 @@ def between(
         points = arc(start.centre_m, end.centre_m, shares, centre_m)
     turned_a, turned_b = start.world_from_camera[:3, :3], end.world_from_camera[:3, :3]
     if rotations == "slerp":
+        if half_turn(turned_a, turned_b):
+            say(f"cameras {start.name} and {end.name} look exactly half a turn apart; the path turns counter-clockwise about the vertical")
         turned = slerp(turned_a, turned_b, shares)
     else:
         frames = np.stack([look_at(point, centre_m) for point in points])

@@ -6,6 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.geometry.rotations import exp, log
 
 _LEAST_PAIRS = 12
@@ -19,7 +20,9 @@ def relative_pose(first: np.ndarray, second: np.ndarray, unit: float) -> tuple[n
     ``first`` and ``second`` are undistorted normalised coordinates (N, 2) of the same points, ``unit`` the Sampson distance that
     still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least squares of the
     Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is no answer.
+    Raises ValueError for other shapes and coordinates that are not finite.
     """
+    require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _LEAST_PAIRS:
         return None
     essential, _ = cv2.findEssentialMat(first, second, np.eye(3), method=cv2.RANSAC, prob=_CONFIDENCE, threshold=unit)
@@ -49,7 +52,11 @@ def essential_of(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def sampson(essential: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(N,) signed Sampson distance: to first order, how far the two points are from a consistent pair."""
+    """(N,) signed Sampson distance: to first order, how far the two points (N, 2) are from a consistent pair.
+
+    Raises ValueError for other shapes.
+    """
+    require("second", second, ("N", 2), require("first", first, ("N", 2)))
     one, two = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0), np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
     line, back = one @ essential.T, two @ essential
     scale = np.sqrt((line[:, :2] ** 2).sum(-1) + (back[:, :2] ** 2).sum(-1))
@@ -57,7 +64,8 @@ def sampson(essential: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.
 
 
 def in_front(rotation: np.ndarray, translation: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(N,) whether the rays of a pair come closest before both cameras."""
+    """(N,) whether the rays of a pair (N, 2) come closest before both cameras. Raises ValueError for other shapes."""
+    require("second", second, ("N", 2), require("first", first, ("N", 2)))
     one = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0) @ rotation.T
     two = np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
     # a · one + t = b · two in the second camera's axes, least squares for (a, b)
@@ -94,8 +102,10 @@ def _refined(
 def resection(points_m: np.ndarray, normalised: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray] | None:
     """``camera_from_world`` (4, 4) and inliers (N,) of a camera that sees world points (N, 3) at ``normalised`` (N, 2), or None.
 
-    Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above.
+    Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above. Raises ValueError for other shapes and numbers
+    that are not finite.
     """
+    require("normalised", normalised, ("N", 2), require("points_m", points_m, ("N", 3), finite=True), finite=True)
     if len(points_m) < _LEAST_PAIRS:
         return None
     points, pixels = np.ascontiguousarray(points_m), np.ascontiguousarray(normalised)

@@ -2,11 +2,15 @@
 """Rotations as (..., 3, 3) float64 matrices: to and from axis-angle and quaternions, between, on average.
 
 Stable at 0 and at π without thresholds that lose digits: exp by half-angle sincs, log by quaternions with the largest pivot.
+Every function raises ValueError that names the argument when its last axes are others than stated. Where rotations do not depend on
+one another NaN gives NaN for that one alone; where one decomposition takes them all, what is not finite is refused.
 """
 
 from __future__ import annotations
 
 import numpy as np
+
+from studiorecon.arrays import require
 
 # Within this of half a turn the sign of the axis is decided by rounding; slerp then decides it by a direction instead.
 _HALF_TURN_RAD = 1e-6
@@ -15,7 +19,8 @@ _MEAN_GAP = 1e-6
 
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) matrices [v]× with [v]× u = v × u."""
+    """(..., 3, 3) matrices [v]× with [v]× u = v × u of ``vectors`` (..., 3). Raises ValueError for another last axis."""
+    require("vectors", vectors, (..., 3))
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
@@ -25,16 +30,20 @@ def exp(axis_angle_rad: np.ndarray) -> np.ndarray:
     """(..., 3, 3) rotations of axis-angles (..., 3).
 
     I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that
-    (1 − cos θ)/θ² loses (numerics R09, R10).
+    (1 − cos θ)/θ² loses (numerics R09, R10). Raises ValueError for another last axis.
     """
     w = np.asarray(axis_angle_rad, dtype=np.float64)
+    require("axis_angle_rad", w, (..., 3))
     turns = np.sqrt(np.einsum("...i,...i", w, w))[..., None, None] / np.pi
     cross = cross_matrix(w)
     return np.eye(3) + np.sinc(turns) * cross + 0.5 * np.sinc(0.5 * turns) ** 2 * (cross @ cross)
 
 
 def log(rotations: np.ndarray) -> np.ndarray:
-    """(..., 3) axis-angles, angle in [0, π], of rotations (..., 3, 3); 1e-8 rad or better also at 0 and π (R11, R12)."""
+    """(..., 3) axis-angles, angle in [0, π], of rotations (..., 3, 3); 1e-8 rad or better also at 0 and π (R11, R12).
+
+    Raises ValueError for other last axes.
+    """
     q = to_quaternion(rotations)
     sine = np.sqrt(np.einsum("...i,...i", q[..., 1:], q[..., 1:]))
     # θ / sin(θ/2) tends to 2 at 0; the denominator is replaced before dividing, not after (double where).
@@ -44,14 +53,20 @@ def log(rotations: np.ndarray) -> np.ndarray:
 
 
 def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(...,) angle in radians between rotations a and b, in [0, π], without arccos."""
+    """(...,) angle in radians between rotations a and b (..., 3, 3), in [0, π], without arccos. Raises ValueError for other last axes."""
+    require("a", a, (..., 3, 3))
+    require("b", b, (..., 3, 3))
     relative = np.swapaxes(np.asarray(a, dtype=np.float64), -1, -2) @ np.asarray(b, dtype=np.float64)
     return np.linalg.norm(log(relative), axis=-1)
 
 
 def to_quaternion(rotations: np.ndarray) -> np.ndarray:
-    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots (R13)."""
+    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots (R13).
+
+    Raises ValueError for other last axes.
+    """
     r = np.asarray(rotations, dtype=np.float64)
+    require("rotations", r, (..., 3, 3))
     m = np.moveaxis(r.reshape(-1, 9), -1, 0)
     xx, xy, xz, yx, yy, yz, zx, zy, zz = m
     # Row k is 4 q_k q: each row is proportional to the quaternion, and the one with the largest diagonal is the safest.
@@ -71,8 +86,12 @@ def to_quaternion(rotations: np.ndarray) -> np.ndarray:
 
 
 def from_quaternion(quaternions: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity (R14)."""
+    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity (R14).
+
+    Raises ValueError for another last axis.
+    """
     q = np.asarray(quaternions, dtype=np.float64)
+    require("quaternions", q, (..., 4))
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     q = np.where(length < 1e-12, np.array([1.0, 0, 0, 0]), q / np.where(length < 1e-12, 1.0, length))
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -87,7 +106,10 @@ def from_two_vectors(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray,
 
     The six numbers of the continuous representation that networks return, made orthonormal by Gram-Schmidt. Where the two are
     parallel, zero or not finite, a rotation all the same (R20), its free axes chosen by the smallest coordinate, and not determined.
+    Raises ValueError for another last axis.
     """
+    require("first", first, (..., 3))
+    require("second", second, (..., 3))
     a, b = np.broadcast_arrays(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
     length_a, length_b = np.linalg.norm(a, axis=-1, keepdims=True), np.linalg.norm(b, axis=-1, keepdims=True)
     known = np.isfinite(length_a) & (length_a > 1e-12)
@@ -108,8 +130,13 @@ def from_two_vectors(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray,
 
 
 def project_to_so3(matrices: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01)."""
-    u, _, vt = np.linalg.svd(np.asarray(matrices, dtype=np.float64))
+    """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
+
+    Raises ValueError for other last axes and for values that are not finite, which would end the decomposition of all.
+    """
+    matrices = np.asarray(matrices, dtype=np.float64)
+    require("matrices", matrices, (..., 3, 3), finite=True)
+    u, _, vt = np.linalg.svd(matrices)
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
     return u @ vt
 
@@ -118,9 +145,11 @@ def slerp(a: np.ndarray, b: np.ndarray, share: np.ndarray | float, up: np.ndarra
     """(..., 3, 3) the rotation ``share`` (...,) of the shortest way from a to b, both world_from_… rotations.
 
     Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the world's
-    z when None), whatever the rounding (R01-R06).
+    z when None), whatever the rounding (R01-R06); ``half_turn`` tells. Raises ValueError for other last axes.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    require("a", a, (..., 3, 3))
+    require("b", b, (..., 3, 3))
     turn = log(b @ np.swapaxes(a, -1, -2))
     up = np.array([0.0, 0.0, 1.0]) if up is None else np.asarray(up, dtype=np.float64)
     ambiguous = np.linalg.norm(turn, axis=-1, keepdims=True) > np.pi - _HALF_TURN_RAD
@@ -131,14 +160,22 @@ def slerp(a: np.ndarray, b: np.ndarray, share: np.ndarray | float, up: np.ndarra
     return exp(np.asarray(share, dtype=np.float64)[..., None] * turn) @ a
 
 
+def half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(...,) bool: a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises ValueError as ``angle``."""
+    return angle(a, b) > np.pi - _HALF_TURN_RAD
+
+
 def mean(rotations: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Mean (..., 3, 3) over the axis of N in (..., N, 3, 3), and whether it is determined (...,).
 
     Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues meet,
-    as for thirds of a turn (R17); the rotation returned there is one of many.
+    as for thirds of a turn (R17); the rotation returned there is one of many. Raises ValueError for other last axes and for
+    rotations or weights that are not finite.
     """
+    require("rotations", rotations, (..., "N", 3, 3), finite=True)
     q = to_quaternion(rotations)
     w = np.ones(q.shape[:-1]) if weights is None else np.broadcast_to(np.asarray(weights, dtype=np.float64), q.shape[:-1])
+    require("weights", w, q.shape[:-1], finite=True)
     values, vectors = np.linalg.eigh(np.einsum("...n,...ni,...nj->...ij", w, q, q))
     total = w.sum(-1)
     determined = (total > 0) & (values[..., 3] - values[..., 2] > _MEAN_GAP * total)
@@ -149,10 +186,16 @@ def kabsch(source_m: np.ndarray, target_m: np.ndarray, weights: np.ndarray) -> t
     """Rotation (..., 3, 3) and translation (..., 3) with target ≈ R source + t, and whether they are determined (...,).
 
     Weighted least squares over N points (..., N, 3); determinant +1 also for planar sets (R19). Undetermined with fewer
-    than three points of positive weight or with points on a line. Points of weight 0 may be NaN.
+    than three points of positive weight or with points on a line. Points of weight 0 may be NaN. Raises ValueError for other shapes,
+    and for points of positive weight that are not finite.
     """
+    require("source_m", source_m, (..., "N", 3))
+    require("target_m", target_m, (..., "N", 3))
     w = np.asarray(weights, dtype=np.float64)
+    require("weights", w, (..., np.shape(target_m)[-2]), finite=True)
     source, target = (np.where(w[..., None] > 0, p, 0.0) for p in np.broadcast_arrays(source_m, target_m))
+    require("source_m where it has weight", source, (..., "N", 3), finite=True)
+    require("target_m where it has weight", target, (..., "N", 3), finite=True)
     total = np.maximum(w.sum(-1), 1e-300)[..., None]
     centre_s, centre_t = (np.einsum("...n,...ni->...i", w, p) / total for p in (source, target))
     covariance = np.einsum("...n,...ni,...nj->...ij", w, target - centre_t[..., None, :], source - centre_s[..., None, :])

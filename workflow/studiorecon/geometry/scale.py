@@ -97,8 +97,11 @@ def fit_scale(lengths: np.ndarray, template_m: np.ndarray, variance: np.ndarray)
 
     ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b + v/b up to exp(−b²/2v). Delta is a tenth of
     the bone's expected length at the median ratio. Iteratively reweighted from the median; 1e-9 or better, at any scale. Lengths
-    must be finite and template lengths positive.
+    must be finite and template lengths positive. Raises ValueError for other shapes and numbers that are not finite.
     """
+    sizes = require("lengths", lengths, ("N",), finite=True)
+    require("template_m", template_m, ("N",), sizes, finite=True)
+    require("variance", variance, ("N",), sizes, finite=True)
     scale = float(np.median(lengths / template_m))
     if not scale > 0:
         return scale

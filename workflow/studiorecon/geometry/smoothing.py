@@ -43,7 +43,10 @@ class Smoothing:
     turns_on: str
 
     def smooth_body(self, local: np.ndarray, trans_m: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joints' rotations (T, 24, 3, 3), root first, and pelvis positions (T, 3), smoothed as these settings say."""
+        """Joints' rotations (T, 24, 3, 3), root first, and pelvis positions (T, 3), smoothed as these settings say.
+
+        Raises ValueError for other shapes, values that are not finite, and a frame rate that is not positive.
+        """
         sizes = require("local", local, ("T", 24, 3, 3), finite=True)
         require("trans_m", trans_m, ("T", 3), sizes, finite=True)
         alpha, sigma = at_frame_rate(self, fps)
@@ -57,7 +60,12 @@ class Smoothing:
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
-    """(α, σ in frames) with the same decay per second at ``fps`` as ``smoothing`` has at its reference rate."""
+    """(α, σ in frames) with the same decay per second at ``fps`` as ``smoothing`` has at its reference rate.
+
+    Raises ValueError for a frame rate that is not positive.
+    """
+    if not fps > 0:
+        raise ValueError(f"fps must be positive, not {fps}")
     ratio = smoothing.reference_fps / fps if smoothing.reference_fps > 0 else 1.0
     return 1.0 - (1.0 - smoothing.alpha) ** ratio, smoothing.sigma_frames / ratio
 
@@ -84,7 +92,7 @@ def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> np.nda
 
 
 def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = "cascade") -> float:
-    """Share of a sinusoidal motion of that period that survives (F07)."""
+    """Share of a sinusoidal motion of that period that survives (F07). Raises ValueError as ``kernel`` does."""
     weights = kernel(alpha, sigma_frames, passes)
     reach = len(weights) // 2
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
@@ -93,15 +101,18 @@ def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = 
 def fill_vectors(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """(T, ...) with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the ends.
 
-    Raises ValueError when no frame is valid.
+    Raises ValueError when no frame is valid or the shapes do not fit.
     """
+    require("valid", valid, (len(values),))
     before, after, share = _neighbours(valid)
     share = share.reshape(-1, *(1,) * (values.ndim - 1))
     return (1 - share) * values[before] + share * values[after]
 
 
 def fill_rotations(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(T, ..., 3, 3) with invalid frames replaced by slerps between valid ones; see ``fill_vectors`` (F05)."""
+    """(T, ..., 3, 3) with invalid frames replaced by slerps between valid ones; raises as ``fill_vectors`` does (F05)."""
+    require("values", values, ("T", ..., 3, 3))
+    require("valid", valid, (len(values),))
     before, after, share = _neighbours(valid)
     filled = rotations.slerp(
         values[before], values[after], np.broadcast_to(share.reshape(-1, *(1,) * (values.ndim - 3)), values.shape[:-2])
@@ -131,6 +142,7 @@ def smooth_rotations(values: np.ndarray, alpha: float, sigma_frames: float, pass
 
     Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17 frames at
     the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through (F04).
+    Raises ValueError for other shapes and values that are not finite.
     """
     values = np.asarray(values, dtype=np.float64)
     require("values", values, ("T", ..., 3, 3), finite=True)

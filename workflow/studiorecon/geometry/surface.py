@@ -6,6 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
 
 
@@ -14,8 +15,9 @@ def depth_breaks(depth_m: np.ndarray, jump: float) -> np.ndarray:
 
     The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear in
     pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such pixels
-    (numerics C12).
+    (numerics C12). Raises ValueError for a ``depth_m`` that is no map (H, W).
     """
+    require("depth_m", depth_m, ("H", "W"))
     known = np.isfinite(depth_m) & (depth_m > 0)
     depth_m = np.where(known, depth_m, 1.0)
     inverse = np.where(known, 1.0 / depth_m, 0.0)
@@ -37,7 +39,9 @@ def points_and_normals(depth_m: np.ndarray, camera: Camera, jump: float = np.inf
 
     Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its neighbours,
     and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth is taken as 1 m.
+    Raises ValueError for a map of another size than the camera's.
     """
+    require("depth_m", depth_m, camera.hw)
     height, width = camera.hw
     known = np.isfinite(depth_m) & (depth_m > 0)
     inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 1.0).astype(np.float64)

@@ -42,8 +42,10 @@ def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> np.ndarray:
     """(cameras, 3) factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without any.
 
     Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their own
-    group's mean (minimum-norm solution).
+    group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
     """
+    for overlap in overlaps:
+        require(f"log_ratio of cameras {overlap.first} and {overlap.second}", overlap.log_ratio, (3,), finite=True)
     if not overlaps:
         return np.ones((cameras, 3))
     weights = np.sqrt([o.pixels for o in overlaps])[:, None]

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
 
 def write_depth(path: Path, depth_m: np.ndarray, confidence: np.ndarray) -> None:
-    """Write (H, W) float32 depth and confidence."""
+    """Write (H, W) float32 depth and confidence. Raises ValueError for maps of two sizes."""
+    require("confidence", confidence, ("H", "W"), require("depth_m", depth_m, ("H", "W")))
     import OpenEXR
 
     channels = {"Z": np.ascontiguousarray(depth_m, np.float32), "A": np.ascontiguousarray(confidence, np.float32)}

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity_map, squared_error
 from studiorecon.images.temporal import change
 from studiorecon.images.video import to_bytes
@@ -31,7 +32,11 @@ def levels(picture: np.ndarray) -> np.ndarray:
 
 
 def error_map(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_of``. 4 ms at 1280×704."""
+    """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_of``. 4 ms at 1280×704.
+
+    Raises ValueError for pictures that are not (H, W, 3) of one size.
+    """
+    require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     return squared_error(levels(prediction), levels(truth))
 
 
@@ -39,8 +44,11 @@ def psnr_of(errors: np.ndarray, mask: np.ndarray | None = None) -> float | None:
     """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` (H, W) bool when given.
 
     10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that is the
-    difference between 18 and 31 dB. None below 256 masked pixels.
+    difference between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
     """
+    sizes = require("errors", errors, ("H", "W"))
+    if mask is not None:
+        require("mask", mask, ("H", "W"), sizes)
     total, count = (errors.sum(dtype=np.int64), errors.size) if mask is None else masked_sum(errors, mask)
     if count == 0 or (mask is not None and count < SMALLEST_MASK_PX):
         return None
@@ -53,7 +61,7 @@ def decibels(mean_square: float) -> float:
 
 
 def psnr(prediction: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """``psnr_of`` the ``error_map`` of two pictures."""
+    """``psnr_of`` the ``error_map`` of two pictures. Raises ValueError for pictures or a mask of two sizes."""
     return psnr_of(error_map(prediction, truth), mask)
 
 
@@ -62,7 +70,9 @@ def colour_corrected_psnr(prediction: np.ndarray, truth: np.ndarray) -> float | 
 
     Says how much of an error is exposure and white balance; beside the plain value, never instead of it (evaluation 1.6). The
     fit is linear least squares over all pixels; a picture of too few colours to fit falls back to the minimum-norm map.
+    Raises ValueError for pictures of two sizes.
     """
+    require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     a, b = levels(prediction).reshape(-1, 3).astype(np.float32), levels(truth).reshape(-1, 3).astype(np.float32)
     if len(a) < SMALLEST_MASK_PX:
         return None
@@ -77,7 +87,9 @@ def ssim_map(prediction: np.ndarray, truth: np.ndarray, dtype: type = np.float64
     """(H, W) structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5, range 1.
 
     Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (numerics I01).
+    Raises ValueError for pictures of two sizes.
     """
+    require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
     return similarity_map(levels(prediction), levels(truth), dtype)
 
 
@@ -85,7 +97,9 @@ def whole_windows(mask: np.ndarray) -> np.ndarray:
     """(H, W) bool: pixels whose 11×11 window lies inside the picture and inside ``mask`` (H, W): the mask eroded by 5 pixels.
 
     Errors outside the mask cannot reach such windows (numerics I08), and they need no normalising by the mask's share (I10).
+    Raises ValueError for a mask that is no picture.
     """
+    require("mask", mask, ("H", "W"))
     inside = np.zeros(mask.shape, bool)
     inside[RADIUS : mask.shape[0] - RADIUS, RADIUS : mask.shape[1] - RADIUS] = True
     return inside & cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)).astype(bool)
@@ -95,8 +109,11 @@ def ssim(similarity: np.ndarray, mask: np.ndarray | None = None) -> float | None
     """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the mask.
 
     The mean divides by the windows used, not by the picture (numerics I09). None when a side is under 11 pixels or fewer than 256
-    masked windows remain.
+    masked windows remain. Raises ValueError for a mask of another size.
     """
+    sizes = require("similarity", similarity, ("H", "W"))
+    if mask is not None:
+        require("mask", mask, ("H", "W"), sizes)
     if min(similarity.shape) < WINDOW:
         return None
     if mask is None:
@@ -106,7 +123,11 @@ def ssim(similarity: np.ndarray, mask: np.ndarray | None = None) -> float | None
 
 
 def ssim_3dgs(similarity: np.ndarray) -> float | None:
-    """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers of the 3DGS lineage print it."""
+    """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers of the 3DGS lineage print it.
+
+    Raises ValueError for a map that is none.
+    """
+    require("similarity", similarity, ("H", "W"))
     return None if min(similarity.shape) < WINDOW else float(similarity.mean(dtype=np.float64))
 
 
@@ -114,12 +135,18 @@ def change_maps(current: np.ndarray, previous: np.ndarray, backward: np.ndarray,
     """(H, W) absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside ``valid``.
 
     O_t − warp(O_{t−1}, F_{t→t−1}), mean over channels, range 1. The flow (H, W, 2) is that of the *true* video.
+    Raises ValueError for pictures, a flow or a mask of another size.
     """
+    sizes = require("current", current, ("H", "W", 3))
+    require("previous", previous, ("H", "W", 3), sizes)
+    require("backward", backward, ("H", "W", 2), sizes)
+    require("valid", valid, ("H", "W"), sizes)
     return change(levels(current), levels(previous), backward, valid)
 
 
 def mean_inside(values: np.ndarray, mask: np.ndarray) -> float | None:
-    """Mean of a map over a mask (H, W) bool; None below 256 pixels."""
+    """Mean of a map over a mask (H, W) bool; None below 256 pixels. Raises ValueError for a mask of another size."""
+    require("mask", mask, ("H", "W"), require("values", values, ("H", "W")))
     total, count = masked_sum(values, mask)
     return total / count if count >= SMALLEST_MASK_PX else None
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from studiorecon.arrays import require
+
 # (3, H, W) float32 in [-1, 1] → one (C, h, w) float32 array per layer.
 Features = Callable[[np.ndarray], Sequence[np.ndarray]]
 SMALLEST_SIDE_PX = 64
@@ -35,8 +37,9 @@ def lpips(
 
     ``features`` is the network with its own scaling of inputs in [-1, 1]; ``weights`` the non-negative weights (C,) of its layers.
     ``rescaled=False`` feeds it [0, 1] instead, as papers of the 3DGS lineage do by mistake ("LPIPS-3DGS"): for comparison only.
-    Raises ValueError when the layers and their weights do not fit.
+    Raises ValueError when the pictures differ in size, or the layers and their weights do not fit.
     """
+    require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     if min(truth.shape[:2]) < SMALLEST_SIDE_PX:
         return None
     total = 0.0

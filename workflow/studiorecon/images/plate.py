@@ -21,8 +21,10 @@ _CLEAR_SHARE = 0.9
 def noise_levels(frames: np.ndarray) -> float:
     """Standard deviation of the noise in grey levels of frames (T, H, W, 3) uint8, from successive differences.
 
-    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes.
+    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes. Raises ValueError
+    for other shapes.
     """
+    require("frames", frames, ("T", "H", "W", 3))
     if len(frames) < 2:
         return 1.0
     pairs = np.linspace(0, len(frames) - 2, min(len(frames) - 1, 8)).astype(int)
@@ -120,7 +122,11 @@ def _same(a, b, tolerance):
 
 
 def write_plate(path: Path, rgb: np.ndarray, measured: np.ndarray) -> None:
-    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent black."""
+    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent black.
+
+    Raises ValueError for a mask of another size.
+    """
+    require("measured", measured, ("H", "W"), require("rgb", rgb, ("H", "W", 3)))
     alpha = np.where(measured, np.uint8(255), np.uint8(0))
     stored = np.concatenate([np.where(measured[..., None], rgb, np.uint8(0))[..., ::-1], alpha[..., None]], axis=-1)
     encoded = cv2.imencode(".png", np.ascontiguousarray(stored))[1]

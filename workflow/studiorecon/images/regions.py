@@ -23,7 +23,11 @@ def dilated(region: np.ndarray, size_px: int) -> np.ndarray:
 
 
 def signed_distance_px(region: np.ndarray) -> np.ndarray:
-    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is empty."""
+    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is empty.
+
+    Raises ValueError for a region that is no picture.
+    """
+    require("region", region, ("H", "W"))
     inside = region.astype(np.uint8)
     if not inside.any():
         return np.full(region.shape, -np.inf, np.float32)
@@ -36,7 +40,8 @@ def signed_distance_px(region: np.ndarray) -> np.ndarray:
 
 
 def without_islands(region: np.ndarray, least_px: float) -> np.ndarray:
-    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels."""
+    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels. Raises ValueError for no picture."""
+    require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     if count <= 1:
         return region.astype(bool)
@@ -46,7 +51,8 @@ def without_islands(region: np.ndarray, least_px: float) -> np.ndarray:
 
 
 def without_holes(region: np.ndarray, largest_px: float) -> np.ndarray:
-    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled."""
+    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled. Raises ValueError for no picture."""
+    require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats((~region.astype(bool)).astype(np.uint8), connectivity=4)
     if count <= 1:
         return region.astype(bool)

@@ -61,7 +61,11 @@ def _fill(pixels, inverse, faces, nearest):
 
 
 def front_person(depths_m: np.ndarray) -> np.ndarray:
-    """(H, W) uint8: 0 where nobody is, k + 1 where person k of (K, H, W) depths (0 = absent) is in front; ties go to the first."""
+    """(H, W) uint8: 0 where nobody is, k + 1 where person k of (K, H, W) depths (0 = absent) is in front; ties go to the first.
+
+    Raises ValueError for another shape.
+    """
+    require("depths_m", depths_m, ("K", "H", "W"))
     if not len(depths_m):
         return np.zeros(depths_m.shape[1:], np.uint8)
     reach = np.where(depths_m > 0, depths_m, np.inf)

@@ -12,6 +12,8 @@ import cv2
 import numba
 import numpy as np
 
+from studiorecon.arrays import require
+
 WINDOW, SIGMA = 11, 1.5
 RADIUS = WINDOW // 2
 # (K L)² with K 0.01 and 0.03 and the range L of 8-bit levels, which is never guessed from the data (numerics I02).
@@ -22,7 +24,9 @@ def similarity_map(first: np.ndarray, second: np.ndarray, dtype: type = np.float
     """(H, W) SSIM, mean over channels, of two (H, W, 3) uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
 
     ``dtype`` float32 halves the time and moves a mean by up to about 1e-6 (``tests/bench/report.py`` measures both).
+    Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
     """
+    require("second", second, ("H", "W", "C"), require("first", first, ("H", "W", "C")))
     kernel = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)[:, 0].astype(dtype)
     # Constants in the width of the sums: one float64 among float32 values would make all of them float64.
     constants = np.array([_C1, _C2, 0.5, 1 / first.shape[2]], dtype)

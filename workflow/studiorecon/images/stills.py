@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.errors import Refusal
 
 
@@ -29,7 +30,11 @@ def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shrink(rgb: np.ndarray, measured: np.ndarray, wh: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """A plate at another size: area-averaged over its measured pixels only; measured where more than half of the area was."""
+    """A plate at another size: area-averaged over its measured pixels only; measured where more than half of the area was.
+
+    Raises ValueError for a mask of another size.
+    """
+    require("measured", measured, ("H", "W"), require("rgb", rgb, ("H", "W", 3)))
     if (rgb.shape[1], rgb.shape[0]) == tuple(wh):
         return rgb, measured
     how = cv2.INTER_AREA if wh[0] < rgb.shape[1] else cv2.INTER_LINEAR

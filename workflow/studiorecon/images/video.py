@@ -29,12 +29,18 @@ def to_float(image: np.ndarray) -> np.ndarray:
 
 
 def write_lossless(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
-    """Write frames as FFV1: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many. At least one is needed."""
+    """Write frames as FFV1: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
+
+    Raises ValueError for frames of two sizes or none at all.
+    """
     return _write(path, frames, fps, "ffv1", {"level": "3", "slices": "4", "slicecrc": "1"})
 
 
 def write_watchable(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int = 16) -> int:
-    """Write (H, W, 3) uint8 frames as an H.264 mp4 that browsers play; odd sizes lose their last row or column."""
+    """Write (H, W, 3) uint8 frames as an H.264 mp4 that browsers play; odd sizes lose their last row or column.
+
+    Raises ValueError for frames of two sizes or none at all.
+    """
     even = (frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2] for frame in frames)
     return _write(path, even, fps, "libx264", {"crf": str(crf), "preset": "medium", "movflags": "+faststart"})
 

@@ -82,7 +82,10 @@ class Adam:
         self.refused = int(held["refused"])
 
     def step(self, gradients: Mapping[str, np.ndarray], rates: Mapping[str, float], rows: np.ndarray | None = None) -> None:
-        """One step of the parameters named in ``gradients``; with ``rows`` (N,) bool only those entries of the first axis move."""
+        """One step of the parameters named in ``gradients``; with ``rows`` (N,) bool only those entries of the first axis move.
+
+        Raises ValueError for a gradient or rows of another shape.
+        """
         for name, gradient in gradients.items():
             parameter, (first, second) = self.parameters[name], self._moments[name]
             if gradient.shape != parameter.shape:

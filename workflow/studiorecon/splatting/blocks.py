@@ -62,6 +62,8 @@ def block(gaussians: Gaussians, order: np.ndarray | None = None) -> BlockedGauss
 def repose(blocked: BlockedGaussians, means_m: np.ndarray, quaternions: np.ndarray) -> None:
     """Writes other means (N, 3) and quaternions (N, 4) into blocks made in the given order; nothing is allocated.
 
+    Raises ValueError for another number of Gaussians.
+
     For deformable sets: everything but the pose stays where it is.
     """
     if means_m.shape != (blocked.count, 3) or quaternions.shape != (blocked.count, 4):

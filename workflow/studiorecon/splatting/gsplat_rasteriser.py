@@ -179,7 +179,7 @@ class GsplatRasteriser:
         return Rendering(rendering.rgb, rendering.alpha, rendering.depth_m, set_id, normals)
 
     def features(self, values: np.ndarray) -> np.ndarray:
-        """As ``Rasteriser.features``."""
+        """As ``Rasteriser.features``; raises as it does."""
         import torch
 
         count = len(self._leaves["means_m"])
@@ -198,7 +198,7 @@ class GsplatRasteriser:
     def backward(
         self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
     ) -> GaussianGradients:
-        """As ``Rasteriser.backward``; once per ``forward``."""
+        """As ``Rasteriser.backward``, once per ``forward``; raises as it does."""
         import torch
 
         if self._view is None:

@@ -59,7 +59,7 @@ class Photometric:
         return 2 * 3 * self._plane * 4
 
     def prepare(self, rgb: np.ndarray, weight: np.ndarray | None = None, keep_statistics: bool = True) -> PreparedTarget:
-        """A target (H, W, 3) with per-pixel weights (H, W); masked colours may be NaN."""
+        """A target (H, W, 3) with per-pixel weights (H, W); masked colours may be NaN. Raises ValueError for another size."""
         height, width = self.hw
         weight = np.ones(self.hw, np.float32) if weight is None else weight
         if rgb.shape != (height, width, 3) or weight.shape != self.hw:

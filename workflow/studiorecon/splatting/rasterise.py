@@ -167,7 +167,10 @@ class Rasteriser:
         return Rendering(rgb, alpha, depth_m, set_id, normals)
 
     def features(self, values: np.ndarray) -> np.ndarray:
-        """Values (N, C) of the Gaussians of the last view blended like its colours, over 0: (H, W, C) float32; they may be negative."""
+        """Values (N, C) of the Gaussians of the last view blended like its colours, over 0: (H, W, C) float32; they may be negative.
+
+        Raises ValueError for another number of Gaussians.
+        """
         if self._blocked is None or len(values) != self._blocked.count or values.ndim != 2:
             raise ValueError(f"features of shape {values.shape} do not fit the Gaussians that were drawn last")
         splats, planes = self._splats.copy(), np.empty_like(self.planes)
@@ -185,7 +188,8 @@ class Rasteriser:
     ) -> GaussianGradients:
         """Gradients of a scalar by the Gaussians of the last ``forward``, from its gradients by rgb (H, W, 3), alpha and depth (H, W).
 
-        Blocks changed in between give wrong gradients. Pixels whose alpha is below 1e-4 pass no depth gradient.
+        Blocks changed in between give wrong gradients. Pixels whose alpha is below 1e-4 pass no depth gradient. Raises ValueError
+        before a ``forward`` and for gradients of another size.
         """
         if self._blocked is None:
             raise ValueError("backward needs a forward pass first")
@@ -214,7 +218,7 @@ class Rasteriser:
     ) -> np.ndarray:
         """Inner loop of training: fills and returns ``planes`` (5, H, W): red, green, blue, depth sum, transmittance.
 
-        The next call overwrites them.
+        The next call overwrites them. Raises Refusal when the Gaussians cover more tiles than any lists can hold.
         """
         left, top, right, bottom = checked_crop(camera, crop)
         self._resize(blocked.padded, (bottom - top, right - left))

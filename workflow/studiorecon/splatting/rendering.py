@@ -57,7 +57,10 @@ class GaussianGradients:
     background_rgb: np.ndarray
 
     def split(self, counts: Sequence[int]) -> list[GaussianGradients]:
-        """The gradients of sets that were drawn together, set by set; each keeps the harmonics of the largest set."""
+        """The gradients of sets that were drawn together, set by set; each keeps the harmonics of the largest set.
+
+        Raises ValueError when the counts do not add up to them.
+        """
         ends = np.cumsum(counts)
         if not len(ends) or ends[-1] != len(self.means_m):
             raise ValueError(f"sets of {list(counts)} are not the {len(self.means_m)} Gaussians of these gradients")
