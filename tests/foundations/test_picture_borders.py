@@ -4,15 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.images import metrics
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.exposure import compare
-from studiorecon.images.flow import chained, consistent
-from studiorecon.images.plate import temporal_modes
-from studiorecon.images.regions import dilated, iou
-from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.exposure import Overlap, compare, solve_gains
+from studiorecon.images.exr import write_depth
+from studiorecon.images.flow import chained, consistent, grey_levels
+from studiorecon.images.perceptual import lpips
+from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
+from studiorecon.images.regions import dilated, iou, signed_distance_px, without_holes, without_islands
+from studiorecon.images.silhouette import front_person, mesh_depth
+from studiorecon.images.similarity import similarity_map
+from studiorecon.images.stills import shrink
 from studiorecon.images.warp import sample, warp
 
 from tests.foundations.camera_ring import ring
@@ -35,6 +41,34 @@ CASES = {
     "dilated": (lambda: dilated(np.ones((3, 4, 5), bool), 3), r"region has shape \(3, 4, 5\)"),
     "iou": (lambda: iou(np.ones((3, 4), bool), np.ones((4, 4), bool)), r"second has shape \(4, 4\), expected \(3, 4\)"),
     "consistent": (lambda: consistent(zeros(5, 5, 2), zeros(5, 6, 2)), r"reverse_flow has shape \(5, 6, 2\)"),
+    "chained-valid": (
+        lambda: chained(zeros(5, 5, 2), np.ones((5, 6), bool), zeros(5, 5, 2), np.ones((5, 5), bool)),
+        r"valid has shape \(5, 6\)",
+    ),
+    "grey": (lambda: grey_levels(zeros(5, 5)), r"rgb has shape \(5, 5\)"),
+    "noise": (lambda: noise_levels(zeros(5, 5, 3)), r"frames has shape \(5, 5, 3\)"),
+    "distance": (lambda: signed_distance_px(zeros(5)), r"region has shape \(5,\)"),
+    "islands": (lambda: without_islands(zeros(5), 3), r"region has shape \(5,\)"),
+    "holes": (lambda: without_holes(zeros(5), 3), r"region has shape \(5,\)"),
+    "front": (lambda: front_person(zeros(5, 5)), r"depths_m has shape \(5, 5\)"),
+    "errors": (lambda: metrics.error_map(zeros(5, 5, 3), zeros(5, 6, 3)), "truth has shape .* with H = 5, W = 5"),
+    "psnr-mask": (lambda: metrics.psnr(zeros(5, 5, 3), zeros(5, 5, 3), np.ones((4, 5), bool)), r"mask has shape \(4, 5\)"),
+    "corrected": (lambda: metrics.colour_corrected_psnr(zeros(5, 5, 3), zeros(5, 5)), r"truth has shape \(5, 5\)"),
+    "ssim": (lambda: metrics.ssim_map(zeros(5, 5, 3), zeros(5, 6, 3)), r"truth has shape \(5, 6, 3\)"),
+    "ssim-mask": (lambda: metrics.ssim(zeros(20, 20), np.ones((20, 21), bool)), r"mask has shape \(20, 21\)"),
+    "ssim-3dgs": (lambda: metrics.ssim_3dgs(zeros(20)), r"similarity has shape \(20,\)"),
+    "windows": (lambda: metrics.whole_windows(np.ones(20, bool)), r"mask has shape \(20,\)"),
+    "inside": (lambda: metrics.mean_inside(zeros(5, 5), np.ones((5, 6), bool)), r"mask has shape \(5, 6\)"),
+    "change": (
+        lambda: metrics.change_maps(zeros(5, 5, 3), zeros(5, 5, 3), zeros(5, 5, 3), np.ones((5, 5), bool)),
+        r"backward has shape \(5, 5, 3\)",
+    ),
+    "similarity": (lambda: similarity_map(zeros(5, 5, 3), zeros(4, 5, 3)), r"second has shape \(4, 5, 3\)"),
+    "lpips": (lambda: lpips(zeros(64, 64, 3), zeros(64, 65, 3), list, []), r"prediction has shape|truth has shape"),
+    "gains": (lambda: solve_gains(2, [Overlap(0, 1, np.array([0, np.nan, 0]), 9)]), "log_ratio of cameras 0 and 1"),
+    "shrink": (lambda: shrink(zeros(5, 5, 3), np.ones((5, 4), bool), (2, 2)), r"measured has shape \(5, 4\)"),
+    "plate-file": (lambda: write_plate(Path("no.png"), zeros(5, 5, 3), np.ones((5, 4), bool)), r"measured has shape \(5, 4\)"),
+    "depth-file": (lambda: write_depth(Path("no.exr"), zeros(5, 5), zeros(5, 4)), r"confidence has shape \(5, 4\)"),
     "chained": (lambda: chained(zeros(5, 5, 2), np.ones((5, 5), bool), zeros(6, 5, 2), np.ones((6, 5), bool)), "further has shape"),
 }
 
