@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from studiorecon.errors import Refusal
 from studiorecon.scene.gaussians import Gaussians, empty
-from studiorecon.splatting import losses, torch_losses
+from studiorecon.splatting import cuda_training, losses, torch_losses
+from studiorecon.splatting.checkpoint import Checkpoint
 from studiorecon.splatting.cuda_training import train as train_cuda
 from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.splatting.targets import Target
@@ -20,6 +23,15 @@ from studiorecon.splatting.training import train as train_cpu
 from tests.foundations.gsplat_stand_in import rasterization
 from tests.foundations.splatting_scenes import camera_on_ring, room
 from tests.foundations.test_splatting_training import FIELDS, SETTINGS
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """The reference's small tensors gain nothing from more, and a busy machine stalls on them."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 def lesson() -> tuple[Gaussians, list[Target]]:
@@ -47,18 +59,19 @@ def trained_on_both(**changes: object) -> tuple[TrainedGaussians, TrainedGaussia
     return on_cpu, on_cuda
 
 
+# Settings, and the decibels that 40 steps reach: without wall-sized Gaussians the room keeps gaps.
 REGULARISERS = {
-    "plain": {},
-    "density, depth, opacity pull, scale limit": {"density": 0.05, "depth": 0.1, "opacity_pull": 0.01, "largest_scale_m": 0.4},
+    "plain": ({}, 21.0),
+    "density, depth, opacity pull, scale limit": ({"density": 0.05, "depth": 0.1, "opacity_pull": 0.01, "largest_scale_m": 0.4}, 15.0),
 }
 
 
-@pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in REGULARISERS.items()])
-def test_both_loops_learn_the_same(changes: dict) -> None:
+@pytest.mark.parametrize(("changes", "reached_db"), [pytest.param(*v, id=k) for k, v in REGULARISERS.items()])
+def test_both_loops_learn_the_same(changes: dict, reached_db: float) -> None:
     begin, _ = lesson()
     on_cpu, on_cuda = trained_on_both(**changes)
     assert on_cuda.psnr_db == pytest.approx(on_cpu.psnr_db, abs=0.02)
-    assert on_cuda.psnr_db > 17
+    assert on_cuda.psnr_db > reached_db
     for name in FIELDS:
         way = np.linalg.norm(getattr(on_cpu.gaussians, name) - getattr(begin, name))
         assert np.linalg.norm(getattr(on_cuda.gaussians, name) - getattr(on_cpu.gaussians, name)) < 0.06 * way, name
@@ -78,6 +91,67 @@ def test_density_control_keeps_its_budget_and_its_ancestry(densify: str) -> None
     assert trained.refused == trained.left_out == 0
     # The reset of step 11 left one step to recover from opacity 0.01.
     assert trained.gaussians.logit_opacities.max() < np.log(0.01 / 0.99) + 0.2
+
+
+def test_gradient_growth_chooses_the_gaussians_that_the_cpu_chooses() -> None:
+    """Offsets of split halves are drawn in another order, so what is compared is who had descendants, and what was learnt."""
+    control = {
+        "iterations": 14, "densify": "gradient", "densify_every": 8, "densify_from": 8, "densify_until": 8, "densify_gradient": 1e-3,
+        "densify_scale": 0.1, "cap": 400, "prune_opacity": 0.05, "opacity_reset_every": 0, "warmup_half_resolution": 0.0,
+    }  # fmt: skip
+    on_cpu, on_cuda = trained_on_both(**control)
+    assert on_cpu.gaussians.count > 260
+    assert on_cuda.gaussians.count == pytest.approx(on_cpu.gaussians.count, rel=0.02)
+    children = [np.bincount(trained.source, minlength=220) for trained in (on_cpu, on_cuda)]
+    assert (children[0] > 1).sum() > 20
+    assert np.mean(children[0] == children[1]) > 0.95
+    assert on_cuda.psnr_db == pytest.approx(on_cpu.psnr_db, abs=1)
+
+
+def test_nothing_is_added_after_the_last_step() -> None:
+    begin, targets = lesson()
+    settings = replace(SETTINGS, iterations=6, densify="gradient", densify_every=6, densify_from=6, densify_until=6, densify_gradient=0.0)
+    trained = train_cuda(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, place="cpu", function=rasterization)
+    assert trained.gaussians.count == begin.count
+
+
+KILLED = {
+    "fixed number, opacity pull": {"opacity_pull": 0.01, "sh_degree_every": 3},
+    "gradient": {"densify": "gradient", "densify_every": 4, "densify_from": 4, "densify_until": 12, "opacity_reset_every": 5, "cap": 260},
+    "relocate, random walk": {
+        "densify": "relocate", "densify_every": 4, "densify_from": 4, "densify_until": 12, "prune_opacity": 0.2, "relocate_noise": 1.0,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", [pytest.param(v, id=k) for k, v in KILLED.items()])
+def test_a_run_taken_up_ends_with_the_same_bytes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, changes: dict) -> None:
+    begin, targets = lesson()
+    settings = replace(SETTINGS, iterations=9, warmup_half_resolution=0.9, **changes)
+
+    def run(checkpoint: Checkpoint | None) -> TrainedGaussians:
+        return train_cuda(
+            begin, targets, settings, np.random.default_rng(0), extent_m=1.0, checkpoint=checkpoint, place="cpu", function=rasterization
+        )
+
+    whole, step, steps = run(None), cuda_training._Run.step, []
+
+    def watched(running: cuda_training._Run, iteration: int, index: int) -> tuple[float, float]:
+        steps.append(iteration)
+        if len(steps) == 7:
+            running.leaves["means_m"].data.fill_(7.0)  # half-done work must not be taken up
+            raise KeyboardInterrupt
+        return step(running, iteration, index)
+
+    monkeypatch.setattr(cuda_training._Run, "step", watched)
+    with pytest.raises(KeyboardInterrupt):
+        run(Checkpoint(tmp_path / "state.npz", "mark", 1e-9))
+    taken_up = run(Checkpoint(tmp_path / "state.npz", "mark", 1e-9))
+    assert steps == [*range(7), *range(6, 9)], "it went on where the checkpoint was"
+    for name in FIELDS:
+        assert getattr(taken_up.gaussians, name).tobytes() == getattr(whole.gaussians, name).tobytes(), name
+    assert taken_up.source.tobytes() == whole.source.tobytes()
+    assert (taken_up.psnr_db, taken_up.refused) == (whole.psnr_db, whole.refused)
 
 
 def test_a_poisoned_start_is_left_out_and_nothing_to_train_is_a_sentence() -> None:

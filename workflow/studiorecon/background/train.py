@@ -220,14 +220,14 @@ def run(
     shares = draw_shares(len(real), len(synthesized), settings.views_share)
     targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
     inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports]
-    mark = fingerprint(settings, inputs, code.digest("background.train"), threads)
+    mark = fingerprint(settings, inputs, code.digest("background.train"), threads, device)
     checkpoint = Checkpoint(background.parent / ".checkpoint" / f"{background.stem}.npz", mark, settings.training.checkpoint_every_s)
     if device == "cuda":
         from studiorecon.splatting.cuda_training import train as train_on_cuda
 
         trained = train_on_cuda(
             start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background",
-            network=_network(settings, threads), previews=previews,
+            network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
         )  # fmt: skip
     else:
         trained = train(

@@ -2,14 +2,15 @@
 """The training loop of ``training`` on a CUDA device: gsplat draws, torch does losses and Adam, and nothing leaves the device.
 
 Settings, targets, draw order, schedules, epsilons and density control are the same, so it learns the same to rounding. Sums over pixels
-are atomic there and come in any order: unlike on the CPU, results repeat only to about 1e-4. A run takes a minute or two, so there are
-no checkpoints.
+are atomic there and come in any order, so that two runs differ by rounding; a run taken up at its checkpoint continues from the very
+bits it had, and differs from an uninterrupted one by no more than that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting import growth, relocation, torch_losses
+from studiorecon.splatting.checkpoint import Checkpoint
 from studiorecon.splatting.conventions import OPACITY, QUATERNION, SCALE, SH
 from studiorecon.splatting.feedback import Feedback
 from studiorecon.splatting.gsplat_rasteriser import FIELDS, Rasterization, View, gsplat_function, view
@@ -31,8 +33,8 @@ from studiorecon.splatting.training import NOISE_OF_RATE, RESET_OPACITY, Trained
 
 def train(
     initial: Gaussians, targets: Sequence[Target], settings: TrainingSettings, rng: np.random.Generator, *, extent_m: float,
-    label: str = "training", network: Perceptual | None = None, previews: Path | None = None, place: str = "cuda",
-    function: Rasterization | None = None,
+    label: str = "training", network: Perceptual | None = None, checkpoint: Checkpoint | None = None, previews: Path | None = None,
+    place: str = "cuda", function: Rasterization | None = None,
 ) -> TrainedGaussians:  # fmt: skip
     """Gaussians fitted to the targets; arguments, result and refusals as for ``training.train``.
 
@@ -46,9 +48,15 @@ def train(
     run = _Run(initial, targets, settings, rng, extent_m, network, place, function or gsplat_function())
     feedback, order = Feedback(label, 0, settings.iterations, previews), DrawOrder([target.share for target in targets], rng)
     say(f"{label}: {initial.count} Gaussians on {len(targets)} images, {settings.iterations} iterations on {place}")
-    for iteration in progress(range(settings.iterations), label, settings.iterations):
+    begin = 0
+    if checkpoint is not None and (stored := checkpoint.load()) is not None:
+        begin = run.resume(*stored, feedback, order)
+        say(f"{label}: goes on at iteration {begin}, where it was interrupted")
+    for iteration in progress(range(begin, settings.iterations), label, settings.iterations - begin):
         if feedback.add(*run.step(iteration, order.draw())):
             feedback.tell(len(run.source), targets[0].camera.name, *run.look())
+        if checkpoint is not None and checkpoint.due():
+            checkpoint.save(*run.snapshot(iteration + 1, feedback, order))
     back = np.argsort(run.source, kind="stable")
     trained, source = run.gaussians().take(back), given[run.source[back]]
     kept = finite(trained)
@@ -81,6 +89,26 @@ class _Run:
         if self.settings.largest_scale_m > 0:
             self.leaves["log_scales"].data.clamp_(max=float(np.log(self.settings.largest_scale_m)))
         self._seen = torch.zeros((2, len(self.source)), device=self._place)
+
+    def snapshot(self, iteration: int, feedback: Feedback, order: DrawOrder) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """All that the iterations from ``iteration`` on depend on: arrays, and JSON facts."""
+        arrays = {name: leaf.detach().cpu().numpy() for name, leaf in self.leaves.items()}
+        arrays |= {f"adam.{name}": value for name, value in self.adam.arrays().items()}
+        arrays |= {"source": self.source, "seen": self._seen.cpu().numpy(), "noise": self._generator.get_state().numpy()}
+        return {**arrays, **feedback.record()}, {
+            "iteration": iteration, "generator": self.rng.bit_generator.state, "pending": order.pending,
+        }  # fmt: skip
+
+    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any], feedback: Feedback, order: DrawOrder) -> int:
+        """Puts a ``snapshot`` back; returns the iteration to go on with."""
+        self.source = arrays["source"]
+        self._put({name: arrays[name] for name in FIELDS})
+        self._seen.copy_(torch.as_tensor(arrays["seen"]))
+        self.adam.resume({name.removeprefix("adam."): value for name, value in arrays.items() if name.startswith("adam.")})
+        self._generator.set_state(torch.as_tensor(arrays["noise"]))
+        self.rng.bit_generator.state, order.pending = facts["generator"], facts["pending"]
+        feedback.resume(arrays)
+        return facts["iteration"]
 
     def gaussians(self) -> Gaussians:
         """As they are now, in the loop's order."""
@@ -145,7 +173,8 @@ class _Run:
     def _grow(self, iteration: int, width: int, drawn: View) -> None:
         """Density control after the step of ``iteration``, as ``densify`` says; chosen on the CPU by the same functions."""
         s, done = self.settings, iteration + 1
-        if s.densify == "none" or done > s.densify_until:
+        # What is added after the last step would be in the result untrained.
+        if s.densify == "none" or done > s.densify_until or done >= s.iterations:
             return
         due, grown = done >= s.densify_from and done % s.densify_every == 0, None
         if s.densify == "gradient":

@@ -70,6 +70,21 @@ class Adam:
         typical = torch.sqrt(self._squares[part].max() / self._steps).float()
         self._epsilons[part] = (self._epsilon * typical).clamp_min(EPSILON_LEAST)
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Moments, steps, epsilons and the count of refused entries, for a checkpoint."""
+        kinds = {"first": self._first, "second": self._second, "squares": self._squares, "epsilon": self._epsilons}
+        held = {f"{kind}.{name}": value.cpu().numpy() for kind, values in kinds.items() for name, value in values.items()}
+        return {**held, "steps": np.array(self._steps), "refused": self.refused.cpu().numpy()}
+
+    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+        """Puts ``arrays`` back."""
+        for kind, values in (("first", self._first), ("second", self._second), ("squares", self._squares), ("epsilon", self._epsilons)):
+            values.clear()
+            for name in (n for n in held if n.startswith(f"{kind}.")):
+                values[name.removeprefix(f"{kind}.")] = torch.as_tensor(held[name], device=self.refused.device)
+        self._steps = int(held["steps"])
+        self.refused.fill_(int(held["refused"]))
+
     def regrow(self, parent: np.ndarray, fresh: np.ndarray) -> None:
         """The moments of Gaussians that descend from ``parent`` (M,); ``fresh`` (M,) ones start without."""
         for moments in (self._first, self._second):
