@@ -11,6 +11,8 @@ from snakemake.exceptions import WorkflowError
 
 from studiorecon import code as package_code
 from studiorecon.errors import Refusal
+from studiorecon.models.registry import MODELS
+from studiorecon.models.selection import check_licences, selected
 from studiorecon.scene.dataset import open_dataset
 from studiorecon.studio.description import planned_dataset, read_description
 
@@ -96,6 +98,16 @@ if FROM_PEOPLE and (unseen := [c for c in CAMERAS if c not in DATASET.keypoints]
     )
 
 
+# Upstream networks that the configuration asks for; empty where a stage's own method is used.
+try:
+    check_licences(config)
+except Refusal as refusal:
+    raise WorkflowError(str(refusal)) from None
+SELECTED = sorted({model for _, model in selected(config)})
+WEIGHTS = config["weights"] if Path(config["weights"]).is_dir() else str(Path(workflow.basedir) / config["weights"])
+DEPTH_NETWORK = "" if config["depth"]["source"] == "embedded" else config["depth"]["source"]
+
+
 def settings(section):
     """One stage's section of the configuration as JSON: the whole of what its steps are told, but for the names of the user's files."""
     return json.dumps({k: v for k, v in config[section].items() if (section, k) != ("people", "identities")}, sort_keys=True)
@@ -109,6 +121,32 @@ def code(step):
 def image(name):
     """Address of a container image, from envs/images.yaml."""
     return f"docker://{IMAGES[name]['image']}:{IMAGES[name]['version']}"
+
+
+def model_image(name):
+    """Address of the image an upstream network runs in: its own where envs/images.yaml has one."""
+    own = MODELS[name].runtime.image
+    return image(own if own in IMAGES else "core")
+
+
+def gpus(name):
+    """GPUs that a job of an upstream network holds: one, unless everything is to run on the CPU or the network needs none."""
+    return 0 if config["device"] == "cpu" or MODELS[name].memory.gpu_gb is None else 1
+
+
+def brought(folder, stem, suffixes, setting):
+    """A file of upstream's that the user brought, by its conventional name; a sentence when it is not there."""
+    found = [path for suffix in suffixes if (path := Path(folder) / f"{stem}{suffix}").exists()]
+    if not found:
+        raise WorkflowError(f"{setting} is {folder!r}, which has no {stem} with one of the endings {', '.join(suffixes)}")
+    return str(found[0])
+
+
+def estimated_depth(wildcards):
+    """Depth of one camera in any unit: a network's, or the file that the user brought."""
+    if DEPTH_NETWORK != "precomputed":
+        return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
+    return brought(config["depth"]["precomputed"], wildcards.camera, (".exr", ".npy", ".npz", ".png"), "depth.precomputed")
 
 
 def people(wildcards):

@@ -1,10 +1,15 @@
 # Depth of the static scene: every camera looks for planes, the room is fitted to what they found, every camera looks again.
-# A depth map the user brought takes the place of the last look.
+# A depth map the user brought takes the place of the last look; a network's (depth.source) is put to the scale of that look.
 
 import re
 
 
 ruleorder: depth_given > depth_refine
+
+
+if DEPTH_NETWORK:
+
+    ruleorder: depth_given > depth_aligned
 
 
 rule depth_sweep:
@@ -78,7 +83,7 @@ rule depth_refine:
         shell="results/{scene}/depth/shell.json",
         passes="results/{scene}/depth/passes.npz",
     output:
-        depth="results/{scene}/depth/{camera}.exr",
+        depth="results/{scene}/depth/{camera}.planes.exr" if DEPTH_NETWORK else "results/{scene}/depth/{camera}.exr",
     log:
         "logs/{scene}/depth/refine/{camera}.log",
     benchmark:
@@ -120,3 +125,59 @@ rule depth_given:
     shell:
         "python -m studiorecon depth.given --settings {params.settings:q} --log {log}"
         " --camera {wildcards.camera:q} --model {input.model} --source {input.source:q} --depth {output.depth:q}"
+
+
+if DEPTH_NETWORK in MODELS:
+
+    rule depth_network:
+        input:
+            model="results/{scene}/cameras/images.txt",
+            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+        output:
+            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=TRAINING, allow_missing=True),
+        log:
+            "logs/{scene}/depth/network.log",
+        benchmark:
+            "benchmarks/{scene}/depth/network.tsv"
+        container:
+            model_image(DEPTH_NETWORK)
+        threads: 1
+        resources:
+            mem_mb=16000,
+            gpu=gpus(DEPTH_NETWORK),
+        params:
+            settings=settings("depth"),
+            code=code("depth.network"),
+            weights=WEIGHTS,
+            device=config["device"],
+        shell:
+            "python -m studiorecon depth.network --settings {params.settings:q} --log {log}"
+            " --model {input.model} --plates {input.plates:q} --weights {params.weights:q} --device {params.device}"
+            " --depths {output.depths:q}"
+
+
+if DEPTH_NETWORK:
+
+    rule depth_aligned:
+        input:
+            model="results/{scene}/cameras/images.txt",
+            estimate=estimated_depth,
+            planes="results/{scene}/depth/{camera}.planes.exr",
+        output:
+            depth="results/{scene}/depth/{camera}.exr",
+        log:
+            "logs/{scene}/depth/aligned/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/depth/aligned/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1000,
+        params:
+            settings=settings("depth"),
+            code=code("depth.aligned"),
+        shell:
+            "python -m studiorecon depth.aligned --settings {params.settings:q} --log {log}"
+            " --camera {wildcards.camera:q} --model {input.model} --estimate {input.estimate:q} --planes {input.planes:q}"
+            " --depth {output.depth:q}"

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
+from studiorecon.models.offline import stay_offline
 from studiorecon.progress import VOICE
 
 
@@ -33,6 +34,7 @@ def main(argv: list[str] | None = None) -> int:
         return 0 if argv and argv[0] in ("-h", "--help") else 2
     step = argv[0]
     _keep_to_the_threads_given()
+    stay_offline()
     try:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run

@@ -7,17 +7,14 @@ Nothing is fetched here: hubs are told to stay offline, so a missing file is a s
 from __future__ import annotations
 
 import importlib
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.models.offline import stay_offline
 from studiorecon.models.registry import model
-
-# Every hub client that upstream code uses reads one of these.
-_OFFLINE = {"HF_HUB_OFFLINE": "1", "TRANSFORMERS_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
 
 
 def staged(name: str, folder: Path) -> Path:
@@ -33,8 +30,7 @@ def staged(name: str, folder: Path) -> Path:
             raise Refusal(
                 f"{entry.title} needs {folder / file.path}, which is missing: get it from {where}{gate}, or choose another back end"
             )
-    for variable, value in _OFFLINE.items():
-        os.environ.setdefault(variable, value)
+    stay_offline()
     return folder
 
 
@@ -63,20 +59,23 @@ def attribute(name: str, module: Any, wanted: str) -> Any:
 
 
 def device(name: str, wanted: str, lower: str) -> Any:
-    """The torch device to run model ``name`` on: ``wanted`` ("cuda", "cpu"), after a look at the memory.
+    """The torch device to run model ``name`` on, after a look at the memory; ``wanted``: "auto", "cuda" or "cpu".
 
-    Raises Refusal when there is no such GPU, or less memory is free than the model needs; ``lower`` says which setting would help.
+    "auto" takes a GPU, and the CPU only for networks that need none. Raises Refusal when there is no such GPU, or less memory is free
+    than the model needs; ``lower`` says which setting would help.
     """
     import torch
 
     entry = model(name)
-    if wanted == "cpu":
+    needed = entry.memory.gpu_gb
+    if wanted == "cpu" or (wanted == "auto" and needed is None and not torch.cuda.is_available()):
         return torch.device("cpu")
     if not torch.cuda.is_available():
-        raise Refusal(f"{entry.title} runs on a GPU and torch sees none here; run this job where there is one, or {lower}")
-    needed = entry.memory.gpu_gb or 0.0
+        raise Refusal(
+            f"{entry.title} runs on a GPU and torch sees none here; run this job where there is one, set device to cpu and wait, or {lower}"
+        )
     free_gb = torch.cuda.mem_get_info()[0] / 1e9
-    if free_gb < needed:
+    if needed is not None and free_gb < needed:
         raise Refusal(f"{entry.title} needs {needed:.0f} GB of GPU memory ({entry.memory.note}) and {free_gb:.0f} GB are free; {lower}")
     return torch.device("cuda")
 

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pi3 and MapAnything: planted rooms come back through their conventions; logits, squashed pictures, edges and gauges do no harm."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from studiorecon.errors import Refusal
+from studiorecon.models.pi3 import MULTIPLE_PX, edges, focal, inferred, post, pre, probability
+from studiorecon.scene.camera import Camera
+
+from tests.models.planted import room_views, upstream_sources
+
+WH = (168, 98)
+
+
+def points_of(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """(h, w, 3) points in the camera's frame."""
+    pixels = np.concatenate([camera.pixel_centres(), np.ones((*camera.hw, 1))], axis=-1)
+    return pixels @ np.linalg.inv(camera.intrinsics).T * depth[..., None]
+
+
+def planted(scale: float, seed: int) -> tuple[list[Camera], list[np.ndarray], np.ndarray, np.ndarray]:
+    """The room as a network would tell it: any unit, any frame of reference, world-from-camera poses."""
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    gauge = np.eye(4)
+    gauge[:3, :3], gauge[:3, 3] = turn * np.sign(np.linalg.det(turn)), rng.normal(size=3)
+    views = room_views(WH)
+    poses = []
+    for camera, _, _ in views:
+        pose = camera.world_from_camera.copy()
+        pose[:3, 3] *= scale
+        poses.append(gauge @ pose)
+    points = np.stack([points_of(c, d * scale) for c, _, d in views])
+    return [c for c, _, _ in views], [d for _, _, d in views], points.astype(np.float32), np.stack(poses).astype(np.float32)
+
+
+@pytest.mark.parametrize("scale", [0.03, 1.0, 40.0])
+def test_cameras_depth_and_focal_lengths_come_back_up_to_one_scale(scale: float) -> None:
+    cameras, depths, points, poses = planted(scale, 3)
+    found = post(points, np.full(points.shape[:3], 0.9, np.float32), poses, [(WH[1], WH[0])] * 4, [c.name for c in cameras], False)
+    np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
+    for true, own, depth, seen, residual in zip(cameras, found.cameras, depths, found.depths, found.focal_residuals_px):
+        relative = true.camera_from_world @ cameras[0].world_from_camera
+        np.testing.assert_allclose(own.camera_from_world[:3, :3], relative[:3, :3], atol=1e-5)
+        np.testing.assert_allclose(own.camera_from_world[:3, 3], relative[:3, 3] * scale, atol=2e-5 * max(scale, 1))
+        # Naive, with the first pixel's centre at 0: off by half a pixel, 0.6 % of this focal length.
+        assert own.focal_px[0] == pytest.approx(true.focal_px[0], rel=1e-4)
+        assert residual < 0.01
+        known = seen > 0
+        # At this size a grazing floor steps by more than an edge.
+        assert known.mean() > 0.6
+        np.testing.assert_allclose(seen[known], depth[known] * scale, rtol=1e-4)
+
+
+def test_confidence_is_a_logit() -> None:
+    logits = np.array([-1000.0, -3.0, -2.1, 0.0, 3.0, 1000.0])
+    np.testing.assert_allclose(probability(logits), [0, 0.0474, 0.1091, 0.5, 0.9526, 1], atol=1e-4)
+    # Naive, conf > 0.1 on logits: throws away everything below a confidence of 0.52.
+    assert ((probability(logits) > 0.1) == [False, False, True, True, True, True]).all()
+
+
+def test_points_beside_jumps_in_depth_are_left_out() -> None:
+    depth = np.full((20, 30), 2.0)
+    depth[:, 15:] = 3.0
+    found = edges(depth)
+    assert found[:, 14:16].all()
+    assert found.sum() == 40
+    assert not edges(np.tile(np.linspace(2, 2.1, 30), (20, 1))).any()
+
+
+@pytest.mark.parametrize("hws", [[(270, 480)] * 3, [(704, 1280), (1280, 704)], [(100, 100), (480, 640), (1080, 1920)]])
+def test_pictures_keep_their_shape_at_multiples_of_14(hws: list[tuple[int, int]]) -> None:
+    pictures = [np.zeros((*hw, 3), np.uint8) for hw in hws]
+    for picture in pictures:
+        picture[-1], picture[:, -1] = 255, 255
+    tensor, taken = pre(pictures)
+    assert tensor.shape[0] == len(hws)
+    assert tensor.shape[2] % MULTIPLE_PX == tensor.shape[3] % MULTIPLE_PX == 0
+    assert tensor.shape[2] * tensor.shape[3] <= 255_000
+    for hw, size in zip(hws, taken):
+        # Naive: every picture is squashed to the first one's shape, and its intrinsics with it.
+        assert abs(np.log((size[0] / size[1]) / (hw[0] / hw[1]))) < 0.02
+        assert size[0] <= tensor.shape[2]
+        assert size[1] <= tensor.shape[3]
+
+
+def test_focal_length_is_that_of_the_confident_points() -> None:
+    camera, _, depth = room_views(WH)[0]
+    points = points_of(camera, depth)
+    weight = np.ones(camera.hw)
+    points[:40] *= np.array([3.0, 1.0, 1.0])
+    weight[:40] = 0
+    assert focal(points, weight)[0] == pytest.approx(camera.focal_px[0], rel=1e-6)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    cameras, _, points, poses = planted(1.0, 0)
+    sure, names, taken = np.full(points.shape[:3], 0.9, np.float32), [c.name for c in cameras], [(WH[1], WH[0])] * 4
+    mirrored = poses.copy()
+    mirrored[2, :3, 0] *= -1
+    with pytest.raises(Refusal, match="no rotation"):
+        post(points, sure, mirrored, taken, names, False)
+    doubtful = sure.copy()
+    doubtful[1] = 0.05
+    with pytest.raises(Refusal, match=r"sure of 0 pixels of camera cam2.*train: \["):
+        post(points, doubtful, poses, taken, names, False)
+    behind = points * np.array([1, 1, -1], np.float32)
+    with pytest.raises(Refusal, match="sure of 0 pixels of camera cam1"):
+        post(behind, sure, poses, taken, names, False)
+
+
+def test_the_call_hands_on_points_probabilities_and_poses() -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    asked = []
+
+    def network(pictures: object) -> dict[str, object]:
+        asked.append(tuple(pictures.shape))
+        return {
+            "local_points": torch.ones(1, 2, 14, 28, 3),
+            "conf": torch.zeros(1, 2, 14, 28, 1),
+            "camera_poses": torch.eye(4).expand(1, 2, 4, 4),
+        }
+
+    points, sure, poses = inferred(network, np.zeros((2, 3, 14, 28), np.float32), "cpu")
+    assert asked == [(1, 2, 3, 14, 28)]
+    assert (points.shape, sure.shape, poses.shape) == ((2, 14, 28, 3), (2, 14, 28), (2, 4, 4))
+    assert (sure == 0.5).all()
+
+
+@pytest.mark.weights
+def test_upstreams_network_with_random_weights_keeps_its_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    pytest.importorskip("einops", reason="einops is not installed")
+    upstream_sources("yyfz+Pi3")
+    from pi3.models import pi3
+    from pi3.models.dinov2.models.vision_transformer import DinoVisionTransformer
+
+    def shallow(**_: object) -> object:
+        body = SimpleNamespace(depth=1)
+        return DinoVisionTransformer(
+            img_size=518,
+            patch_size=14,
+            init_values=1.0,
+            embed_dim=1024,
+            depth=body.depth,
+            num_heads=16,
+            num_register_tokens=4,
+            block_chunks=0,
+        )
+
+    monkeypatch.setattr(pi3, "dinov2_vitl14_reg", shallow)
+    torch.manual_seed(0)
+    network = pi3.Pi3()
+    network.decoder = network.decoder[:2]
+    for name in ("point_decoder", "conf_decoder", "camera_decoder"):
+        getattr(network, name).blocks = getattr(network, name).blocks[:1]
+    network.eval()
+    pictures = np.random.default_rng(0).random((3, 3, 56, 70), dtype=np.float32)
+    points, sure, poses = inferred(network, pictures, "cpu")
+    assert points.shape == (3, 56, 70, 3)
+    assert (points[..., 2] > 0).all()
+    assert sure.min() >= 0
+    assert sure.max() <= 1
+    np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1, atol=1e-4)
+    found = post(points, np.ones_like(sure), poses, [(56, 70)] * 3, ["a", "b", "c"], False)
+    assert len(found.cameras) == 3
