@@ -150,12 +150,17 @@ def test_change_counts_only_valid_pixels_and_follows_the_flow() -> None:
     assert (square[inside] >= absolute[inside] ** 2 - 1e-12).all()
 
 
-def test_where_a_flow_leads_back_is_the_rule_of_the_enhancement() -> None:
+def test_where_a_flow_leads_back_is_the_published_rule() -> None:
     rng = np.random.default_rng(3)
     flow = cv2.GaussianBlur(rng.normal(0, 30, (60, 80, 2)).astype(np.float32), (0, 0), 4)
     reverse = -flow + rng.normal(0, 0.4, flow.shape).astype(np.float32)
     flow[5, 5], reverse[20, 20] = np.nan, np.inf
-    ours, theirs = leads_back(flow, reverse), consistent(flow, reverse)
+    back, inside = warp(np.nan_to_num(reverse, posinf=1e6), flow)
+    safe = np.where(inside[..., None], flow, 0)
+    motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)
+    expected = inside & (((safe + back) ** 2).sum(axis=-1) < 0.01 * motion + 0.5)
+    ours = leads_back(flow, reverse)
+    np.testing.assert_array_equal(ours, consistent(flow, reverse))
     assert 0.2 < ours.mean() < 0.95
-    assert (ours != theirs).mean() < 0.01, "OpenCV reads the reverse flow at 1/32 of a pixel"
+    assert (ours != expected).mean() < 0.01, "OpenCV reads the reverse flow at 1/32 of a pixel"
     assert not ours[5, 5]

@@ -15,13 +15,15 @@ from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.enhancer import Unchanged, loop_gain
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced
-from studiorecon.enhance.residual import ResidualTransfer, Transfer, best_strength, carried_over, source
+from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
 from studiorecon.images.metrics import psnr
 from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import read_frame, read_stack, write_lossless
+from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.render import shot as render_shot
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import Step, read_path
 
@@ -102,16 +104,16 @@ def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: en
         enhance_shot.run(settings, **{**options, "train_path": scene / "render/heldout.json"})
 
 
+def wall_depth(camera: Camera) -> np.ndarray:
+    """Depth (H, W) of the wall x = -3."""
+    origin, rays = camera.rays()
+    return np.where(rays[..., 0] < 0, (-3.0 - origin[0]) / np.minimum(rays[..., 0], -1e-9), 0).astype(np.float32)
+
+
 def one_view() -> tuple:
     """A training camera that looks at a wall 3 m away with a residual of 0.2 in red, and a view 20° beside it."""
     camera, view = ring([0, 20], "cam")
-    height, width = camera.hw
-
-    def wall_depth(one) -> np.ndarray:
-        origin, rays = one.rays()
-        return np.where(rays[..., 0] < 0, (-3.0 - origin[0]) / np.minimum(rays[..., 0], -1e-9), 0).astype(np.float32)
-
-    photo = np.zeros((height, width, 3), np.uint8)
+    photo = np.zeros((*camera.hw, 3), np.uint8)
     photo[..., 0] = 51
     return camera, view, wall_depth(camera), wall_depth(view), photo
 
@@ -140,6 +142,47 @@ def test_residual_lands_only_on_surfaces_that_the_camera_sees() -> None:
     )
     assert (covered == 0).all(), "another surface in front of the wall is not what the camera saw"
     assert np.isfinite(nearer).all()
+
+
+def plainly_carried_over(view: Camera, depth_m: np.ndarray, sources: list[Source], transfer: Transfer) -> tuple[np.ndarray, np.ndarray]:
+    """The formula of the transfer in whole arrays, without a feather."""
+    points = view.unproject(view.pixel_centres(), depth_m.astype(float))
+    total, weights, cover = np.zeros((*view.hw, 3)), np.zeros(view.hw), np.zeros(view.hw)
+    for one in sources:
+        pixels, distance = one.camera.project(points)
+        found, inside = sample(one.depth_m, pixels, "nearest")
+        seen = (depth_m > 0) & inside & (distance > 0) & (found > 0) & (np.abs(found - distance) <= transfer.depth_tolerance * distance)
+        here, there = points - view.centre_m, points - one.camera.centre_m
+        lengths = np.linalg.norm(here, axis=-1) * np.linalg.norm(there, axis=-1)
+        weight = seen * np.clip((here * there).sum(axis=-1) / np.maximum(lengths, 1e-12), 0, 1) ** transfer.angle_power
+        total, weights, cover = (
+            total + weight[..., None] * sample(one.residual, pixels)[0],
+            weights + weight,
+            np.maximum(cover, weight),
+        )
+    return total / np.maximum(weights, 1e-9)[..., None], cover
+
+
+def test_the_transfer_is_its_formula() -> None:
+    camera, view, depth, view_depth, photo = one_view()
+    other = ring([0, 40], "cam")[1]
+    transfer = replace(TRANSFER, feather_px=0.0)
+    rng = np.random.default_rng(0)
+    noisy = [rng.integers(0, 255, photo.shape, dtype=np.uint8) for _ in range(2)]
+    view_depth = view_depth.copy()
+    view_depth[3, 3] = np.nan
+    sources = [
+        source(camera, noisy[0], 0 * photo, depth, transfer),
+        Source(other, np.float32(noisy[1] / 255), wall_depth(other)),
+    ]
+    residual, cover = carried_over(view, view_depth, sources, transfer)
+    expected, expected_cover = plainly_carried_over(view, np.nan_to_num(view_depth), sources, transfer)
+    assert (expected_cover > 0).mean() > 0.3
+    np.testing.assert_allclose(cover, expected_cover, atol=1e-5)
+    # OpenCV reads at 1/32 of a pixel; the transfer is exact.
+    np.testing.assert_allclose(residual[cover > 0], expected[cover > 0], atol=0.05)
+    assert np.abs(residual - expected)[cover > 0].mean() < 5e-3
+    assert cover[3, 3] == 0
 
 
 def test_unseen_and_unknown_pixels_stay_untouched() -> None:

@@ -18,14 +18,10 @@ from typing import Literal
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.enhance.mixing import MEAN, NORM, SUM, add_share, difference_levels
 from studiorecon.images.blur import gaussian_blur
 
-# E11: of a grey difference of 20 levels the mean is 20, the norm 34.6 and the sum 60.
-_ERRORS = {
-    "mean": lambda difference: difference.mean(axis=-1),
-    "norm": lambda difference: np.sqrt((difference**2).sum(axis=-1)),
-    "sum": lambda difference: difference.sum(axis=-1),
-}
+_ERRORS = {"mean": MEAN, "norm": NORM, "sum": SUM}
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,7 @@ def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, inject
     sizes = require("render", render, ("H", "W", 3))
     require("warped", warped, ("H", "W", 3), sizes)
     require("valid", valid, ("H", "W"), sizes)
-    error_levels = _ERRORS[injection.error](255 * np.abs(warped - render))
+    error_levels = difference_levels(np.ascontiguousarray(warped), np.ascontiguousarray(render), _ERRORS[injection.error])
     usable = np.isfinite(error_levels) & valid
     # What is not finite counts as certainly wrong: just past the threshold, so that a blurred error stays in proportion.
     error_levels = np.where(usable, np.where(usable, error_levels, 0.0), injection.error_threshold)
@@ -101,10 +97,7 @@ def inject(
     shares = np.zeros(render.shape[:2], np.float32)
     added = np.zeros_like(render, dtype=np.float32)
     for weight, picture, trust in zip(history_weights(len(warped), injection.decay), warped, confidences, strict=True):
-        share = (np.float32(injection.strength * weight) * trust).astype(np.float32)
-        shares += share
-        # Where confidence is zero the warped picture may be anything, NaN included.
-        added += share[..., None] * np.where(trust[..., None] > 0, picture, 0)
+        add_share(added, shares, picture, trust, injection.strength * weight)
     kept = 1 - (shares if injection.form == "residual" else np.float32(injection.strength if len(warped) else 0))
     blended = render * (kept[..., None] if injection.form == "residual" else kept) + added
     return blended.astype(np.float32), shares

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from studiorecon.enhance.lookup import add_read, seen_from
 from studiorecon.images.blur import gaussian_blur
-from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.camera import Camera
 
@@ -69,23 +69,24 @@ def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source],
     Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards the borders
     of the seen area. The residual is the cover-weighted mean over sources.
     """
-    known = np.isfinite(depth_m) & (depth_m > 0)
-    points = camera.unproject(camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64))
-    rays = points - camera.centre_m
-    distances = _length(rays)
-    total = np.zeros((*depth_m.shape, 3), np.float32)
-    weights, cover = np.zeros(depth_m.shape, np.float32), np.zeros(depth_m.shape, np.float32)
+    view = np.ascontiguousarray(depth_m, np.float32)
+    world_from_view = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.intrinsics)
+    total = np.zeros((*view.shape, 3), np.float32)
+    weights, cover = np.zeros(view.shape, np.float32), np.zeros(view.shape, np.float32)
     for one in sources:
-        pixels, distance = one.camera.project(points)
-        found, inside = sample(one.depth_m, pixels, "nearest")
-        seen = known & inside & (distance > 0) & (found > 0) & (np.abs(found - distance) <= transfer.depth_tolerance * distance)
-        others = points - one.camera.centre_m
-        along = np.einsum("hwc,hwc->hw", rays, others)
-        cosine = np.clip(along / np.maximum(distances * _length(others), 1e-12), 0, 1)
-        weight = (_feather(seen, transfer.feather_px) * cosine**transfer.angle_power).astype(np.float32)
-        total += weight[..., None] * sample(one.residual, pixels)[0]
-        weights += weight
-        np.maximum(cover, weight, out=cover)
+        there = one.camera
+        seen, pixels, closeness = seen_from(
+            view,
+            world_from_view,
+            camera.centre_m,
+            one.depth_m,
+            np.ascontiguousarray(there.camera_from_world[:3]),
+            there.intrinsics,
+            there.centre_m,
+            transfer.depth_tolerance,
+            transfer.angle_power,
+        )
+        add_read(one.residual, pixels, _feather(seen, transfer.feather_px) * closeness, total, weights, cover)
     return total / np.maximum(weights, 1e-9)[..., None], cover
 
 
@@ -129,7 +130,3 @@ def _feather(seen: np.ndarray, feather_px: float) -> np.ndarray:
     # The picture's own border is no seam.
     padded = cv2.copyMakeBorder(seen.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     return np.minimum(cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] / feather_px, 1)
-
-
-def _length(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))

@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import Refusal
+from studiorecon.images.temporal import leads_back
 from studiorecon.images.warp import warp
 
 PRESETS = {
@@ -24,8 +25,6 @@ PRESETS = {
 }
 # Below this DIS has no pyramid level left to search.
 _SMALLEST_SIDE_PX = 24
-# Stands for an unknown reverse flow: leads back to nowhere.
-_NOWHERE_PX = 1e6
 
 
 @contextmanager
@@ -43,7 +42,8 @@ def one_thread() -> Iterator[None]:
 
 
 def grey_levels(rgb: np.ndarray) -> np.ndarray:
-    """(H, W) uint8 luminance of an RGB picture, uint8 or float in [0, 1]."""
+    """(H, W) uint8 luminance of an RGB picture (H, W, 3), uint8 or float in [0, 1]. Raises ValueError for another shape."""
+    require("rgb", rgb, ("H", "W", 3))
     levels = rgb if rgb.dtype == np.uint8 else np.rint(np.clip(np.nan_to_num(rgb), 0, 1) * 255).astype(np.uint8)
     return cv2.cvtColor(np.ascontiguousarray(levels), cv2.COLOR_RGB2GRAY)
 
@@ -68,6 +68,8 @@ def chained(flow: np.ndarray, valid: np.ndarray, further: np.ndarray, further_va
     """
     sizes = require("flow", flow, ("H", "W", 2))
     require("further", further, ("H", "W", 2), sizes)
+    require("valid", valid, ("H", "W"), sizes)
+    require("further_valid", further_valid, ("H", "W"), sizes)
     onward, inside = warp(further, flow)
     known, _ = warp(further_valid, flow, "nearest")
     return flow + onward, valid & inside & known
@@ -81,8 +83,4 @@ def consistent(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
     ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
-    back, inside = warp(np.nan_to_num(reverse_flow, nan=_NOWHERE_PX, posinf=_NOWHERE_PX, neginf=_NOWHERE_PX), flow)
-    safe = np.where(inside[..., None], flow, 0)
-    gap = ((safe + back) ** 2).sum(axis=-1)
-    motion = (safe**2).sum(axis=-1) + (back**2).sum(axis=-1)
-    return inside & (gap < 0.01 * motion + 0.5)
+    return leads_back(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

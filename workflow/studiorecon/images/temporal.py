@@ -6,6 +6,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+# A pixel that a flow of rounding errors moves off the outermost centre stays inside.
+_SLACK_PX = 1e-6
+
 
 @numba.njit(cache=True, nogil=True)
 def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
@@ -20,8 +23,9 @@ def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
             u, v = np.float64(flow[y, x, 0]), np.float64(flow[y, x, 1])
             at_x, at_y = x + u, y + v
             # Written so that NaN is refused.
-            if not (at_x >= 0.0 and at_y >= 0.0 and at_x <= width - 1 and at_y <= height - 1):
+            if not (at_x >= -_SLACK_PX and at_y >= -_SLACK_PX and at_x <= width - 1 + _SLACK_PX and at_y <= height - 1 + _SLACK_PX):
                 continue
+            at_x, at_y = min(max(at_x, 0.0), width - 1.0), min(max(at_y, 0.0), height - 1.0)
             left, top = min(int(at_x), width - 2), min(int(at_y), height - 2)
             wx, wy = at_x - left, at_y - top
             back_u, back_v = 0.0, 0.0

@@ -10,12 +10,15 @@ from __future__ import annotations
 from typing import Literal
 
 import cv2
+import numba
 import numpy as np
 
 from studiorecon.arrays import require
 
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
+# A coordinate computed to be exactly on the outermost centre counts as inside.
+_SLACK_PX = 1e-6
 
 
 def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +36,7 @@ def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linea
     column = np.clip(np.where(finite, pixels[..., 0], 0.0), 0.0, width)
     row = np.clip(np.where(finite, pixels[..., 1], 0.0), 0.0, height)
     margin = 0.0 if how == "nearest" else 0.5
-    slack = 1e-6  # a coordinate computed to be exactly on the outermost centre counts as inside
+    slack = _SLACK_PX
     inside = (pixels[..., 0] >= margin - slack) & (pixels[..., 0] <= width - margin + slack)
     inside &= (pixels[..., 1] >= margin - slack) & (pixels[..., 1] <= height - margin + slack)
     if how == "nearest":
@@ -61,6 +64,27 @@ def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", 
     A zero flow returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
     """
     require("flow", flow, ("H", "W", 2))
+    if how == "nearest" or image.shape[:2] != flow.shape[:2] or max(flow.shape[:2]) >= _LONGEST_SIDE:
+        columns, rows = np.meshgrid(np.arange(flow.shape[1]) + 0.5, np.arange(flow.shape[0]) + 0.5)
+        return sample(image, np.stack([columns, rows], axis=-1) + flow, how)
+    require("image", image, ("H", "W", ...))
+    as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
+    x, y, inside = _displaced(np.ascontiguousarray(flow))
+    return cv2.remap(as_float, x, y, _FILTERS[how], borderMode=cv2.BORDER_REPLICATE), inside
+
+
+@numba.njit(cache=True, nogil=True)
+def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they lie inside, as ``sample`` has them."""
     height, width = flow.shape[:2]
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    return sample(image, np.stack([columns, rows], axis=-1) + flow, how)
+    x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    inside = np.empty((height, width), np.bool_)
+    for i in range(height):
+        for j in range(width):
+            u, v = j + np.float64(flow[i, j, 0]), i + np.float64(flow[i, j, 1])
+            if not (np.isfinite(u) and np.isfinite(v)):
+                x[i, j], y[i, j], inside[i, j] = -0.5, -0.5, False
+                continue
+            inside[i, j] = u >= -_SLACK_PX and v >= -_SLACK_PX and u <= width - 1 + _SLACK_PX and v <= height - 1 + _SLACK_PX
+            x[i, j], y[i, j] = min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)
+    return x, y, inside
