@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.cameras import doctor, doctor_page, health
+from studiorecon.cameras import clocks, doctor, doctor_page, health
 from studiorecon.scene.camera import Camera
 
-from tests.foundations.camera_ring import detect, ring, walk
+from tests.foundations.camera_ring import STANDING, detect, ring, walk
 
 FRAMES = 40
 PEOPLE = [walk([-0.6, -0.5, 0], [0.02, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.02, 0], FRAMES, 2.0)]
@@ -71,6 +71,22 @@ def test_a_late_camera_is_found_with_its_interval(options):
     assert lag["valid"]
     assert lag["low"] <= 3 <= lag["high"]
     assert any("c1 is +3" in a for a in report["advice"])
+
+
+def test_people_who_stand_still_say_nothing_about_clocks():
+    still = [np.repeat(STANDING[None], FRAMES, axis=0)]
+    found = clocks.lags(detect(ring(), still, 1.5, np.random.default_rng(0)), ring(), 6, 0.25)
+    assert [lag.valid for lag in found] == [False] * 4
+
+
+def test_a_knocked_camera_is_not_taken_for_a_late_one():
+    """Constant gaps of a wrong pose look like a lag of people who all walk one way; their swinging arms tell them apart."""
+    given = ring()
+    pose = given[1].camera_from_world.copy()
+    pose[:3, 3] += [0.0, 0.04, 0.0]
+    given[1] = replace(given[1], camera_from_world=pose)
+    seen = detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
+    assert all(lag.low <= 0 <= lag.high for lag in clocks.lags(seen, given, 6, 0.25))
 
 
 def test_unequal_footage_and_exposures_are_reported(options):

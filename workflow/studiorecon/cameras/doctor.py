@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from studiorecon.cameras import health, sanity
+from studiorecon.cameras import clocks, health, sanity
 from studiorecon.cameras.advice import verdict
 from studiorecon.cameras.correspondences import Observations, observe, spread_frames
 from studiorecon.cameras.doctor_page import page
@@ -24,7 +24,7 @@ from studiorecon.cameras.lens_model import LensReading, as_model
 from studiorecon.cameras.refine import error_medians
 from studiorecon.cameras.sheet import contact_sheet
 from studiorecon.errors import Refusal
-from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_video
+from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
@@ -36,6 +36,7 @@ _LAG_FRAMES = 6
 # Frames of a long take that the clocks are compared on: enough for any lag, and a second of work.
 _CLOCK_FRAMES = 200
 _NOBODY_REACH_M = 2.0
+_PICTURE_ROWS = 480
 Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
 
 
@@ -78,7 +79,7 @@ def examined(
     middle, reach = _volume(cameras, points)
     half = min(frames, _CLOCK_FRAMES) // 2
     window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
-    found_lags = health.lags(window, cameras, _LAG_FRAMES, settings.refine_gate_m) if people else []
+    found_lags = clocks.lags(window, cameras, _LAG_FRAMES, settings.refine_gate_m) if people else []
     report: dict[str, Any] = {
         "cameras": names,
         "people": people,
@@ -138,6 +139,19 @@ def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Came
     return Camera(lens.name, wh, intrinsics, lens.camera_from_world), Detections(lens.name, seen.layout, seen.frame, seen.track, points)
 
 
+def straightened(picture: np.ndarray, lens: Lens, camera: Camera) -> np.ndarray:
+    """The picture (H, W, 3) of a video as the pinhole ``camera`` of ``undistorted`` sees it, 480 rows high."""
+    small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
+    place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
+    return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
+
+
+def marks(seen: Detections, frame: int | None) -> np.ndarray:
+    """(N, 2) pixels of all keypoints of a frame."""
+    points = seen.keypoints[seen.frame == (-1 if frame is None else frame)].reshape(-1, 3)
+    return points[points[:, 2] > 0, :2]
+
+
 def nobody(camera: str) -> Detections:
     """The sightings of a camera without keypoints."""
     return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
@@ -186,7 +200,8 @@ def run(
     if result["shown_frame"] is not None:
         pictures = [glance(source, [start + result["shown_frame"]]).pictures[0] for source in sources]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
-    sheet = contact_sheet(pinholes, [], pictures, points, shown)
+    straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
+    sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
     png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes()
     write_json(report, result)
     write_text(doctor, page(scene, result, png))

@@ -8,6 +8,7 @@ import html
 from typing import Any
 
 from studiorecon.cameras.advice import CLEAR_MARGIN, HEADLINES
+from studiorecon.cameras.hypotheses import MOST_MARGIN
 
 _COLOURS = {"good": "#1a7f37", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
 _STYLE = (
@@ -39,8 +40,9 @@ def _caption(report: dict[str, Any]) -> str:
     if report["shown_frame"] is None:
         return "No joints could be measured. From above: where the calibration says the cameras stand and look."
     return (
-        f"Green: people's joints of frame {report['shown_frame']}, measured from all cameras together and projected back; they must lie "
-        "on the joints in every picture. From above: where the calibration says the cameras stand and look, and all measured joints."
+        f"Frame {report['shown_frame']} without lens distortion. Rings: the keypoints that were given. Green dots: joints measured by all "
+        "cameras together and projected back. Rings off the joints: keypoints of another size, frame or camera. Dots off the rings: "
+        "the calibration or a clock is off. From above: where the calibration says the cameras stand and look, and the measured joints."
     )
 
 
@@ -63,7 +65,7 @@ def _cameras(report: dict[str, Any]) -> str:
     for camera, a in report["footage"].items():
         margin, facts = report["margin"][camera], report["facts"][camera]
         clear = margin is not None and margin >= CLEAR_MARGIN
-        shown = f"{margin:.1f}" if margin is not None else "–"
+        shown = "–" if margin is None else f"≥ {MOST_MARGIN:g}" if margin >= MOST_MARGIN else f"{margin:.1f}"
         cells = [
             html.escape(camera),
             _number(report["px_per_camera"][camera], ".1f"),
@@ -82,21 +84,22 @@ def _cameras(report: dict[str, Any]) -> str:
     return (
         "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + f"</tr>{''.join(rows)}</table>"
         f'<p class="note">Margin: how many times better this camera fits the people as read than under the best other reading of its pose; '
-        f"from {CLEAR_MARGIN} on it is clear, 20 is the most that is counted. Lag: how much later than the others it recorded, with the "
+        f"from {CLEAR_MARGIN} on it is clear. Lag: how much later than the others it recorded, with the "
         "interval that fits as well.</p>"
     )
 
 
 def _readings(report: dict[str, Any]) -> str:
     best = max(row["score"] for row in report["hypotheses"])
+    px = {"as read": report["median_px"], **{h["hypothesis"]: h["median_px"] for h in report["hypotheses"] if "median_px" in h}}
     rows = "".join(
         f"<tr><td>{'<b>' if h['score'] == best > 0 else ''}{html.escape(h['hypothesis'])}{'</b>' if h['score'] == best > 0 else ''}</td>"
-        f"<td>{h['score']:.3f}</td><td>{html.escape(h['remedy'])}</td></tr>"
+        f"<td>{h['score']:.3f}</td><td>{_number(px.get(h['hypothesis']), '.1f')}</td><td>{html.escape(h['remedy'])}</td></tr>"
         for h in report["hypotheses"]
     )
     return (
         "<h2>How the calibration could be read</h2><table><tr><th>reading</th><th>agreement of people's rays, 0 to 1</th>"
-        f"<th>if this is the right one</th></tr>{rows}</table>"
+        f"<th>px off</th><th>if this is the right one</th></tr>{rows}</table>"
     )
 
 

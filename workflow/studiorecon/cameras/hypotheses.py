@@ -19,7 +19,7 @@ from studiorecon.scene.people import Detections
 
 _CLEARLY = 1.5
 _TORSO_M = (0.25, 0.9)
-_MOST_MARGIN = 20.0
+MOST_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 _HYPOTHESES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "as read": lambda pose: pose,
@@ -71,7 +71,7 @@ def verdicts(
         turned = [[_read(c, change) if k == v else c for k, c in enumerate(cameras)] for change in list(_HYPOTHESES.values())[1:]]
         other = max(_affinity(t, detections, frames, gate_m) for t in turned)
         own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
-        margins.append(min(own / max(rival, own / _MOST_MARGIN), _MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
+        margins.append(min(own / max(rival, own / MOST_MARGIN), MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
     return table, margins
 
 

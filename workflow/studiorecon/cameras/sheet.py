@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The doctor's picture: one frame per camera with reprojected points, and all cameras from above."""
+"""What the doctor and refinement show: one frame per camera with reprojected points, and all cameras from above."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ _TILE_H = 480
 _MARGIN = 28
 _INK, _PAPER = (30, 30, 30), 245
 _TRAINING, _HELD_OUT, _POINT = (200, 60, 30), (40, 90, 200), (20, 200, 60)
+_KEYPOINT = (255, 40, 160)
 _FRUSTUM_SHARE = 0.18
+_WIDEST = 1900
 
 
 def contact_sheet(
@@ -24,27 +26,46 @@ def contact_sheet(
     pictures: Sequence[np.ndarray | None],
     points_m: np.ndarray,
     report: dict[str, Any],
+    keypoints: Sequence[np.ndarray] = (),
 ) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: the pictures (H, W, 3 uint8 or None) side by side, then the view from above; a line of text each."""
+    """(H, W, 3) uint8 RGB: the pictures (H, W, 3 uint8 or None) in rows, then the view from above; a line of text each.
+
+    ``keypoints``: per camera (N, 2) pixels that were detected, drawn as rings around which the points' dots should lie.
+    """
     before = report.get("before_px_per_camera") or [None] * len(training)
     after = report.get("after_px_per_camera") or [None] * len(training)
     tiles = []
-    for camera, picture, first, last in zip(training, pictures, before, after):
-        tile = _photo(camera, picture, points_m)
+    for v, (camera, picture, first, last) in enumerate(zip(training, pictures, before, after)):
+        tile = _photo(camera, picture, points_m, keypoints[v] if keypoints else np.zeros((0, 2)))
         text = camera.name + ("" if last is None else f"  {first:.1f} -> {last:.1f} px" if first is not None else f"  {last:.1f} px")
         tiles.append(_labelled(tile, text))
     tiles.append(_labelled(_from_above(training, held_out, points_m), "from above, grid 1 m"))
-    return np.concatenate(tiles, axis=1)
+    return _in_rows(tiles)
 
 
-def _photo(camera: Camera, picture: np.ndarray | None, points_m: np.ndarray) -> np.ndarray:
+def _in_rows(tiles: Sequence[np.ndarray]) -> np.ndarray:
+    """Tiles of one height, in rows no wider than a screen."""
+    rows: list[list[np.ndarray]] = [[]]
+    for tile in tiles:
+        if rows[-1] and sum(t.shape[1] for t in rows[-1]) + tile.shape[1] > _WIDEST:
+            rows.append([])
+        rows[-1].append(tile)
+    width = max(sum(t.shape[1] for t in row) for row in rows)
+    blanks = [np.full((row[0].shape[0], width - sum(t.shape[1] for t in row), 3), 255, dtype=np.uint8) for row in rows]
+    return np.concatenate([np.concatenate([*row, blank], axis=1) for row, blank in zip(rows, blanks)], axis=0)
+
+
+def _photo(camera: Camera, picture: np.ndarray | None, points_m: np.ndarray, keypoints: np.ndarray) -> np.ndarray:
     width = max(1, round(_TILE_H * camera.wh[0] / camera.wh[1]))
     if picture is None:
         tile = np.full((_TILE_H, width, 3), _PAPER, dtype=np.uint8)
     else:
         tile = cv2.resize(picture, (width, _TILE_H), interpolation=cv2.INTER_AREA)
     pixels, depth = camera.resized((width, _TILE_H)).project(points_m)
+    for pixel in keypoints * (np.array([width, _TILE_H]) / camera.wh):
+        cv2.circle(tile, (int(pixel[0]), int(pixel[1])), 5, _KEYPOINT, 1, cv2.LINE_AA)
     for pixel in pixels[(depth > 0) & (np.abs(pixels) < 1e4).all(-1)]:
+        cv2.circle(tile, (int(pixel[0]), int(pixel[1])), 3, _INK, -1, cv2.LINE_AA)
         cv2.circle(tile, (int(pixel[0]), int(pixel[1])), 2, _POINT, -1, cv2.LINE_AA)
     return tile
 
