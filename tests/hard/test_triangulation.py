@@ -245,7 +245,8 @@ def test_t15_a_world_far_from_its_origin_costs_nothing(solver):  # T15 naive, f3
     assert np.abs(solve(seen(cameras, truth), cameras, solver).points_m - truth).max() < 1e-7
 
 
-# T16, not a failure: the table's medians, from few draws (at 10° ours is 24 % over it), and the closed form of the root mean square.
+# T16, not a failure: the table's medians (±20 %), and the closed form of the error. At 10° the table's 1.8 cm came from few draws: 1 px is
+# 4 mm at 4 m, the Cramér-Rao bound of the depth is then 3.2 cm, its median 2.2, and nobody unbiased gets below. Held instead: the bound.
 @pytest.mark.parametrize(
     ("degrees", "median_cm"), [(1, 20), (2, 9.7), (5, 3.8), (10, 1.8), (30, 0.75), (90, 0.5)], ids=lambda v: f"T16-{v}"
 )
@@ -255,7 +256,12 @@ def test_accuracy_follows_the_ray_angle(degrees, median_cm):
     found = solve(seen(cameras, truth, 1.0, np.random.default_rng(degrees)), cameras, min_angle_deg=0.3)
     error = np.linalg.norm(found.points_m[found.valid] - truth[found.valid], axis=-1)
     half = np.radians(degrees / 2)
-    expected_m = 0.004 * np.sqrt(0.5 / np.sin(half) ** 2 + 0.5 / np.cos(half) ** 2 + 0.5)  # 1 px is 4 mm at 4 m
+    sigma_m = 0.004 * np.sqrt([0.5 / np.sin(half) ** 2, 0.5 / np.cos(half) ** 2, 0.5])  # along, across, up
+    expected_m = np.linalg.norm(sigma_m)
+    bound_cm = 100 * np.median(np.linalg.norm(sigma_m * np.random.default_rng(0).normal(size=(100_000, 3)), axis=-1))
     assert np.sqrt((error**2).mean()) == pytest.approx(expected_m, rel=0.05)
-    assert 100 * np.median(error) == pytest.approx(median_cm, rel=0.25 if degrees == 10 else 0.2)
+    assert 100 * np.median(error) == pytest.approx(bound_cm, rel=0.05)
+    assert (bound_cm > 1.2 * median_cm) == (degrees == 10)
+    if degrees != 10:
+        assert 100 * np.median(error) == pytest.approx(median_cm, rel=0.2)
     assert np.median(found.sigma_m[found.valid]) == pytest.approx(expected_m, rel=0.2)
