@@ -25,6 +25,16 @@ class State:
         """(S,) what all frames share: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
+    def at(self, frames: np.ndarray) -> State:
+        """Some frames (F,) bool."""
+        return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
+
+    def put(self, frames: np.ndarray, part: State) -> State:
+        """The state whose ``frames`` are those of ``part``; what is shared stays."""
+        local, trans = self.local.copy(), self.trans.copy()
+        local[frames], trans[frames] = part.local, part.trans
+        return State(local, trans, self.betas, self.log_scale, self.corrections)
+
     def moved(self, local_turn: np.ndarray, shift: np.ndarray, shared: np.ndarray) -> State:
         """The state after small turns (F, 24, 3) about the joints' own axes, shifts (F, 3) and a change (S,) of what is shared."""
         count = len(self.betas)
@@ -86,16 +96,24 @@ class Basis:
         points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
         return Posed(points, parts, world, joints)
 
-    def linear(self, state: State, posed: Posed | None = None) -> Linear:
-        """Points and derivatives; ``posed`` spares posing them again."""
-        posed = self.posed(state) if posed is None else posed
+    def linear(self, state: State) -> Linear:
+        """Points and derivatives."""
+        posed = self.posed(state)
+        return Linear(posed.points, self.turned(state, posed), self.shaped(state, posed), posed.world)
+
+    def turned(self, state: State, posed: Posed) -> np.ndarray:
+        """(F, K, 24, 3) derivatives by turns, see ``Linear``."""
+        frames = len(posed.world)
+        turned = np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T  # (F, 3K, 24), sums over each subtree
+        turned = turned.reshape(frames, len(self.share), 3, 24)
+        turned -= self.subtree_share[:, None] * np.swapaxes(posed.joints, 1, 2)[:, None]
+        turned *= np.exp(state.log_scale)
+        return np.swapaxes(turned, 2, 3)
+
+    def shaped(self, state: State, posed: Posed) -> np.ndarray:
+        """(F, K, 3, B + 1) derivatives by betas and log scale."""
         world, count, shapes = posed.world, len(self.share), self.body.shapes
         frames = len(world)
-        scale = np.exp(state.log_scale)
-        turned = np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T  # (F, 3K, 24), sums over each subtree
-        turned = turned.reshape(frames, count, 3, 24)
-        turned -= self.subtree_share[:, None] * np.swapaxes(posed.joints, 1, 2)[:, None]
-        turned *= scale
         moved = np.zeros((frames, 24, 3, shapes))
         for j, parent in enumerate(self.body.parents):
             if parent >= 0:
@@ -104,6 +122,6 @@ class Basis:
         shaped = np.empty((frames, count, 3, shapes + 1))
         shaped[..., :-1] = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
         shaped[..., :-1] += (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
-        shaped[..., :-1] *= scale
+        shaped[..., :-1] *= np.exp(state.log_scale)
         shaped[..., -1] = posed.points - state.trans[:, None]
-        return Linear(posed.points, np.swapaxes(turned, 2, 3), shaped, world)
+        return shaped

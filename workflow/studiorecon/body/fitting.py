@@ -18,8 +18,9 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.body import prior
 from studiorecon.body.basis import Basis, State
+from studiorecon.body.descent import descend
 from studiorecon.body.model import BodyModel
-from studiorecon.body.problem import Evidence, Normal, Problem, Pulls
+from studiorecon.body.problem import Evidence, Problem, Pulls
 from studiorecon.body.start import start
 
 _PER_FRAME = (
@@ -135,7 +136,7 @@ def fit(
     )  # fmt: skip
     problem = Problem(body, evidence, pulls)
     state = State(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
-    state, normal, steps, converged = _descend(problem, state, settings)
+    state, normal, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
     residual = np.linalg.norm(evidence.basis.posed(state).points - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas
     joints, *sigmas, out.beta_sigma[:] = problem.posterior(state, normal)
@@ -203,29 +204,6 @@ def gather(
         if parent >= 0:
             ancestors[:, j] += ancestors[:, parent]
     return Evidence(Basis(body, share, anchors, ancestors, len(names)), np.where(seen[..., None], targets, 0.0), precision, counts)
-
-
-def _descend(problem: Problem, state: State, settings: FitSettings) -> tuple[State, Normal, int, bool]:
-    """Levenberg-Marquardt with one damping for all frames; a step that raises the cost is not taken. The last normal equations too."""
-    posed = problem.basis.posed(state)
-    damping, cost = 1e-3, problem.cost(state, posed)
-    for step in range(1, settings.iterations + 1):
-        normal = problem.normal(state, posed)
-        for _ in range(8):
-            moved = problem.step(state, normal, damping)
-            if moved is not None:
-                moved_posed = problem.basis.posed(moved)
-                new_cost = problem.cost(moved, moved_posed)
-                if new_cost < cost:
-                    break
-            damping *= 8
-        else:
-            return state, normal, step, True  # no direction gains: a minimum to rounding
-        gain = (cost - new_cost) / cost
-        state, posed, cost, damping = moved, moved_posed, new_cost, max(damping / 5, 1e-7)
-        if gain < settings.tolerance:
-            return state, normal, step, True
-    return state, normal, settings.iterations, False
 
 
 def _fit_each_frame(

@@ -163,13 +163,13 @@ class BodyModel:
         vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
         share = np.zeros((len(rows), 24))
         anchors = np.zeros((len(rows), 24, 3, 1 + self.shapes))
-        surface = np.concatenate([self.template_m[..., None], self.shape_directions], axis=-1)
         skeleton = np.concatenate([self.joint_template_m[..., None], self.joint_directions], axis=-1)
         for k, row in enumerate(vertices):
             used = np.flatnonzero(row)
             carried = row[used, None] * self.weights[used].astype(np.float64)
+            surface = np.concatenate([self.template_m[used, :, None], self.shape_directions[used]], axis=-1)
             share[k] = carried.sum(0) + joints[k]
-            anchors[k] = np.einsum("vj,vxb->jxb", carried, surface[used]) + joints[k][:, None, None] * skeleton
+            anchors[k] = np.einsum("vj,vxb->jxb", carried, surface) + joints[k][:, None, None] * skeleton
         return share, anchors
 
     def vertex_basis(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

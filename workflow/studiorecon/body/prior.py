@@ -8,6 +8,8 @@ what bones and ligaments allow (a knee forwards, a forearm turned twice) a secon
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from studiorecon.body.model import JOINT_NAMES
@@ -34,13 +36,16 @@ _LIMITS = {
 LIMIT_SIGMA_RAD = 0.1  # how far beyond a limit is one deviation
 
 
+@cache
 def middle() -> np.ndarray:
-    """(24, 3, 3) local rotations of the relaxed pose; the right side mirrors the left, so y and z change sign."""
+    """(24, 3, 3) local rotations of the relaxed pose, read-only; the right side mirrors the left, so y and z change sign."""
     axis_angle = np.zeros((24, 3))
     for j, name in enumerate(JOINT_NAMES):
         side, _, part = name.rpartition("_")
         axis_angle[j] = np.array(_MIDDLE.get(part, (0, 0, 0))) * (np.array([1, -1, -1]) if side == "right" else 1)
-    return rotations.exp(axis_angle)
+    turns = rotations.exp(axis_angle)
+    turns.flags.writeable = False
+    return turns
 
 
 def precision() -> np.ndarray:
@@ -54,14 +59,16 @@ def bend(local: np.ndarray) -> np.ndarray:
     return rotations.log(np.swapaxes(middle(), -1, -2) @ local)
 
 
+@cache
 def limits() -> tuple[np.ndarray, np.ndarray]:
-    """(24, 3) least and most bend about each joint's axes; infinite for the pelvis, hands and feet."""
+    """(24, 3) least and most bend about each joint's axes, read-only; infinite for the pelvis, hands and feet."""
     low, high = np.full((24, 3), -np.inf), np.full((24, 3), np.inf)
     for j, name in enumerate(JOINT_NAMES):
         side, _, part = name.rpartition("_")
         for axis, (least, most) in enumerate(_LIMITS.get(part, ())):
             mirrored = side == "right" and axis > 0
             low[j, axis], high[j, axis] = (-most, -least) if mirrored else (least, most)
+    low.flags.writeable = high.flags.writeable = False
     return low, high
 
 

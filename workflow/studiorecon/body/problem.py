@@ -12,6 +12,7 @@ shared unknowns lose by the elimination (Schur complement). Turns are ordered by
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,16 +81,26 @@ class Problem:
         alone = np.concatenate([np.full(body.shapes, pulls.beta_weight), [1.0 if pulls.free_scale else 1e12], corrections])
         self.shared_precision = len(evidence.targets_m) * alone
 
-    def cost(self, state: State, posed: Posed | None = None) -> float:
-        """Half the sum of squares in deviations, points beyond the Huber bound linearly."""
+    def only(self, frames: np.ndarray) -> Problem:
+        """The same problem in some frames (F,) bool."""
+        part, given = copy.copy(self), self.evidence
+        part.evidence = Evidence(self.basis, given.targets_m[frames], given.precision[frames], given.share[frames])
+        return part
+
+    def costs(self, state: State, posed: Posed | None = None) -> np.ndarray:
+        """(F,) half the sum of squares in deviations that each frame adds, points beyond the Huber bound linearly."""
         points = (self.basis.posed(state) if posed is None else posed).points
         residual = points - self.evidence.targets_m
         units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
         data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
         bend = prior.bend(state.local)
-        pull = (self.precision * bend**2).sum() + self.limit_precision * (prior.excess(bend) ** 2).sum()
-        return float(data.sum() + 0.5 * pull + 0.5 * (self.shared_precision * state.shared**2).sum())
+        pull = self.precision * bend**2 + self.limit_precision * prior.excess(bend) ** 2
+        return data.sum(1) + 0.5 * pull.sum((1, 2))
+
+    def shared_cost(self, state: State) -> float:
+        """What the shared unknowns cost by themselves; the whole cost is this and all ``costs``."""
+        return float(0.5 * (self.shared_precision * state.shared**2).sum())
 
     def normal(self, state: State, posed: Posed | None = None) -> Normal:
         """Gauss-Newton's normal equations; a point's Huber weight follows from its distance, not per coordinate (numerics T11)."""
@@ -105,27 +116,44 @@ class Problem:
         self._add_prior(state, posed.world, own, rows[:, -1])
         return Normal(own, rows, shared, shared_side, posed.world)
 
-    def _add(
-        self, state: State, posed: Posed, some: slice, own: np.ndarray, rows: np.ndarray, shared: np.ndarray, shared_side: np.ndarray
-    ) -> None:
-        linear = self.basis.linear(state, posed)
-        frames, count, _, shapes = linear.shaped.shape
-        residual = linear.points - self.evidence.targets_m[some]
+    def own(self, state: State) -> Normal:
+        """Normal equations of what every frame has for itself, at a fraction of the cost; H, the gradient (F, 1, 75) and G."""
+        posed = self.basis.posed(state)
+        flat = self._rows(state, posed, slice(None), shared=False)[0]
+        products = np.swapaxes(flat, 1, 2) @ flat
+        own, side = np.ascontiguousarray(products[:, :_OWN, :_OWN]), products[:, _OWN:, :_OWN].copy()
+        self._add_prior(state, posed.world, own, side[:, 0])
+        return Normal(own, side, np.zeros((0, 0)), np.zeros(0), posed.world)
+
+    def _rows(self, state: State, posed: Posed, some: slice, shared: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of some frames' points (betas' too if ``shared``) and residuals, times √w: (F, 3K, 75 [+ B + 1] + 1); and √w."""
+        turned = self.basis.turned(state, posed)
+        frames, count = turned.shape[:2]
+        residual = posed.points - self.evidence.targets_m[some]
         units = np.sqrt(self.evidence.precision[some] * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
         weight = self.evidence.share[some] * self.evidence.precision[some]
         root = np.sqrt(weight * np.where(units < bound, 1.0, bound / np.maximum(units, bound)))
         # (F, K, x, y): row x is axis x of the carrying joint in the world, times √w.
-        axes = np.swapaxes(linear.world[:, self.basis.carrier], -1, -2) * root[..., None, None]
-        all_rows = np.empty((frames, count, 3, _OWN + shapes + 1))
-        d = np.swapaxes(linear.turned, 2, 3)[:, :, :, None]  # (F, K, 3, 1, 24)
+        axes = np.swapaxes(posed.world[:, self.basis.carrier], -1, -2) * root[..., None, None]
+        behind = residual[..., None]
+        if shared:
+            behind = np.concatenate([self.basis.shaped(state, posed), behind], axis=-1)
+        rows = np.empty((frames, count, 3, _OWN + behind.shape[-1]))
+        d = np.swapaxes(turned, 2, 3)[:, :, :, None]  # (F, K, 3, 1, 24)
         for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axis · (ω × D) = ω · (D × axis)
-            block = all_rows[..., 24 * a : 24 * a + 24]
+            block = rows[..., 24 * a : 24 * a + 24]
             np.multiply(d[:, :, b], axes[..., c, None], out=block)
             block -= d[:, :, c] * axes[..., b, None]
-        all_rows[..., 72:75] = axes
-        np.matmul(axes, np.concatenate([linear.shaped, residual[..., None]], axis=-1), out=all_rows[..., _OWN:])
-        flat = all_rows.reshape(frames, 3 * count, -1)
+        rows[..., 72:75] = axes
+        np.matmul(axes, behind, out=rows[..., _OWN:])
+        return rows.reshape(frames, 3 * count, -1), root
+
+    def _add(
+        self, state: State, posed: Posed, some: slice, own: np.ndarray, rows: np.ndarray, shared: np.ndarray, shared_side: np.ndarray
+    ) -> None:
+        flat, root = self._rows(state, posed, some, shared=True)
+        frames, shapes = len(flat), flat.shape[-1] - _OWN - 1
         products = np.swapaxes(flat, 1, 2) @ flat
         own[some] = products[:, :_OWN, :_OWN]
         rows[some, :shapes] = products[:, _OWN:-1, :_OWN]
@@ -135,7 +163,7 @@ class Problem:
         # A correction moves its point along one row, by the scale.
         corrected = self.basis.corrected
         gain = np.exp(state.log_scale) * root[:, :corrected, None, None]
-        crossed = all_rows[:, :corrected] * gain
+        crossed = flat[:, : 3 * corrected].reshape(frames, corrected, 3, -1) * gain
         rows[some, shapes:-1] = crossed[..., :_OWN].reshape(frames, -1, _OWN)
         summed = crossed[..., _OWN:].sum(0).reshape(-1, shapes + 1)
         shared[shapes:, :shapes] += summed[:, :-1]
@@ -157,26 +185,38 @@ class Problem:
             for b in range(3):
                 own[:, 24 * a + joints, 24 * b + joints] += block[:, :, a, b]
 
-    def step(self, state: State, normal: Normal, damping: float) -> State | None:
-        """The damped Gauss-Newton step, or None where the equations are not positive definite."""
+    def step(self, state: State, normal: Normal, damping: np.ndarray) -> State | None:
+        """The Gauss-Newton step, frames damped by ``damping`` (F,), or None where the equations are not positive definite."""
         factors = self._factored(normal, damping, 1.0)
         if factors is None:
             return None
         lower, solved, product = factors
-        reduced = normal.shared * (1 + damping * np.eye(len(normal.shared))) - product[:-1, :-1]
+        reduced = normal.shared * (1 + np.median(damping) * np.eye(len(normal.shared))) - product[:-1, :-1]
         shared = -np.linalg.solve(reduced, normal.shared_side - product[:-1, -1])
         half = -(solved[:, -1] + np.einsum("fsp,s->fp", solved[:, :-1], shared))
         change = np.stack([scipy.linalg.blas.dtrsv(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half)])
+        return self._moved(state, normal, change, shared)
+
+    def own_step(self, state: State, normal: Normal, damping: np.ndarray) -> State:
+        """The same with all that frames share held fixed."""
+        blocks = normal.own.copy()
+        diagonal = np.einsum("fii->fi", blocks)
+        diagonal += damping[:, None] * (diagonal + 1.0)
+        change = -np.linalg.solve(blocks, normal.rows[:, -1, :, None])[..., 0]
+        return self._moved(state, normal, change, np.zeros(len(self.shared_precision)))
+
+    @staticmethod
+    def _moved(state: State, normal: Normal, change: np.ndarray, shared: np.ndarray) -> State:
         # World-axis turn ω of joint i is the turn Gᵀω about its own axes.
         turn = np.einsum("fjyx,fyj->fjx", normal.world, change[:, :72].reshape(-1, 3, 24))
         return state.moved(turn, change[:, 72:], shared)
 
     @staticmethod
-    def _factored(normal: Normal, damping: float, floor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    def _factored(normal: Normal, damping: np.ndarray | float, floor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1)."""
         lower, solved = normal.own.copy(), normal.rows.copy()
         diagonal = np.einsum("fii->fi", lower)
-        diagonal += damping * (diagonal + floor)
+        diagonal += np.reshape(damping, (-1, 1)) * (diagonal + floor)
         product = np.zeros((solved.shape[1],) * 2, order="F")
         for f in range(len(lower)):
             # LAPACK reads columns: a transposed row-major array passes without a copy and is overwritten.
@@ -192,7 +232,8 @@ class Problem:
         equations.
 
         A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes, a part's the angle of its
-        orientation in the world (all turns above it and their correlation), both for the shape found.
+        orientation in the world (all turns above it and their correlation), both for the shape found. Raises FloatingPointError when
+        even a little added weight does not make the equations definite: numbers that are not finite came in.
         """
         factors = self._factored(normal, 0.0, 0.0)
         if factors is None:  # no prior and an unobserved joint: the least that makes it definite makes its deviation enormous
@@ -201,26 +242,27 @@ class Problem:
             raise FloatingPointError("the normal equations of the fit are not positive definite")
         lower, solved, product = factors
         linear = self.skeleton.linear(state)
-        inverse = np.linalg.inv(normal.shared - product[:-1, :-1])
+        # Σ a a′ over the columns of this is what the shared unknowns leave of the joints' covariance.
+        spread = np.linalg.inv(np.linalg.cholesky(normal.shared - product[:-1, :-1])).T
         frames, shapes = len(lower), linear.shaped.shape[-1]
-        halves, through = np.empty((frames, 72)), np.empty((frames, 72, len(inverse)))
-        turns, parts = np.empty((frames, 24, 3, 3)), np.empty((frames, 24))
-        rows = np.zeros((3, 24, _OWN))
-        rows[range(3), :, range(72, 75)] = 1.0
-        for f in range(frames):
-            root = np.tril(scipy.linalg.lapack.dtrtri(lower[f].T, lower=1)[0])[:, :72].reshape(_OWN, 3, 24)  # of L⁻¹
-            turns[f] = np.einsum("pxj,pyj->jxy", root, root)
-            parts[f] = ((root.reshape(-1, 24) @ self.basis.ancestors) ** 2).sum(0)
-            rows[..., :72] = 0.0
+        variance, turns, parts = np.empty((frames, 72)), np.empty((frames, 24, 3, 3)), np.empty((frames, 24))
+        for start in range(0, frames, _CHUNK):
+            some = slice(start, start + _CHUNK)
+            roots = np.tril([scipy.linalg.lapack.dtrtri(one.T, lower=1)[0] for one in lower[some]])  # L⁻¹
+            by_axis = roots[..., :72].reshape(-1, _OWN, 3, 24)
+            per_joint = np.moveaxis(by_axis, -1, 1)  # (F, 24, 75, 3)
+            turns[some] = np.swapaxes(per_joint, -1, -2) @ per_joint
+            parts[some] = ((by_axis.reshape(-1, 3 * _OWN, 24) @ self.basis.ancestors) ** 2).sum(1)
+            rows = np.zeros((len(roots), 3, 24, _OWN))
+            rows[:, range(3), :, range(72, 75)] = 1.0
             for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # component a of ω × D is ω_b D_c − ω_c D_b
-                rows[a, :, 24 * b : 24 * b + 24] = linear.turned[f, :, :, c]
-                rows[a, :, 24 * c : 24 * c + 24] = -linear.turned[f, :, :, b]
-            half = scipy.linalg.blas.dtrsm(1.0, lower[f].T, rows.reshape(72, _OWN).T, lower=1)
-            halves[f] = (half**2).sum(0)
-            np.matmul(half.T, solved[f, :-1].T, out=through[f])
-        through[..., :shapes] -= np.swapaxes(linear.shaped, 1, 2).reshape(frames, 72, shapes)
-        by_shape = np.einsum("frs,frs->fr", through @ inverse, through)
-        joint_variance = (halves + by_shape).reshape(frames, 3, 24).mean(1)
+                rows[:, a, :, 24 * b : 24 * b + 24] = linear.turned[some, :, :, c]
+                rows[:, a, :, 24 * c : 24 * c + 24] = -linear.turned[some, :, :, b]
+            half = rows.reshape(-1, 72, _OWN) @ np.swapaxes(roots, 1, 2)
+            through = half @ np.swapaxes(solved[some, :-1], 1, 2)
+            through[..., :shapes] -= np.swapaxes(linear.shaped[some], 1, 2).reshape(-1, 72, shapes)
+            variance[some] = np.einsum("frp,frp->fr", half, half) + ((through @ spread) ** 2).sum(-1)
+        joint_variance = variance.reshape(frames, 3, 24).mean(1)
         turn_variance = np.einsum("fjyx,fjyz,fjzx->fjx", normal.world, turns, normal.world, optimize=True)
-        betas = np.sqrt(np.diagonal(inverse)[: shapes - 1])
+        betas = np.sqrt((spread**2).sum(1)[: shapes - 1])
         return linear.points, np.sqrt(joint_variance), np.sqrt(turn_variance), np.sqrt(parts), betas

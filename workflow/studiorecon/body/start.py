@@ -38,7 +38,9 @@ def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndar
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
     local = np.tile(prior.middle(), (frames, 1, 1, 1))
-    relaxed = body.keypoints(names, _axis_angles(local[:1]), np.zeros(1), np.zeros((1, 3)))[0]
+    share, anchors = body.keypoint_basis(names)
+    on_body = share, anchors[..., 0]
+    relaxed = _posed(body, on_body, local[:1])[0]
     torso = [k for n, k in at.items() if n in _TORSO_MIDDLE or n.partition("_")[2] in _TORSO]
     in_torso = np.zeros(len(names), dtype=bool)
     in_torso[torso] = True
@@ -49,7 +51,9 @@ def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndar
         swung = local.copy()
         swung[:, 0] = turn
         _swing_limbs(body, at, points_m, seen, swung)
-        apart = _misfit(body, names, points_m, seen, swung, shift)
+        # Wild points decide nothing.
+        apart = np.minimum(np.linalg.norm(_posed(body, on_body, swung) + shift[:, None] - points_m, axis=-1), _FAR_M)
+        apart = np.where(seen, apart, 0.0).sum(1) / np.maximum(seen.sum(1), 1)
         better = determined & (apart < misfit)
         misfit = np.where(better, apart, misfit)
         best = Start(
@@ -60,17 +64,12 @@ def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndar
     return Start(best.local, best.trans_m, best.determined & (seen.sum(1) >= _MIN_POINTS))
 
 
-def _misfit(
-    body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndarray, local: np.ndarray, trans_m: np.ndarray
-) -> np.ndarray:
-    """(T,) mean distance of the mean shape's keypoints, at most _FAR_M each, so that wild points decide nothing."""
-    share, anchors = body.keypoint_basis(names)
+def _posed(body: BodyModel, on_body: tuple[np.ndarray, np.ndarray], local: np.ndarray) -> np.ndarray:
+    """(T, K, 3) keypoints of the mean shape about its pelvis, from their shares (K, 24) and anchors (K, 24, 3)."""
+    share, anchors = on_body
     rest = body.rest_joints(np.zeros(1))
     world, joints = forward_kinematics(local, rest, body.parents)
-    parts = np.swapaxes(anchors[..., 0] - share[..., None] * rest, 0, 1) @ np.swapaxes(world, -1, -2)
-    posed = parts.sum(1) + share @ joints + trans_m[:, None]
-    apart = np.minimum(np.linalg.norm(posed - points_m, axis=-1), _FAR_M)
-    return np.where(seen, apart, 0.0).sum(1) / np.maximum(seen.sum(1), 1)
+    return (np.swapaxes(anchors - share[..., None] * rest, 0, 1) @ np.swapaxes(world, -1, -2)).sum(1) + share @ joints
 
 
 def _swing_limbs(body: BodyModel, at: dict[str, int], points_m: np.ndarray, seen: np.ndarray, local: np.ndarray) -> None:
@@ -110,7 +109,3 @@ def _swing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     opposite = (sine < 1e-9)[:, None]
     axis = np.where(opposite, other / np.linalg.norm(other, axis=-1, keepdims=True), axis / np.where(opposite, 1.0, sine[:, None]))
     return rotations.exp(axis * np.arctan2(sine, np.einsum("ti,ti->t", a, b))[:, None])
-
-
-def _axis_angles(local: np.ndarray) -> np.ndarray:
-    return rotations.log(local).reshape(len(local), 72)
