@@ -19,6 +19,10 @@ ALLOWED = {
         "studio.truth",
         "float16",
     ): "stored pixel motion of the made studio, up to tens of pixels; stored, never computed in",
+    **dict.fromkeys(
+        [(f"models.{adapter}", word) for adapter in ("difix", "pi3") for word in ("float16", "bfloat16")],
+        "upstream's own networks run so on a GPU, as their authors do; what comes back is float32 and checked",
+    ),
 }
 
 

@@ -25,7 +25,8 @@ def test_every_model_states_terms_weights_and_runtime(name: str) -> None:
     for file in entry.weights:
         assert not Path(file.path).is_absolute()
         assert "://" not in file.source + file.repository
-        assert not (file.gated and file.fetchable), f"{file.path} cannot be fetched before somebody has agreed to its terms"
+        assert file.how == "hand" or file.remote, f"{file.path} has no name where it is fetched"
+        assert (file.how in ("hub", "snapshot")) == bool(file.repository) or file.how == "hand"
 
 
 def test_what_forbids_commercial_use_names_what_does_instead() -> None:

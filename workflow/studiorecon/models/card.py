@@ -38,18 +38,23 @@ class WeightFile:
     Attributes:
         path: below the weights folder.
         source: where it comes from, in words; ``repository`` of a hub as owner/name, empty when it is no hub's.
-        size_gb: as published; None = not known. ``md5``: as published; empty = not published.
+        remote: its name there: path in the repository, ``module:Enum.MEMBER`` of torchvision, or ``package:path``.
+        how: who may get it: a hub's client (``snapshot``: the whole repository, whose remote code and small files come along),
+            torchvision, an installed package, or a person, by ``hand``, where terms must be agreed to.
+        size_gb: as published; None = not known.
         gated: whether access must be asked for, or an account registered.
-        fetchable: whether a program may download it without anybody agreeing to terms on a page.
+        md5, sha256: as published, the latter possibly its first digits only (torchvision's file names hold eight); empty = not published.
     """
 
     path: str
     source: str
     repository: str = ""
     size_gb: float | None = None
+    remote: str = ""
+    how: Literal["hub", "snapshot", "torchvision", "package", "hand"] = "hub"
     gated: bool = False
-    fetchable: bool = True
     md5: str = ""
+    sha256: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,22 +13,28 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.models.checksums import read_pins, verified
 from studiorecon.models.offline import stay_offline
 from studiorecon.models.registry import model
 
 
 def staged(name: str, folder: Path) -> Path:
-    """The weights folder, when every file of model ``name`` lies in it; else Refusal with the first that does not.
+    """The weights folder, when every file of model ``name`` lies in it as it was verified; else Refusal with the first that does not.
 
-    Also tells hub clients of this process to stay offline.
+    A file is hashed only when it has changed since ``snakemake weights`` saw it. Also tells hub clients of this process to stay offline.
     """
     entry = model(name)
+    pins = read_pins(folder)
     for file in entry.weights:
-        if not (folder / file.path).is_file():
+        if (folder / file.path).is_file():
+            if file.path in pins:
+                verified(folder, file, pins)
+        else:
             where = f"{file.source} {file.repository}".strip()
             gate = "; access must be asked for there" if file.gated else ""
             raise Refusal(
-                f"{entry.title} needs {folder / file.path}, which is missing: get it from {where}{gate}, or choose another back end"
+                f"{entry.title} needs {folder / file.path}, which is missing: get it from {where}{gate} (snakemake weights does what a "
+                f"program may; licence: {entry.terms.weights}), or choose another back end"
             )
     stay_offline()
     return folder

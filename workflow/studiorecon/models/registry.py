@@ -17,7 +17,7 @@ _TABLE = (
         "Pi3",
         "pose and depth",
         Terms("BSD-3-Clause", "CC BY-NC 4.0", "no", "weights are for non-commercial use", alternative="mapanything"),
-        (WeightFile("pi3/model.safetensors", _HUB, "yyfz233/Pi3", 3.83),),
+        (WeightFile("pi3/model.safetensors", _HUB, "yyfz233/Pi3", 3.83, "model.safetensors"),),
         Runtime("pi3", ">=3.10", "2.5.1", ("torchvision==0.20.1", "numpy==1.26.4", "safetensors", "huggingface_hub"), "9fa3ddb"),
         Memory(8.0, "four to sixteen views of 255 000 pixels; weights 3.7 GB and 53 MB per view (upstream benchmark)"),
     ),
@@ -26,7 +26,7 @@ _TABLE = (
         "Pi3X",
         "pose and depth",
         Terms("BSD-3-Clause", "CC BY-NC 4.0", "no", "weights are for non-commercial use", alternative="mapanything"),
-        (WeightFile("pi3x/model.safetensors", _HUB, "yyfz233/Pi3X", 5.44),),
+        (WeightFile("pi3x/model.safetensors", _HUB, "yyfz233/Pi3X", 5.44, "model.safetensors"),),
         Runtime("pi3", ">=3.10", "2.5.1", ("torchvision==0.20.1", "numpy==1.26.4", "safetensors", "huggingface_hub"), "9fa3ddb"),
         Memory(10.0, "four to sixteen views of 255 000 pixels; weights 5.4 GB (upstream benchmark)"),
     ),
@@ -36,8 +36,8 @@ _TABLE = (
         "pose and depth",
         Terms("Apache-2.0", "Apache-2.0", "yes"),
         (
-            WeightFile("mapanything/model.safetensors", _HUB, "facebook/map-anything-apache"),
-            WeightFile("mapanything/config.json", _HUB, "facebook/map-anything-apache"),
+            WeightFile("mapanything/model.safetensors", _HUB, "facebook/map-anything-apache", remote="model.safetensors"),
+            WeightFile("mapanything/config.json", _HUB, "facebook/map-anything-apache", remote="config.json"),
         ),
         Runtime("mapanything", ">=3.10", ">=2.4", ("safetensors", "huggingface_hub"), "2026-03"),
         Memory(12.0, "four to sixteen views; our estimate, nobody states it"),
@@ -47,7 +47,7 @@ _TABLE = (
         "MoGe-2 (ViT-L, normals)",
         "monocular depth",
         Terms("MIT, DINOv2 part Apache-2.0", "MIT", "yes"),
-        (WeightFile("moge/moge-2-vitl-normal.pt", _HUB, "Ruicheng/moge-2-vitl-normal"),),
+        (WeightFile("moge/moge-2-vitl-normal.pt", _HUB, "Ruicheng/moge-2-vitl-normal", remote="model.pt"),),
         Runtime("moge", ">=3.10", ">=2.0", ("utils3d at the commit MoGe pins",), "0744441"),
         Memory(6.0, "one picture at a time, ViT-L in half precision; our estimate"),
     ),
@@ -56,7 +56,7 @@ _TABLE = (
         "MoGe-3 (ViT-L)",
         "monocular depth",
         Terms("MIT", "MIT", "yes"),
-        (WeightFile("moge/moge-3-vitl.pt", _HUB, "Ruicheng/moge-3-vitl"),),
+        (WeightFile("moge/moge-3-vitl.pt", _HUB, "Ruicheng/moge-3-vitl", remote="model.pt"),),
         Runtime("moge3", ">=3.10", ">=2.4", ("utils3d-moge", "FlexGEMM v2"), "2026-08"),
         Memory(8.0, "one picture at a time; our estimate"),
     ),
@@ -71,11 +71,11 @@ _TABLE = (
             "pass the licence on, acknowledge in publications, no military, weapons or espionage use",
         ),
         (
-            WeightFile("sam3/model.safetensors", _HUB, "facebook/sam3", 3.4, gated=True, fetchable=False),
-            WeightFile("sam3/config.json", _HUB, "facebook/sam3", gated=True, fetchable=False),
-            WeightFile("sam3/processor_config.json", _HUB, "facebook/sam3", gated=True, fetchable=False),
-            WeightFile("sam3/tokenizer.json", _HUB, "facebook/sam3", gated=True, fetchable=False),
-            WeightFile("sam3/tokenizer_config.json", _HUB, "facebook/sam3", gated=True, fetchable=False),
+            WeightFile("sam3/model.safetensors", _HUB, "facebook/sam3", 3.4, remote="model.safetensors", gated=True),
+            WeightFile("sam3/config.json", _HUB, "facebook/sam3", remote="config.json", gated=True),
+            WeightFile("sam3/processor_config.json", _HUB, "facebook/sam3", remote="processor_config.json", gated=True),
+            WeightFile("sam3/tokenizer.json", _HUB, "facebook/sam3", remote="tokenizer.json", gated=True),
+            WeightFile("sam3/tokenizer_config.json", _HUB, "facebook/sam3", remote="tokenizer_config.json", gated=True),
         ),
         Runtime("sam3", ">=3.10", ">=2.7", ("transformers>=5.23,<6",), "transformers 5.23.0"),
         Memory(16.0, "chunks of 200 frames stored on the CPU; 3000 frames at once ran out of 80 GB (upstream issue 481)"),
@@ -86,9 +86,9 @@ _TABLE = (
         "body estimator",
         Terms("Apple sample code licence", "Apple machine learning research model licence", "no", "weights are for research; needs SMPL"),
         (
-            WeightFile("comotion/comotion_detection_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", fetchable=False),
-            WeightFile("comotion/comotion_refine_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", fetchable=False),
-            WeightFile("smpl/SMPL_NEUTRAL.pkl", "SMPL v1.1.0, by registration with MPI", gated=True, fetchable=False),
+            WeightFile("comotion/comotion_detection_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", how="hand"),
+            WeightFile("comotion/comotion_refine_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", how="hand"),
+            WeightFile("smpl/SMPL_NEUTRAL.pkl", "SMPL v1.1.0, by registration with MPI", how="hand", gated=True),
         ),
         Runtime("comotion", "3.10", "2.5.1", ("transformers==4.48.0", "timm==1.0.13", "scenedetect<0.7", "chumpy from git"), "2025-04-15"),
         Memory(6.0, "one 512 pixel frame at a time; our estimate"),
@@ -104,7 +104,7 @@ _TABLE = (
             "commercial licences through Meshcapade",
             alternative="the bundled body (setting body)",
         ),
-        (WeightFile("smpl/SMPL_NEUTRAL.pkl", "SMPL v1.1.0, by registration with MPI", gated=True, fetchable=False),),
+        (WeightFile("smpl/SMPL_NEUTRAL.pkl", "SMPL v1.1.0, by registration with MPI", how="hand", gated=True),),
         Runtime("comotion", ">=3.10", ">=2.0", ("smplx==0.1.28",), "0.1.28"),
         Memory(None, "runs on a CPU"),
     ),
@@ -119,19 +119,27 @@ _TABLE = (
             "the licence has a clause on bypassing guardrails, and GEN3C's own scripts switch its guardrail off",
         ),
         (
-            WeightFile("gen3c/Gen3C-Cosmos-7B/model.pt", _HUB, "nvidia/Gen3C-Cosmos-7B", md5="38644bf823aa5272acef60cfad8bc0f7"),
-            WeightFile("gen3c/Cosmos-Tokenize1-CV8x8x8-720p/encoder.jit", _HUB, "nvidia/Cosmos-Tokenize1-CV8x8x8-720p"),
-            WeightFile("gen3c/Cosmos-Tokenize1-CV8x8x8-720p/decoder.jit", _HUB, "nvidia/Cosmos-Tokenize1-CV8x8x8-720p"),
+            WeightFile(
+                "gen3c/Gen3C-Cosmos-7B/model.pt", _HUB, "nvidia/Gen3C-Cosmos-7B", remote="model.pt", md5="38644bf823aa5272acef60cfad8bc0f7"
+            ),
+            WeightFile(
+                "gen3c/Cosmos-Tokenize1-CV8x8x8-720p/encoder.jit", _HUB, "nvidia/Cosmos-Tokenize1-CV8x8x8-720p", remote="encoder.jit"
+            ),
+            WeightFile(
+                "gen3c/Cosmos-Tokenize1-CV8x8x8-720p/decoder.jit", _HUB, "nvidia/Cosmos-Tokenize1-CV8x8x8-720p", remote="decoder.jit"
+            ),
             WeightFile(
                 "gen3c/Cosmos-Tokenize1-CV8x8x8-720p/mean_std.pt",
                 _HUB,
                 "nvidia/Cosmos-Tokenize1-CV8x8x8-720p",
+                remote="mean_std.pt",
                 md5="f07680ad7eefae57d698778e2a0c7c96",
             ),
             WeightFile(
                 "gen3c/Cosmos-Tokenize1-CV8x8x8-720p/image_mean_std.pt",
                 _HUB,
                 "nvidia/Cosmos-Tokenize1-CV8x8x8-720p",
+                remote="image_mean_std.pt",
                 md5="9f19fd3312fc1198e4905ada02e68bce",
             ),
         ),
@@ -156,10 +164,22 @@ _TABLE = (
             alternative="fixer",
         ),
         (
-            WeightFile("difix/difix_ref/model_index.json", _HUB, "nvidia/difix_ref"),
-            WeightFile("difix/difix_ref/unet/diffusion_pytorch_model.safetensors", _HUB, "nvidia/difix_ref", 3.46),
-            WeightFile("difix/difix_ref/vae/diffusion_pytorch_model.safetensors", _HUB, "nvidia/difix_ref", 0.34),
-            WeightFile("difix/difix_ref/text_encoder/model.safetensors", _HUB, "nvidia/difix_ref"),
+            WeightFile("difix/difix_ref/model_index.json", _HUB, "nvidia/difix_ref", remote="model_index.json", how="snapshot"),
+            WeightFile(
+                "difix/difix_ref/unet/diffusion_pytorch_model.safetensors",
+                _HUB,
+                "nvidia/difix_ref",
+                3.46,
+                "unet/diffusion_pytorch_model.safetensors",
+            ),
+            WeightFile(
+                "difix/difix_ref/vae/diffusion_pytorch_model.safetensors",
+                _HUB,
+                "nvidia/difix_ref",
+                0.34,
+                "vae/diffusion_pytorch_model.safetensors",
+            ),
+            WeightFile("difix/difix_ref/text_encoder/model.safetensors", _HUB, "nvidia/difix_ref", remote="text_encoder/model.safetensors"),
         ),
         Runtime(
             "difix",
@@ -180,7 +200,10 @@ _TABLE = (
             "with conditions",
             "the licence has a clause on bypassing guardrails; trained on driving, takes no reference photo",
         ),
-        (WeightFile("fixer/pretrained_fixer.pkl", _HUB, "nvidia/Fixer"),),
+        tuple(
+            WeightFile(f"fixer/{name}", _HUB, "nvidia/Fixer", remote=name)
+            for name in ("pretrained/pretrained_fixer.pkl", "base/model_fast_tokenizer.pt", "base/tokenizer_fast.pth")
+        ),
         Runtime("fixer", "3.10", ">=2.6", ("cosmos-predict2",), "2026-07-30"),
         Memory(16.0, "576×1024; our estimate"),
     ),
@@ -189,7 +212,16 @@ _TABLE = (
         "RAFT large (torchvision)",
         "flow",
         Terms("BSD-3-Clause", "BSD-3-Clause, trained on research data", "yes"),
-        (WeightFile("raft/raft_large_C_T_SKHT_V2.pth", "PyTorch model downloads", size_gb=0.02),),
+        (
+            WeightFile(
+                "raft/raft_large_C_T_SKHT_V2.pth",
+                "PyTorch model downloads, raft_large_C_T_SKHT_V2-ff5fadd5.pth",
+                size_gb=0.02,
+                remote="torchvision.models.optical_flow:Raft_Large_Weights.C_T_SKHT_V2",
+                how="torchvision",
+                sha256="ff5fadd5",
+            ),
+        ),
         Runtime("vision", ">=3.10", ">=2.4", ("torchvision",), "torchvision 0.29.2"),
         Memory(None, "runs on a CPU; on a GPU 1 GB at 1280×704, 5.6 GB at 1920×1080"),
     ),
@@ -199,8 +231,17 @@ _TABLE = (
         "perceptual distance",
         Terms("BSD-2-Clause", "BSD-2-Clause; VGG16 trained on research data", "yes"),
         (
-            WeightFile("lpips/vgg16.pth", "PyTorch model downloads, vgg16-397923af.pth", size_gb=0.55),
-            WeightFile("lpips/lpips_vgg.pth", "package lpips 0.1.4, weights/v0.1/vgg.pth"),
+            WeightFile(
+                "lpips/vgg16.pth",
+                "PyTorch model downloads, vgg16-397923af.pth",
+                size_gb=0.55,
+                remote="torchvision.models:VGG16_Weights.IMAGENET1K_V1",
+                how="torchvision",
+                sha256="397923af",
+            ),
+            WeightFile(
+                "lpips/lpips_vgg.pth", "package lpips 0.1.4, weights/v0.1/vgg.pth", remote="lpips:weights/v0.1/vgg.pth", how="package"
+            ),
         ),
         Runtime("vision", ">=3.10", ">=2.4", (), "lpips 0.1.4"),
         Memory(None, "runs on a CPU; 2 GB on a GPU at 1280×704"),
@@ -217,8 +258,8 @@ _TABLE = (
             alternative="a trained person of another capture (render.shots: subjects)",
         ),
         (
-            WeightFile("lhm/LHM-1B/model.safetensors", _HUB, "3DAIGC/LHM-1B-HF"),
-            WeightFile("lhm/LHM_prior_model.tar", "LHM's prior models (Sapiens, SAM 2, SMPL-X, faces)", gated=True, fetchable=False),
+            WeightFile("lhm/LHM-1B/model.safetensors", _HUB, "3DAIGC/LHM-1B-HF", remote="model.safetensors"),
+            WeightFile("lhm/LHM_prior_model.tar", "LHM's prior models (Sapiens, SAM 2, SMPL-X, faces)", how="hand", gated=True),
         ),
         Runtime(
             "lhm",
