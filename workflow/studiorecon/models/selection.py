@@ -24,15 +24,16 @@ _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
 def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting of a whole configuration that calls for an upstream network, in the order data flows."""
-    found = [(where, str(value)) for where in CHOICES if (value := _at(config, where)) in MODELS]
-    found += [(where, "lpips") for where in _PERCEPTUAL if (_at(config, where) or 0) > 0]
+    found = [(where, str(value)) for where in CHOICES if (value := at(config, where)) in MODELS]
+    found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     # A body that is not the bundled one is SMPL's, or shaped by its rules.
     if str(config.get("body", "")).endswith(".pkl"):
         found.append(("body", "smpl"))
     return found
 
 
-def _at(config: Mapping[str, Any], where: str) -> Any:
+def at(config: Mapping[str, Any], where: str) -> Any:
+    """The value of a setting named with dots; None when there is none."""
     value: Any = config
     for key in where.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None

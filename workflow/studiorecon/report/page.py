@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
 from studiorecon.progress import say
-from studiorecon.report import html, sections
+from studiorecon.report import html, sections, terms
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.scene.capture import Manifest, read_manifest
@@ -149,6 +150,6 @@ def run(
     body.append(sections.decisions(read_json(decisions)))
     body.append(sections.costs(spent))
     body.append(sections.settings(configuration))
-    body.append(sections.licences(licences))
+    body.append(terms.licences(json.loads(configuration), licences))
     write_text(page, html.page(f"{scene}: 4D scene", body))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's sections made of numbers: head, measures, people, cameras, decisions, cost, settings, licences."""
+"""The page's sections made of numbers: head, measures, people, cameras, decisions, cost, settings."""
 
 from __future__ import annotations
 
@@ -184,13 +184,6 @@ def settings(configuration: str) -> str:
     return html.heading("Settings") + html.folded(
         "All settings of this run", json.dumps(json.loads(configuration), indent=1, sort_keys=True)
     )
-
-
-def licences(folder: Path) -> str:
-    """The texts of the licences of what is inside the results."""
-    parts = [html.heading("Licences", "The code is under Apache-2.0. What it brings along:")]
-    parts += [html.folded(p.name, p.read_text(encoding="utf-8", errors="replace")) for p in sorted(folder.iterdir()) if p.is_file()]
-    return "".join(parts)
 
 
 def _camera(pictures: Mapping[str, Any], version: str, measure: str, camera: str) -> float | None:
