@@ -177,12 +177,12 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _turn_per_vector(dot: np.ndarray) -> np.ndarray:
     """Angle of the shorter turn between unit quaternions over the length of its quaternion's vector, θ / sin(θ/2), from their product.
 
-    Turns of a window then add up before the one product with the centre. Near equality both arccos and root are that of the same rounded
+    Turns of a window then add up before the one product with the centre. Near equality both angle and sine are those of the same rounded
     product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way round (numerics R03).
     """
     cosine = np.minimum(np.abs(dot), 1 - 1e-15)
-    sine = (1 - cosine) * (1 + cosine)
-    return np.copysign(2 * np.arccos(cosine) / np.sqrt(sine), dot)
+    sine = np.sqrt((1 - cosine) * (1 + cosine))
+    return np.copysign(2 * np.arctan2(sine, cosine) / sine, dot)
 
 
 def _vector(a: np.ndarray, b: np.ndarray) -> np.ndarray:
