@@ -25,7 +25,7 @@ from studiorecon.cameras.formats import (
     zju,
 )
 from studiorecon.cameras.formats.raw import Reading
-from studiorecon.cameras.lens_model import LensReading, as_model
+from studiorecon.cameras.lens_model import LensReading, as_model, with_radial
 from studiorecon.cameras.names import match_in_order, match_names
 from studiorecon.cameras.world import metres_per_unit, settled, z_up_from_world
 from studiorecon.errors import Refusal
@@ -64,6 +64,7 @@ class Settings:
         format: "auto" (the first reader that recognises the files), or a reader's name.
         poses: "as_read" (as the format defines them), or what they really are: "world_from_camera", "opengl" axes, or both.
         lens: "as_read", or the model that the distortion numbers really belong to: "opencv" or "fisheye".
+        radial: camera → what is added to its k1; what ``cameras.refine`` says when people call for it.
         unit: "auto", or the unit of the calibration's lengths.
         up: "auto", or the signed axis of the calibration's world that points up.
         scale: factor on all lengths after that, for models of arbitrary scale (COLMAP without a known distance).
@@ -74,6 +75,7 @@ class Settings:
     ]
     poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"]
     lens: LensReading
+    radial: dict[str, float]
     unit: Literal["auto", "m", "cm", "mm"]
     up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
     scale: float
@@ -114,6 +116,9 @@ def lenses_of(
         notes.append(f"the poses were read as {settings.poses}, as the setting cameras.poses says")
     if settings.lens != "as_read":
         notes.append(f"the distortion numbers were read as those of the model {settings.lens}, as the setting cameras.lens says")
+    if unknown := [c for c in settings.radial if c not in cameras]:
+        raise Refusal(f"cameras.radial names camera {unknown[0]}, but the footage has {', '.join(cameras)}")
+    notes += [f"the k1 of camera {c} was changed by {k1:+g}, as the setting cameras.radial says" for c, k1 in settings.radial.items()]
     centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
     factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
     z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
@@ -128,7 +133,7 @@ def lenses_of(
         if not (intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0 and np.isfinite(intrinsics).all()):
             raise Refusal(f"camera {name} in {source}: its focal length is {intrinsics[0, 0]:g}; calibrate this camera again")
         lens = Lens(name, raw.wh, intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name)))
-        lenses.append(as_model(lens, settings.lens))
+        lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
     return lenses, notes, floor_known
 
 

@@ -21,7 +21,7 @@ from studiorecon.cameras.doctor_page import page
 from studiorecon.cameras.glance import glance
 from studiorecon.cameras.hypotheses import LENS_READINGS, lens_row, verdicts
 from studiorecon.cameras.lens_model import LensReading, as_model
-from studiorecon.cameras.refine import error_medians
+from studiorecon.cameras.people_bundle import error_medians
 from studiorecon.cameras.sheet import contact_sheet
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video

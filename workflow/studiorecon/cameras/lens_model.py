@@ -20,3 +20,13 @@ def as_model(lens: Lens, model: LensReading) -> Lens:
     four = np.zeros(4)
     four[: min(4, len(lens.distortion))] = lens.distortion[:4]
     return replace(lens, model=model, distortion=four if model == "fisheye" else np.append(four, np.zeros(4)))
+
+
+def with_radial(lens: Lens, k1: float) -> Lens:
+    """The lens with ``k1`` added to its first coefficient: for small terms, the distortion left over after the lens's own was removed."""
+    if k1 == 0.0:
+        return lens
+    more = np.zeros(max(1, len(lens.distortion)))
+    more[: len(lens.distortion)] = lens.distortion
+    more[0] += k1
+    return replace(lens, distortion=more)

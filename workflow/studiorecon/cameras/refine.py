@@ -12,11 +12,11 @@ import numpy as np
 
 from studiorecon.cameras.correspondences import Observations, observe, spread_frames
 from studiorecon.cameras.hypotheses import check_conventions
+from studiorecon.cameras.people_bundle import LensSettings, error_medians, fitted, lenses_called_for, straightened
 from studiorecon.cameras.sheet import contact_sheet
 from studiorecon.errors import Refusal
-from studiorecon.geometry.bundle import BundleSettings, adjust, moved, without_drift
-from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
-from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.geometry.bundle import BundleSettings, LensPrior, moved
+from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frame
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
@@ -25,8 +25,6 @@ from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import complete, read_json, write_json
 from studiorecon.scene.people import Detections, read_detections
 
-_LOOSE = 3.0
-_ROUNDS = 2
 _FOOT_HEIGHT_M = 0.08
 
 
@@ -40,6 +38,7 @@ class Settings:
         refine_gate_m: ray distance below which tracks of two cameras may be one person, generous because poses may be off.
         refine_gain: share by which the median reprojection error on frames the fit has not seen must fall for it to be kept.
         max_error_share: median reprojection error, as a share of the longer image side, past which the calibration is refused.
+        refine_lens: when lenses may change too.
         bundle: iterations and priors.
         limits: what counts as agreement of views.
     """
@@ -49,6 +48,7 @@ class Settings:
     refine_gate_m: float
     refine_gain: float
     max_error_share: float
+    refine_lens: LensSettings
     bundle: BundleSettings
     limits: Limits
 
@@ -78,42 +78,6 @@ def cameras_of(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camer
     return [Camera(f.camera, f.wh, np.array(f.intrinsics, dtype=np.float64), pose[f.camera]) for f in footage]
 
 
-def error_medians(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[float, list[float | None], np.ndarray]:
-    """Median reprojection error in pixels over all views and per camera (None: nothing seen), and the points (N, 3) valid there.
-
-    Points need three views where there are three cameras: the residual of a pair says nothing (T13).
-    """
-    loose = Limits(limits.min_confidence, limits.huber_share, limits.outlier_units * _LOOSE, limits.min_angle_deg, limits.near_m)
-    found = triangulate(seen.pixels, seen.confidence, cameras, loose)
-    counted = found.verified if len(cameras) > 2 else found.valid
-    error = np.where(counted, found.error_px, np.nan)
-    per_camera = [float(np.median(row[np.isfinite(row)])) if np.isfinite(row).any() else None for row in error]
-    pooled = error[np.isfinite(error)]
-    return (float(np.median(pooled)) if len(pooled) else float("nan")), per_camera, found.points_m[counted]
-
-
-def refine_poses(cameras: Sequence[Camera], seen: Observations, settings: Settings) -> list[Camera]:
-    """Cameras bundle-adjusted on ``seen``: loose agreement first, so that a camera that is off can come in, then the usual one.
-
-    A detector misplaces the same joint in the same way in every frame, so all frames of a joint count as one observation. If
-    they counted fully, that bias would outvote the calibration in the directions that people hardly determine, such as all
-    cameras pitching together: seen as 10 px on marks of a real floor, for no gain on the keypoints.
-    """
-    current = list(cameras)
-    for round_number in range(_ROUNDS):
-        loose = _LOOSE if round_number == 0 else 1.0
-        limits = settings.limits
-        wide = Limits(limits.min_confidence, limits.huber_share, limits.outlier_units * loose, limits.min_angle_deg, limits.near_m)
-        found = triangulate(seen.pixels, seen.confidence, current, wide)
-        used = found.verified
-        if used.sum() < 10 * len(cameras):
-            return list(cameras)
-        joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
-        weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
-        current, _ = adjust(current, seen.pixels[:, used], weights, found.points_m[used], unit_px(current, limits), settings.bundle)
-    return without_drift(current, cameras)[0]
-
-
 def decide(
     training: list[Camera], held_out: list[Camera], detections: Sequence[Detections], frames: int, floor_known: bool, settings: Settings
 ) -> Outcome:
@@ -131,7 +95,7 @@ def decide(
     report |= {"points": len(points), "before_px": before, "before_px_per_camera": before_each}
     adjusted, after = training, before
     if settings.refine and len(training) > 2 and len(points):
-        adjusted, report = _try_refinement(training, seen, before, report, settings)
+        adjusted, seen, report = _try_refinement(training, seen, before, report, settings)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
     limit = settings.max_error_share * max(max(c.wh) for c in training)
@@ -163,32 +127,68 @@ def _nothing_agrees(
 
 def _try_refinement(
     training: list[Camera], seen: Observations, before: float, report: dict[str, Any], settings: Settings
-) -> tuple[list[Camera], dict[str, Any]]:
-    """Fit on every other frame, judge on the rest; refit on all frames when it clearly helps."""
+) -> tuple[list[Camera], Observations, dict[str, Any]]:
+    """Fit on every other frame, judge on the rest; refit on all frames when it clearly helps.
+
+    Returns the cameras, and the observations without whatever radial term was found, for the errors that are reported.
+    """
+    limits, bundle, gain = settings.limits, settings.bundle, settings.refine_gain
     order = np.unique(seen.frame, return_inverse=True)[1]
-    fitted, judged = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
-    trial = refine_poses(training, fitted, settings)
-    judged_before, _, _ = error_medians(training, judged, settings.limits)
-    judged_after, _, _ = error_medians(trial, judged, settings.limits)
+    fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
+    trial = fitted(training, fit_on, limits, bundle)
+    if trial is None:
+        return training, seen, {**report, "reason": "too few points in three cameras to refine"}
+    judged_before = error_medians(training, judge_on, limits)[0]
+    judged_after = error_medians(trial.cameras, judge_on, limits)[0]
     report = {**report, "unseen_before_px": judged_before, "unseen_after_px": judged_after}
-    if not judged_after < judged_before * (1 - settings.refine_gain):
+    helps = judged_after < judged_before * (1 - gain)
+    best = trial.cameras if judged_after < judged_before else training
+    lens = lenses_called_for(best, fit_on, judge_on, limits, bundle, settings.refine_lens)
+    report["lens"] = lens.report
+    if not (helps or lens.focal or lens.radial):
         say(
-            f"the given camera poses are kept: on frames it had not seen, refinement changed the median reprojection error from "
-            f"{judged_before:.2f} to {judged_after:.2f} px, less than the {settings.refine_gain:.0%} that would count"
+            f"the given cameras are kept: on frames it had not seen, refinement changed the median reprojection error from "
+            f"{judged_before:.2f} to {judged_after:.2f} px, less than the {gain:.0%} that would count"
         )
-        return training, {**report, "reason": "refinement did not clearly help"}
-    refined = refine_poses(training, seen, settings)
+        return training, seen, {**report, "reason": "refinement did not clearly help"}
+    prior = LensPrior(
+        settings.refine_lens.focal_sigma if lens.focal or lens.radial else 0.0, settings.refine_lens.radial_sigma if lens.radial else 0.0
+    )
+    refined = fitted(training, seen, limits, bundle, prior)
+    if refined is None:
+        return training, seen, {**report, "reason": "too few points in three cameras to refine"}
+    report |= {"refined": True, "reason": "refinement clearly helped", "changes": _changes(training, refined.cameras, refined.radial)}
+    _tell(report, lens.focal or lens.radial, lens.radial)
+    return refined.cameras, straightened(seen, refined.cameras, refined.radial), report
+
+
+def _changes(given: Sequence[Camera], refined: Sequence[Camera], radial: np.ndarray) -> list[dict[str, Any]]:
     changes = []
-    for old, new in zip(training, refined):
+    for old, new, k1 in zip(given, refined, radial):
         turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
         degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
-        changes.append({"camera": old.name, "turned_deg": degrees, "moved_m": float(np.linalg.norm(new.centre_m - old.centre_m))})
+        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
+        longer = new.focal_px[0] / old.focal_px[0] - 1
+        changes.append({"camera": old.name, "turned_deg": degrees, "moved_m": moved_m, "focal_longer": longer, "radial_k1": float(k1)})
+    return changes
+
+
+def _tell(report: dict[str, Any], focal: bool, radial: bool) -> None:
+    after = report["lens"]["unseen_with_radial_px" if radial else "unseen_with_focal_px"] if focal else report["unseen_after_px"]
+    changes = report["changes"]
     say(
-        f"the camera poses were refined on people's keypoints: on frames it had not seen the median reprojection error fell from "
-        f"{judged_before:.2f} to {judged_after:.2f} px; "
+        f"the cameras were refined on people's keypoints: on frames it had not seen the median reprojection error fell from "
+        f"{report['unseen_before_px']:.2f} to {after:.2f} px; "
         + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
     )
-    return refined, {**report, "refined": True, "reason": "refinement clearly helped", "changes": changes}
+    if focal:
+        say("the people call for other focal lengths: " + ", ".join(f"{c['camera']} {c['focal_longer']:+.1%}" for c in changes))
+    if radial:
+        found = ", ".join(f"{c['camera']}: {c['radial_k1']:.3f}" for c in changes)
+        say(
+            "the people call for other lens distortion than the calibration's, by which the pictures were straightened: set "
+            f"cameras.radial: {{{found}}} and run again"
+        )
 
 
 def _on_floor(
