@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measurements that need a process of their own: cold and cached start, peak memory, other instruction sets.
+
+python -m tests.bench.children start | memory | raster
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTRUCTION_SETS = {"AVX2": ("haswell", "+avx2,+fma"), "SSE": ("x86-64", "-avx,-avx2,-fma,-avx512f")}
+"""Name → what numba is told the machine has (NUMBA_CPU_NAME, NUMBA_CPU_FEATURES)."""
+
+
+def start() -> dict[str, float]:
+    """One whole training step, so that every kernel of the loop is compiled or read from the cache."""
+    import numpy as np
+    from studiorecon.splatting.rasterise import Rasteriser
+    from studiorecon.splatting.targets import Target
+    from studiorecon.splatting.training import train
+
+    from tests.foundations.splatting_scenes import camera, room
+    from tests.foundations.test_splatting_training import SETTINGS
+
+    scene, view = room(2000, 0), camera(96, 56)
+    target = Target(view, Rasteriser(near_m=0.01).forward(scene, view).rgb.clip(0, 1))
+    train(scene, [target], _shortened(SETTINGS, 1), np.random.default_rng(0), extent_m=4.0)
+    return {}
+
+
+def memory(count: int = 300_000, width: int = 1280, height: int = 704) -> dict[str, float]:
+    """Peak resident memory of training steps with loss and Adam on one picture, GB."""
+    import numpy as np
+    from studiorecon.splatting.targets import Target
+    from studiorecon.splatting.training import train
+
+    from tests.foundations.splatting_scenes import camera, room
+    from tests.foundations.test_splatting_training import SETTINGS
+
+    target = Target(camera(width, height), np.random.default_rng(0).random((height, width, 3), np.float32))
+    train(room(count, 0), [target], _shortened(SETTINGS, 3), np.random.default_rng(0), extent_m=4.0, threads=2)
+    return {"peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9}
+
+
+def raster(count: int = 50_000, width: int = 320, height: int = 176, rounds: int = 40) -> dict[str, float]:
+    """Least processor milliseconds of the blending kernels forward and back, on one thread."""
+    import numpy as np
+    from studiorecon.splatting.blocks import block, morton_order
+    from studiorecon.splatting.rasterise import Rasteriser
+
+    from tests.bench.splats import best_ms, raster_of
+    from tests.foundations.splatting_scenes import camera, room
+
+    scene, rasteriser = room(count, 0), Rasteriser(near_m=0.01, threads=1)
+    by = np.random.default_rng(0).normal(size=(5, height, width)).astype(np.float32)
+    with rasteriser.own_threads():
+        rasteriser.draw(block(scene.take(morton_order(scene.means_m))), camera(width, height), (0, 0, 0))
+        rasteriser.gather(by)
+        _, ms = best_ms({"raster": raster_of(rasteriser, by)}, rounds)
+    return {"ms": ms["raster"]}
+
+
+def _shortened(settings, iterations: int):
+    from dataclasses import replace
+
+    return replace(settings, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0)
+
+
+def ask(what: str, cache: Path, instruction_set: str = "") -> dict[str, float]:
+    """Runs one of the above in a fresh process; its answer, with seconds of wall and of processor time.
+
+    On an idle machine the two agree for what one thread does, as compiling and importing; on a busy one only the latter means something.
+    """
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": f"{ROOT / 'workflow'}:{ROOT}"}
+    if instruction_set:
+        environment["NUMBA_CPU_NAME"], environment["NUMBA_CPU_FEATURES"] = INSTRUCTION_SETS[instruction_set]
+    began, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "tests.bench.children", what]
+    answer = subprocess.run(command, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {**json.loads(answer.splitlines()[-1]), "wall_s": time.perf_counter() - began, "processor_s": spent}
+
+
+def all_of_them() -> dict[str, dict[str, float]]:
+    """Every measurement, with a cache that nobody has filled before."""
+    with tempfile.TemporaryDirectory() as name:
+        cache = Path(name)
+        found = {"cold": ask("start", cache)}
+        found["cached"] = min((ask("start", cache) for _ in range(3)), key=lambda answer: answer["processor_s"])
+        found["memory"] = ask("memory", cache)
+        for instruction_set in INSTRUCTION_SETS:
+            found[instruction_set] = ask("raster", cache, instruction_set)
+        return found
+
+
+if __name__ == "__main__":
+    print(json.dumps({"start": start, "memory": memory, "raster": raster}[sys.argv[1]]()))
