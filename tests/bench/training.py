@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import tempfile
 import time
@@ -67,7 +68,7 @@ def trained(options: dict, changes: dict, folder: Path) -> tuple[float, float]:
 
 def held_out(scene: Path, truth: Path, folder: Path) -> tuple[float, int]:
     """Mean PSNR of the background from the held-out cameras against their exact plates, dB, and the number of Gaussians."""
-    gaussians, rasteriser = read_ply(folder / "scene.ply"), Rasteriser(near_m=0.1, threads=2)
+    gaussians, rasteriser = read_ply(folder / "scene.ply"), Rasteriser(near_m=0.1)
     scores = []
     for camera in read_model(scene / "cameras/heldout"):
         rgb, _ = read_plate(truth / f"plates/{camera.name}.png")
@@ -101,7 +102,7 @@ def density_control(scene: Path, truth: Path, threads: int, only: list[str], equ
 
 
 def _write(rows: list[dict], scene: str, threads: int) -> None:
-    machine = f"{platform.machine()}, {numba.config.NUMBA_NUM_THREADS} cores, numba {numba.__version__}"
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.0f}, numba {numba.__version__}"
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps({"machine": machine, "threads": threads, "scene": scene, "rows": rows}, indent=1) + "\n")
 
