@@ -106,6 +106,7 @@ except Refusal as refusal:
 SELECTED = sorted({model for _, model in selected(config)})
 WEIGHTS = config["weights"] if Path(config["weights"]).is_dir() else str(Path(workflow.basedir) / config["weights"])
 DEPTH_NETWORK = "" if config["depth"]["source"] == "embedded" else config["depth"]["source"]
+SYNTHESIZER = config["views"]["synthesizer"]
 
 
 def settings(section):
@@ -147,6 +148,13 @@ def estimated_depth(wildcards):
     if DEPTH_NETWORK != "precomputed":
         return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
     return brought(config["depth"]["precomputed"], wildcards.camera, (".exr", ".npy", ".npz", ".png"), "depth.precomputed")
+
+
+def generated_film(wildcards):
+    """Film of one segment's views: the network's, or the file that the user brought."""
+    if SYNTHESIZER != "precomputed":
+        return f"results/{wildcards.scene}/views/{wildcards.segment}.film.mkv"
+    return brought(config["views"]["precomputed"], wildcards.segment, (".mkv", ".mp4"), "views.precomputed")
 
 
 def people(wildcards):

@@ -1,4 +1,4 @@
-# New views between the cameras: the path, then one job per gap between neighbours.
+# New views between the cameras: the path, then one job per gap between neighbours, by warping or by GEN3C (views.synthesizer).
 
 
 rule views_path:
@@ -24,33 +24,119 @@ rule views_path:
         " --model {input.model} --manifest {input.manifest} --path {output.path}"
 
 
-rule views_synthesize:
-    input:
-        path="results/{scene}/views/path.json",
-        model="results/{scene}/cameras/images.txt",
-        plates=collect(
-            "results/{scene}/capture/{camera}.plate.png",
-            camera=TRAINING,
-            allow_missing=True,
-        ),
-        depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-        shell="results/{scene}/depth/shell.json",
-    output:
-        views="results/{scene}/views/{segment}.mkv",
-        support="results/{scene}/views/{segment}.mask.mkv",
-    log:
-        "logs/{scene}/views/{segment}.log",
-    benchmark:
-        "benchmarks/{scene}/views/{segment}.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=1500,
-    params:
-        settings=settings("views"),
-        code=code("views.synthesize"),
-    shell:
-        "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
-        " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
-        " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"
+if SYNTHESIZER == "warp":
+
+    rule views_synthesize:
+        input:
+            path="results/{scene}/views/path.json",
+            model="results/{scene}/cameras/images.txt",
+            plates=collect(
+                "results/{scene}/capture/{camera}.plate.png",
+                camera=TRAINING,
+                allow_missing=True,
+            ),
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+            shell="results/{scene}/depth/shell.json",
+        output:
+            views="results/{scene}/views/{segment}.mkv",
+            support="results/{scene}/views/{segment}.mask.mkv",
+        log:
+            "logs/{scene}/views/{segment}.log",
+        benchmark:
+            "benchmarks/{scene}/views/{segment}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1500,
+        params:
+            settings=settings("views"),
+            code=code("views.synthesize"),
+        shell:
+            "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
+            " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"
+
+
+if SYNTHESIZER == "gen3c":
+
+    rule views_request:
+        input:
+            path="results/{scene}/views/path.json",
+            model="results/{scene}/cameras/images.txt",
+            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+            shell="results/{scene}/depth/shell.json",
+        output:
+            request="results/{scene}/views/{segment}.request.npz",
+        log:
+            "logs/{scene}/views/request/{segment}.log",
+        benchmark:
+            "benchmarks/{scene}/views/request/{segment}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=3000,
+        params:
+            settings=settings("views"),
+            code=code("views.request"),
+        shell:
+            "python -m studiorecon views.request --settings {params.settings:q} --log {log}"
+            " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --depth {input.depth:q} --shell {input.shell} --request {output.request}"
+
+    # One segment, one job, one GPU: on a cluster they run side by side, and a finished one stays.
+    rule views_generate:
+        input:
+            request="results/{scene}/views/{segment}.request.npz",
+        output:
+            film="results/{scene}/views/{segment}.film.mkv",
+        log:
+            "logs/{scene}/views/generate/{segment}.log",
+        benchmark:
+            "benchmarks/{scene}/views/generate/{segment}.tsv"
+        container:
+            model_image("gen3c")
+        threads: 4
+        resources:
+            mem_mb=64000,
+            gpu=1,
+        params:
+            settings=settings("views"),
+            code=code("views.generate"),
+            weights=WEIGHTS,
+        shell:
+            "python -m studiorecon views.generate --settings {params.settings:q} --log {log}"
+            " --requests {input.request} --films {output.film} --weights {params.weights:q}"
+
+
+if SYNTHESIZER != "warp":
+
+    rule views_fitted:
+        input:
+            film=generated_film,
+            path="results/{scene}/views/path.json",
+            model="results/{scene}/cameras/images.txt",
+            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+            shell="results/{scene}/depth/shell.json",
+        output:
+            views="results/{scene}/views/{segment}.mkv",
+            support="results/{scene}/views/{segment}.mask.mkv",
+        log:
+            "logs/{scene}/views/{segment}.log",
+        benchmark:
+            "benchmarks/{scene}/views/{segment}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=2000,
+        params:
+            settings=settings("views"),
+            code=code("views.fitted"),
+        shell:
+            "python -m studiorecon views.fitted --settings {params.settings:q} --log {log}"
+            " --segment {wildcards.segment} --film {input.film:q} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"

@@ -56,9 +56,38 @@ def views_of(cameras: list[Camera], photos: list[Source], settings: Settings) ->
     for camera in progress(cameras, "views"):
         chosen = nearest_sources(camera, photos, settings.sources)
         rgb, support, _ = blend(camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg))
-        # A supported pixel never rounds down to a hole.
-        mask = np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
-        yield paint_holes(rgb, support, settings.inpaint_radius), mask
+        yield paint_holes(rgb, support, settings.inpaint_radius), support_levels(support)
+
+
+def support_levels(support: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 of a support in [0, 1]; a supported pixel never rounds down to a hole."""
+    return np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
+
+
+def read_photos(model: Path, plates: list[Path], depth: list[Path], shell: Path, depth_jump: float) -> list[Source]:
+    """The training cameras' plates at the rig's mean exposure, with depth; Refusal for a missing or misshapen one."""
+    cameras = read_model(model.parent)
+    if not len(plates) == len(depth) == len(cameras):
+        raise Refusal(f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; each camera needs both")
+    gains = read_shell(shell).gains
+    photos = []
+    for camera, plate, depth_path in zip(cameras, plates, depth):
+        rgb, measured = read_plate(plate)
+        depth_m, _ = read_depth(depth_path)
+        if rgb.shape[:2] != depth_m.shape:
+            raise Refusal(f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}")
+        even = np.clip(rgb / gains[camera.name].astype(np.float32), 0, 1)
+        photos.append(source(camera, even, measured, depth_m, depth_jump))
+    return photos
+
+
+def read_segment(path: Path, segment: str) -> tuple[list[Camera], float]:
+    """The cameras of one segment of a path, and its frame rate; Refusal when there is no such segment."""
+    steps, fps = read_path(path)
+    wanted = [step.camera for step in steps if step.segment == segment]
+    if not wanted:
+        raise Refusal(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
+    return wanted, fps
 
 
 def run(
@@ -73,22 +102,8 @@ def run(
     support: Path,
 ) -> None:
     """Write the pictures and the support of one segment's views."""
-    cameras = read_model(model.parent)
-    if not len(plates) == len(depth) == len(cameras):
-        raise Refusal(f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; each camera needs both")
-    gains = read_shell(shell).gains
-    photos = []
-    for camera, plate, depth_path in zip(cameras, plates, depth):
-        rgb, measured = read_plate(plate)
-        depth_m, _ = read_depth(depth_path)
-        if rgb.shape[:2] != depth_m.shape:
-            raise Refusal(f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}")
-        even = np.clip(rgb / gains[camera.name].astype(np.float32), 0, 1)
-        photos.append(source(camera, even, measured, depth_m, settings.depth_jump))
-    steps, fps = read_path(path)
-    wanted = [step.camera for step in steps if step.segment == segment]
-    if not wanted:
-        raise Refusal(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
+    photos = read_photos(model, plates, depth, shell, settings.depth_jump)
+    wanted, fps = read_segment(path, segment)
     made = list(views_of(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask")

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The network's picture and ours: 1280×704 laid over a working picture, so that it fills the network's frame; the rest is cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.models.sizes import placed, placed_nearest
+from studiorecon.scene.camera import Camera
+
+# 16:9 footage loses 2 % of its rows in 1280×704; what loses more than this needs another crop, not this one.
+_MOST_CUT = 0.15
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One network pixel is ``step`` working pixels; the network's upper left corner lies at (row, column) ``start`` of ours."""
+
+    working_hw: tuple[int, int]
+    network_hw: tuple[int, int]
+    step: float
+    start: tuple[float, float]
+
+    def camera(self, camera: Camera) -> Camera:
+        """The working camera as the network's."""
+        move = np.array([[1, 0, -self.start[1]], [0, 1, -self.start[0]], [0, 0, self.step]]) / self.step
+        return replace(camera, wh=self.network_hw[::-1], intrinsics=move @ camera.intrinsics)
+
+    def colours(self, picture: np.ndarray) -> np.ndarray:
+        """(704, 1280, 3) float32 of a working picture (H, W, 3)."""
+        return placed(picture, self.network_hw, self.start, self.step)[0]
+
+    def values(self, values: np.ndarray) -> np.ndarray:
+        """(704, 1280) of a working map (H, W), without averages across edges."""
+        return placed_nearest(values, self.network_hw, self.start, self.step)
+
+    def back(self, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(H, W, 3) float32 working picture of a network's, and (H, W) bool: all of the pixel lies inside it."""
+        start = (-self.start[0] / self.step, -self.start[1] / self.step)
+        made, share = placed(picture, self.working_hw, start, 1 / self.step)
+        # A pixel in the frame's corner has 0.875 of its triangle filter inside along either side.
+        return made, share > 0.76
+
+
+def frame_of(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> Frame:
+    """How a working picture fills the network's frame, centred; Refusal when too much of it would be cut."""
+    step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
+    left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
+    cut = 1 - (step * network_hw[0]) * (step * network_hw[1]) / (working_hw[0] * working_hw[1])
+    if cut > _MOST_CUT:
+        raise Refusal(
+            f"footage of {working_hw[1]}×{working_hw[0]} would lose {cut:.0%} of its picture in {network_hw[1]}×{network_hw[0]}; "
+            "set views.synthesizer to warp"
+        )
+    return Frame(working_hw, network_hw, step, (left[0] / 2, left[1] / 2))
