@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon.humans.encoding import BANDS, encode_position, encode_time, in_body_box, time_bands
+from studiorecon.body.encoding import BANDS, encode_position, encode_time, in_body_box, time_bands
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting import state, training

@@ -12,6 +12,7 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.body.posing import Posing
+from studiorecon.body.temporal import TemporalNetwork, with_residuals
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.progress import say
@@ -40,6 +41,8 @@ class Avatar:
         valid: (T,) bool: frames in which the body was measured.
         fps: frames per second.
         metric: True when lengths are metres.
+        network: what colour and opacity of the measured Gaussians add over time; None when nothing.
+        decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when nobody asked.
     """
 
     person: str
@@ -54,6 +57,8 @@ class Avatar:
     valid: np.ndarray
     fps: float
     metric: bool
+    network: TemporalNetwork | None = None
+    decision: str = ""
 
     @property
     def frames(self) -> int:
@@ -95,8 +100,11 @@ class Avatar:
         pose, trans = self.pose_at(frame)
         transforms = self.model.joint_transforms(pose[None], self.betas, trans[None])[0]
         own = self.gaussians
-        means, quaternions, sh = Posing(self.bones, self.weights).out(own.means_m, own.quaternions, own.sh, transforms)
-        return Gaussians(means, quaternions, own.log_scales, own.logit_opacities, sh)
+        measured = self.provenance == MEASURED
+        colour, logits = with_residuals(self.network, measured, own.means_m, own.sh[:, :1], own.logit_opacities, frame)
+        sh = np.concatenate([colour, own.sh[:, 1:]], axis=1)
+        means, quaternions, sh = Posing(self.bones, self.weights).out(own.means_m, own.quaternions, sh, transforms)
+        return Gaussians(means, quaternions, own.log_scales, logits, sh)
 
 
 def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
@@ -104,6 +112,8 @@ def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
     write_ply(ply, avatar.gaussians)
     arrays = {name: getattr(avatar, name) for name in _ARRAYS}
     arrays |= {"person": avatar.person, "body": avatar.model.identity, "mocap_framerate": avatar.fps, "metric": avatar.metric}
+    arrays |= {f"network.{name}": value for name, value in avatar.network.to_arrays().items()} if avatar.network else {}
+    arrays["decision"] = avatar.decision
     write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
 
 
@@ -134,6 +144,10 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
             raise Refusal(f"{npz} was trained on the body model {data['body']}, but {model.identity} was given; use the same body file")
         arrays = {name: data[name] for name in _ARRAYS}
         person, fps, metric = str(data["person"]), float(data["mocap_framerate"]), bool(data["metric"])
+        held = {name.removeprefix("network."): data[name] for name in data.files if name.startswith("network.")}
+        network, decision = TemporalNetwork.from_arrays(held) if held else None, str(data["decision"])
     if len(arrays["bones"]) != gaussians.count:
         raise Refusal(f"{ply} holds {gaussians.count} Gaussians and {npz} weights for {len(arrays['bones'])}; make both again")
-    return Avatar(person=person, model=model, gaussians=gaussians, fps=fps, metric=metric, **arrays)
+    return Avatar(
+        person=person, model=model, gaussians=gaussians, fps=fps, metric=metric, network=network, decision=decision, **arrays
+    )  # fmt: skip

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First colours of a person's Gaussians, taken from the pictures where each of them is in view."""
+"""What pictures show of a person's Gaussians: which are in view, and the colours they start with."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ _HIDDEN_M = 0.04
 _GRAZING = 0.2
 
 
-def look(
-    crop: Crop, means_m: np.ndarray, normals: np.ndarray, nearest_m: np.ndarray, colour_sums: np.ndarray, weight_sums: np.ndarray
-) -> None:
-    """Add one picture's evidence to ``colour_sums`` (N, 3) and ``weight_sums`` (N,).
+def in_view(crop: Crop, means_m: np.ndarray, normals: np.ndarray, nearest_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which Gaussians a picture shows: their indices (M,), pixels (M, 2) float32 and weights (M,).
 
     ``means_m`` and ``normals`` (N, 3) are posed, ``nearest_m`` (h, w) is the depth of the person's own surface in the crop.
     A Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera; frontal and near
@@ -32,12 +30,24 @@ def look(
     facing = -np.sum(normals[index] * ray, axis=1) / np.linalg.norm(ray, axis=1)
     good = (crop.verdict[row, column] == PERSON) & (depth_m[index] < nearest_m[row, column] + _HIDDEN_M) & (facing > _GRAZING)
     index, facing = index[good], facing[good]
-    at = (pixels[index] - 0.5).astype(np.float32)  # cv2.remap counts pixel centres as integers
-    if len(index) == 0:
-        return
-    colours = cv2.remap(crop.rgb, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
-    weight = facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]
-    np.add.at(colour_sums, index, colours.astype(np.float64) / 255 * weight[:, None])
+    return index, pixels[index].astype(np.float32), facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]
+
+
+def sampled(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(M, C) float64 values of a picture (h, w, C) at ``pixels`` (M, 2), linear between pixel centres."""
+    if len(pixels) == 0:
+        return np.zeros((0, picture.shape[2]))
+    at = pixels - np.float32(0.5)  # cv2.remap counts pixel centres as integers
+    found = cv2.remap(picture, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    return found.reshape(len(pixels), -1).astype(np.float64)
+
+
+def look(
+    crop: Crop, means_m: np.ndarray, normals: np.ndarray, nearest_m: np.ndarray, colour_sums: np.ndarray, weight_sums: np.ndarray
+) -> None:
+    """Add one picture's evidence to ``colour_sums`` (N, 3) and ``weight_sums`` (N,); see ``in_view``."""
+    index, pixels, weight = in_view(crop, means_m, normals, nearest_m)
+    np.add.at(colour_sums, index, sampled(crop.rgb, pixels) / 255 * weight[:, None])
     np.add.at(weight_sums, index, weight)
 
 

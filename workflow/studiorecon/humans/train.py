@@ -7,8 +7,9 @@ Writes ``humans/<person>.ply`` (canonical Gaussians) and ``humans/<person>.npz``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,9 +19,12 @@ from studiorecon import code
 from studiorecon.body.avatar import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.posing import MAX_SH_DEGREE, Posing
+from studiorecon.body.temporal import TemporalNetwork
 from studiorecon.body.weight_grid import build_weight_grid, strongest
 from studiorecon.errors import Refusal
+from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.colouring import look, nearest_surface
+from studiorecon.humans.drift import decide_appearance, drifting_share, followed
 from studiorecon.humans.footage import Crop, crops_of
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
@@ -30,6 +34,7 @@ from studiorecon.images.video import read_frames
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.decisions import Decision
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, read_people, read_person
 from studiorecon.scene.provenance import INFERRED, MEASURED
@@ -63,6 +68,7 @@ class Settings:
     near_m: float
     checkpoint_every_s: float
     seed: int
+    temporal: OverTime
     losses: Losses
     rates: Rates
     limits: Limits
@@ -157,9 +163,10 @@ def run(
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body]
     mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
     checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
+    appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion)
     trained = train_gaussians(
         start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
-        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), checkpoint, previews), device,
+        settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), appearance, checkpoint, previews), device,
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
@@ -168,9 +175,32 @@ def run(
     write_avatar(gaussians, avatar, Avatar(
         person=person, model=body_model, gaussians=trained, bones=bones, weights=weights,
         provenance=np.where(seen, MEASURED, INFERRED).astype(np.uint8), poses=motion.poses, trans=motion.trans_m, betas=fitted.betas,
-        valid=fitted.valid, fps=fitted.fps, metric=fitted.metric,
+        valid=fitted.valid, fps=fitted.fps, metric=fitted.metric, network=appearance.trained if appearance else None,
+        decision=json.dumps(asdict(appearance.decision)) if appearance and appearance.decision else "",
     ), trained_from)  # fmt: skip
     checkpoint.remove()
+
+
+def _appearance(
+    settings: Settings, fitted: Person, rest_m: np.ndarray, seen: np.ndarray, crops: Sequence[Crop], samples: SurfaceSamples,
+    posing: Posing, motion: Motion,
+) -> Appearance | None:  # fmt: skip
+    """The temporal network in its box around the body, and what decides whether it takes part; None when it is not wanted."""
+    if settings.temporal.use == "never":
+        return None
+    reach = settings.grid_margin * np.ptp(rest_m, axis=0).max()
+    shape = settings.temporal.width, settings.temporal.layers
+    # Its own generator: with and without it, the crops are drawn in the same order.
+    rng = np.random.default_rng([settings.seed, 1])
+    network = TemporalNetwork.start(rest_m.min(axis=0) - reach, rest_m.max(axis=0) + reach, len(fitted.poses), rng, *shape)
+
+    def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
+        residual = followed(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
+        decision = decide_appearance(fitted.name, drifting_share(residual[seen]))
+        say(f"temporal network: {decision.verdict}; {decision.reason}")
+        return decision
+
+    return Appearance(settings.temporal, network, seen, judge)
 
 
 def _network(settings: Settings, threads: int) -> Perceptual | None:

@@ -9,15 +9,17 @@ opaque there, or transparent on the person, is wrong whatever the colour (numeri
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from studiorecon.body.posing import Posing
+from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.footage import IGNORED, PERSON, Crop
 from studiorecon.humans.motion import Motion
 from studiorecon.progress import progress, say
+from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.adam import Adam
 from studiorecon.splatting.checkpoint import Checkpoint
@@ -68,9 +70,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class Support:
-    """What a training run is given beside its subject: the perceptual network, where it keeps its state, where pictures of it go."""
+    """What a training run is given beside its subject: networks, where it keeps its state, where pictures of it go."""
 
     network: Perceptual | None = None
+    appearance: Appearance | None = None
     checkpoint: Checkpoint | None = None
     previews: Path | None = None
 
@@ -128,12 +131,16 @@ def train_gaussians(
     scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
     rasteriser = rasteriser_on(device, near_m=near_m, threads=threads)
     feedback, checkpoint = Feedback("person", 0, iterations, support.previews), support.checkpoint
+    appearance, grey = support.appearance, np.full(3, 0.5)
 
     def draw(crop: Crop, behind: np.ndarray) -> tuple[Rendering, np.ndarray]:
         transforms = motion.transforms(crop.frame)
-        sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
+        colour, logits = own["colour"], own["opacities"]
+        if appearance is not None:
+            colour, logits = appearance.added(own["means"], colour, logits, crop.frame)
+        sh = np.concatenate([colour, own["harmonics"]], axis=1)
         means, quaternions, sh = posing.out(own["means"], own["quaternions"], sh, transforms)
-        posed = Gaussians(means, quaternions, own["scales"], own["opacities"], sh)
+        posed = Gaussians(means, quaternions, own["scales"], logits, sh)
         return rasteriser.forward(posed, crop.camera, behind), transforms
 
     begin = 0
@@ -142,10 +149,14 @@ def train_gaussians(
         adam.resume(arrays)
         motion.resume(arrays)
         feedback.resume(arrays)
+        if appearance is not None:
+            appearance.resume(arrays, from_entry(facts["decision"]) if facts["decision"] else None)
         begin, rng.bit_generator.state = facts["iteration"], facts["generator"]
         say(f"training goes on at iteration {begin}, where it was interrupted")
     with rasteriser.own_threads():
         for iteration in progress(range(begin, iterations), "training", iterations - begin):
+            if appearance is not None and iteration == appearance.settings.start:
+                appearance.begin(lambda crop: draw(crop, grey)[0].rgb)
             crop = crops[rng.integers(len(crops))]
             behind = rng.random(3)
             picture, transforms = draw(crop, behind)
@@ -165,17 +176,22 @@ def train_gaussians(
                 "means": grad_means, "quaternions": grad_quaternions, "scales": back.log_scales, "opacities": back.logit_opacities,
                 "colour": grad_sh[:, :1], "harmonics": grad_sh[:, 1:],
             }  # fmt: skip
+            if appearance is not None:
+                appearance.step(grad_sh[:, :1], back.logit_opacities)
             position_m = float(np.exp(np.interp(iteration / iterations, [0, 1], np.log([rates.position_m, rates.position_end_m]))))
             adam.step(gradients, fixed | {"means": position_m}, back.screen > 0)
             # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
             np.clip(own["scales"], *scale_range, out=own["scales"])
             if feedback.add(loss, crop_psnr_db(picture.rgb, crop)):
-                view, grey = crops[len(crops) // 2], np.full(3, 0.5)
+                view = crops[len(crops) // 2]
                 name = f"frame {view.frame} of {view.camera.name}"
                 feedback.tell(start.count, name, draw(view, grey)[0].rgb, wanted_picture(view, grey), view.verdict != IGNORED)
             if checkpoint is not None and checkpoint.due():
-                facts = {"iteration": iteration + 1, "generator": rng.bit_generator.state}
-                checkpoint.save({**adam.arrays(), **motion.arrays(), **feedback.record()}, facts)
+                facts, state = {"iteration": iteration + 1, "generator": rng.bit_generator.state}, {}
+                if appearance is not None:
+                    facts["decision"] = asdict(appearance.decision) if appearance.decision else None
+                    state = appearance.arrays()
+                checkpoint.save({**adam.arrays(), **motion.arrays(), **feedback.record(), **state}, facts)
     if adam.refused:
         say(f"{adam.refused} gradient entries were not finite and were skipped")
     sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)

@@ -143,5 +143,9 @@ def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
 
 def read_decisions(path: Path) -> dict[str, Decision]:
     """Decisions by effect."""
-    entries = read_json(path)["decisions"]
-    return {e["effect"]: Decision(**{**e, "interval": tuple(e["interval"]) if e["interval"] is not None else None}) for e in entries}
+    return {entry["effect"]: from_entry(entry) for entry in read_json(path)["decisions"]}
+
+
+def from_entry(entry: Mapping[str, Any]) -> Decision:
+    """A decision from its fields by name, as JSON holds them."""
+    return Decision(**{**entry, "interval": tuple(entry["interval"]) if entry["interval"] is not None else None})

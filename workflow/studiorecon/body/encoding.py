@@ -27,8 +27,10 @@ def encode_position(normalised: np.ndarray, half_turns: bool = False) -> np.ndar
     return _encoded(np.asarray(normalised, np.float64), BANDS, half_turns)
 
 
-def encode_time(frame: int, frames: int, half_turns: bool = False) -> np.ndarray:
-    """(21,) float32 code of 0-based ``frame`` of ``frames``; time runs from 0 to 1, and is 0 where there is one frame only (O03).
+def encode_time(frame: float, frames: int, half_turns: bool = False) -> np.ndarray:
+    """(21,) float32 code of 0-based ``frame``, which may lie between two, of ``frames``; time runs from 0 to 1.
+
+    Where there is one frame only it is 0 (O03).
 
     Bands above half a cycle per frame are 0: they would be aliased, a noise of the frame's number (O02). The inputs stay 21.
     """

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The temporal network's part in a person's training: from which step, whether it is called for, and how it moves (paper, appendix D)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.body.temporal import TemporalNetwork, with_residuals
+from studiorecon.scene.decisions import Decision
+from studiorecon.splatting.adam import Adam
+
+_BETAS, _EPSILON = (0.9, 0.999), 1e-15
+
+
+@dataclass(frozen=True)
+class OverTime:
+    """When and how appearance may change over time; see config.yaml."""
+
+    use: Literal["auto", "always", "never"]
+    start: int
+    width: int
+    layers: int
+    rate: float
+
+
+class Appearance:
+    """Residuals of colour and opacity while they are learned; until ``begin`` there are none.
+
+    Attributes:
+        network: what is trained; its last layer is zero until the first step.
+        seen: (N,) bool, the Gaussians it acts on: nothing teaches it what those are like that no camera saw.
+        decision: what was measured when it was asked whether the network is called for; None before, and when nobody asked.
+    """
+
+    def __init__(self, settings: OverTime, network: TemporalNetwork, seen: np.ndarray, judge: Callable[[Callable], Decision]) -> None:
+        self.settings, self.network, self.seen = settings, network, seen
+        self.decision: Decision | None = None
+        self._judge, self._active = judge, False
+        self._adam = Adam({"network": network.flat}, _BETAS, _EPSILON)
+
+    @property
+    def trained(self) -> TemporalNetwork | None:
+        """The network where it takes part, else None."""
+        return self.network if self._active else None
+
+    def begin(self, draw: Callable) -> None:
+        """Decide whether the network takes part; ``draw`` renders a crop as it is now, (h, w, 3)."""
+        if self.settings.use == "auto":
+            self.decision = self._judge(draw)
+        self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
+
+    def added(self, means_m: np.ndarray, colour: np.ndarray, logits: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame."""
+        return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
+
+    def step(self, by_colour: np.ndarray, by_logit: np.ndarray) -> None:
+        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the frame last ``added``."""
+        if self._active:
+            slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
+            self._adam.step({"network": slope}, {"network": self.settings.rate})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The network and Adam's state, for a checkpoint."""
+        return {f"network.{name}": value for name, value in (self._adam.arrays() | {"active": np.array(self._active)}).items()}
+
+    def resume(self, held: Mapping[str, np.ndarray], decision: Decision | None) -> None:
+        """Puts ``arrays`` back, in place."""
+        own = {name.removeprefix("network."): value for name, value in held.items() if name.startswith("network.")}
+        self._active, self.decision = bool(own.pop("active")), decision
+        self._adam.resume(own)
