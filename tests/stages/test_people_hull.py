@@ -83,7 +83,7 @@ class TestHull:
         rows = np.flatnonzero(blind.any(1))
         blind[rows[len(rows) // 4] : rows[len(rows) // 4] + 8] = 0
         (found,) = self.people(cameras, [*pictured[:2], blind, pictured[3]], options)
-        label = hull.silhouette(found, 2, cameras[2], blind, VOXEL_M)
+        (label,) = hull.silhouettes([found], [found.place_m], 2, cameras[2], blind, VOXEL_M)
         assert (label[blind > 0] == FOREGROUND).mean() > 0.85  # fingers are thinner than a cell
         assert (label[(pictured[2] > 0) & (blind == 0)] == UNKNOWN).mean() > 0.7
 

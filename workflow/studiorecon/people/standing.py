@@ -77,10 +77,10 @@ def find_standing(
 ) -> list[Standing]:
     """People who stand out from the plates of ``views`` and are not ``known``; named in order of appearance after those."""
     cameras = [v.camera for v in views]
+    surface = Silhouette(body, cameras, settings.contour)
+    lasting = _lasting(views, known, body, fps, settings)
     found = []
-    for track in _lasting(views, known, body, fps, settings):
-        shown, extent_m = _silhouettes(track, views, known, body, settings)
-        surface = Silhouette(body, cameras, settings.contour)
+    for track, (shown, extent_m) in zip(lasting, _silhouettes(lasting, views, known, body, settings)):
         places_m = np.array([_place(track, t) for t in shown])
         walk = _walk(shown, places_m, fps)
         start = upright.shaped(surface, walk, upright.find(surface, walk, *extent_m))
@@ -119,22 +119,28 @@ def _lasting(views: Sequence[View], known: Sequence[Person], body: BodyModel, fp
 
 
 def _silhouettes(
-    track: Track, views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: HullSettings
-) -> tuple[LabelFilm, tuple[float, float]]:
-    """Labels of every frame in which the person is there, per camera; height of the floor below and of the person, metres."""
+    tracks: Sequence[Track], views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: HullSettings
+) -> list[tuple[LabelFilm, tuple[float, float]]]:
+    """For every track: labels of the frames in which the person is there, per camera; height of the floor and of the person, metres."""
+    if not tracks:
+        return []
     cameras, voxel_m = [v.camera for v in views], settings.limits.voxel_m / 2
-    shown, ends = LabelFilm(np.array([c.wh for c in cameras])), []
+    films = [LabelFilm(np.array([c.wh for c in cameras])) for _ in tracks]
+    ends: list[list[tuple[float, float]]] = [[] for _ in tracks]
     for t, rgbs in progress(pictures(views, 1), "silhouettes"):
-        place = _place(track, t)
         pictured = _labels(rgbs, t, views, known, body, settings.foreground)
-        cells_m, shape = hull.cells_around(place, voxel_m)
-        part = hull.whole_person(cells_m, shape, cameras, pictured, voxel_m, place, _APART_M)
-        if part is None or part.seen_by.sum() < 2:
-            continue
-        ends.append((part.cells_m[:, 2].min(), part.cells_m[:, 2].max()))
-        shown.add(t, [hull.silhouette(part, v, c, label, voxel_m) for v, (c, label) in enumerate(zip(cameras, pictured))])
-    low, high = np.median(ends, axis=0)
-    return shown, (float(low), float(high - low))
+        places = [_place(track, t) for track in tracks]
+        parts = [hull.whole_person(*hull.cells_around(place, voxel_m), cameras, pictured, voxel_m, place, _APART_M) for place in places]
+        there = [k for k, part in enumerate(parts) if part is not None and part.seen_by.sum() >= 2]
+        drawn = [
+            hull.silhouettes([parts[k] for k in there], [places[k] for k in there], v, camera, label, voxel_m)
+            for v, (camera, label) in enumerate(zip(cameras, pictured))
+        ]
+        for i, k in enumerate(there):
+            ends[k].append((parts[k].cells_m[:, 2].min(), parts[k].cells_m[:, 2].max()))
+            films[k].add(t, [of_camera[i] for of_camera in drawn])
+    extents = [np.median(e, axis=0) for e in ends]
+    return [(film, (float(low), float(high - low))) for film, (low, high) in zip(films, extents)]
 
 
 def _labels(
