@@ -13,7 +13,6 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry.smoothing import Smoothing
-from studiorecon.geometry.triangulation import Limits
 from studiorecon.people import fit
 from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.corrected import read_corrected, rows_of
@@ -33,7 +32,7 @@ from studiorecon.scene.people import Detections, read_detections, write_identiti
 class Settings:
     """Limits of agreement, of association and of the pictures' say; ``fit``, ``smooth`` and ``hull`` for people without keypoints."""
 
-    triangulation: Limits
+    triangulation: fit.Triangulation
     association: AssociationLimits
     evidence: EvidenceLimits
     fit: fit.BodyFit

@@ -19,7 +19,7 @@ from studiorecon.body.model import OTHER_SIDE, BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
-from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.geometry.triangulation import Limits, Solver, triangulate
 from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -64,10 +64,17 @@ class BodyFit:
 
 
 @dataclass(frozen=True)
+class Triangulation(Limits):
+    """What counts as agreement of views, and the ``solver`` that makes points of keypoints, see ``geometry.triangulation.triangulate``."""
+
+    solver: Solver
+
+
+@dataclass(frozen=True)
 class Settings:
     """Keys of the section ``people`` that this step uses."""
 
-    triangulation: Limits
+    triangulation: Triangulation
     fit: BodyFit
     smooth: Smoothing
     hull: HullSettings
@@ -113,7 +120,7 @@ def lift(names: list[str], keypoints: np.ndarray, cameras: list[Camera], setting
     """World points of all frames at once from keypoints (V, T, K, 3)."""
     views, frames, count = keypoints.shape[:3]
     flat = keypoints.reshape(views, frames * count, 3)
-    result = triangulate(flat[..., :2], flat[..., 2], cameras, settings.triangulation)
+    result = triangulate(flat[..., :2], flat[..., 2], cameras, settings.triangulation, solver=settings.triangulation.solver)
     with np.errstate(invalid="ignore"):
         sigma = result.sigma_m / np.sqrt(3)
     sigma = np.where(result.verified, sigma, np.hypot(sigma, settings.fit.unverified_sigma_m))
