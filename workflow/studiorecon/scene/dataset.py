@@ -223,13 +223,19 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
         if all((folder / n).is_file() for n in names):
             return tuple(folder / n for n in names)
     for pattern in ("*.toml", "calibration/*.toml", "*.qca.txt", "calibration/*.qca.txt"):
-        found = sorted(folder.glob(pattern))
+        found = [p for p in sorted(folder.glob(pattern)) if p.suffix != ".toml" or _holds_cameras(p)]
         if len(found) == 1:
             return (found[0],)
         if len(found) > 1:
             names = ", ".join(p.name for p in found)
             raise Refusal(f"{folder} holds {len(found)} calibrations ({names}); name one in capture.yaml: calibration: FILE")
     return ()
+
+
+def _holds_cameras(path: Path) -> bool:
+    """Whether a TOML file could be a calibration: Pose2Sim's Config.toml and Caliscope's charuco.toml lie beside it."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return "matrix" in text and "translation" in text
 
 
 def _per_camera(folder: Path, named: Any, defaults: tuple[str, ...], footage: Mapping[str, Path]) -> dict[str, Path]:
