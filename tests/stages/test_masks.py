@@ -176,6 +176,7 @@ class TestStep:
             "people": [tmp_path / "p0.npz", tmp_path / "p1.npz"],
             "body": root / "resources/body.npz",
             "given": [],
+            "tracks": [],
             "masks": tmp_path / "masks.mkv",
         }
 

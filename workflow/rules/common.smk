@@ -106,6 +106,7 @@ except Refusal as refusal:
 SELECTED = sorted({model for _, model in selected(config)})
 WEIGHTS = config["weights"] if Path(config["weights"]).is_dir() else str(Path(workflow.basedir) / config["weights"])
 DEPTH_NETWORK = "" if config["depth"]["source"] == "embedded" else config["depth"]["source"]
+MASK_NETWORK = config["masks"]["source"] if config["masks"]["source"] in MODELS else ""
 SYNTHESIZER = config["views"]["synthesizer"]
 
 
@@ -226,7 +227,17 @@ def given_plate(wildcards):
 
 def given_masks(wildcards):
     """The user's person masks of one camera, if there are any."""
-    return [str(DATASET.masks[wildcards.camera])] if wildcards.camera in DATASET.masks else []
+    if wildcards.camera in DATASET.masks:
+        return [str(DATASET.masks[wildcards.camera])]
+    if config["masks"]["source"] == "precomputed":
+        return [brought(config["masks"]["precomputed"], wildcards.camera, (".mkv", ".mp4", ""), "masks.precomputed")]
+    return []
+
+
+def tracked_masks(wildcards):
+    """A network's film of numbers for one camera, where one is asked and the user brought no masks."""
+    wanted = MASK_NETWORK and wildcards.camera not in DATASET.masks
+    return [f"results/{wildcards.scene}/masks/{wildcards.camera}.tracks.mkv"] if wanted else []
 
 
 def given_depth(wildcards):

@@ -8,6 +8,7 @@ rule masks_segment:
         people=fits,
         body=BODY,
         given=given_masks,
+        tracks=tracked_masks,
     output:
         masks="results/{scene}/masks/{camera}.mkv",
     log:
@@ -26,4 +27,33 @@ rule masks_segment:
         "python -m studiorecon masks.segment --settings {params.settings:q} --log {log:q}"
         " --camera {wildcards.camera:q} --model {input.model:q} --video {input.video:q} --plate {input.plate:q}"
         " --footage {input.footage:q} --calibration {input.calibration:q} --people {input.people:q} --body {input.body:q}"
-        " --given {input.given:q} --masks {output.masks:q}"
+        " --given {input.given:q} --tracks {input.tracks:q} --masks {output.masks:q}"
+
+
+if MASK_NETWORK:
+
+    rule masks_network:
+        input:
+            video="results/{scene}/capture/{camera}.mkv",
+            footage="results/{scene}/capture/{camera}.json",
+        output:
+            tracks="results/{scene}/masks/{camera}.tracks.mkv",
+        log:
+            "logs/{scene}/masks/network/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/masks/network/{camera}.tsv"
+        container:
+            model_image(MASK_NETWORK)
+        threads: 2
+        resources:
+            mem_mb=16000,
+            gpu=gpus(MASK_NETWORK),
+        params:
+            settings=settings("masks"),
+            code=code("masks.network"),
+            weights=WEIGHTS,
+            device=config["device"],
+        shell:
+            "python -m studiorecon masks.network --settings {params.settings:q} --log {log:q}"
+            " --camera {wildcards.camera:q} --video {input.video:q} --footage {input.footage:q} --weights {params.weights:q}"
+            " --device {params.device} --tracks {output.tracks:q}"

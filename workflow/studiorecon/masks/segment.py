@@ -24,12 +24,12 @@ from studiorecon.images.video import read_stack, to_float, write_lossless
 from studiorecon.masks.cut import CutSettings, cut_unknown
 from studiorecon.masks.evidence import DifferenceSettings, Plate, body_evidence, colour_difference, difference_evidence, unrest_of
 from studiorecon.masks.given import identified, read_given
+from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.people import Person, read_person
 
-UNASSIGNED = 255
 # Pictures from which the plate's unrest is learnt.
 _UNREST_FRAMES = 12
 
@@ -171,9 +171,13 @@ def run(
     people: list[Path],
     body: Path,
     given: list[Path],
+    tracks: list[Path],
     masks: Path,
 ) -> None:
-    """Masks of ``camera`` for the fitted ``people``; ``given`` (none or one path) are masks that the user brings, which are kept."""
+    """Masks of ``camera`` for the fitted ``people``.
+
+    ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's film of numbers.
+    """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
         raise Refusal(f"{model} has no camera {camera}; run cameras.refine again")
@@ -191,6 +195,12 @@ def run(
         depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))
         labels, told = identified(brought, depths, len(fits), settings.outline.gate_m, own)
         say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
+    elif tracks:
+        numbers = read_stack(tracks[0])
+        if numbers.shape != (len(frames), *own.hw):
+            raise Refusal(f"{tracks[0]} is {numbers.shape}, but the video has {len(frames)} frames of {own.hw}; run masks.network again")
+        labels, told = assigned(numbers, (body_depths(fits, body_model, own, t) for t in range(len(frames))), len(fits))
+        say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate)
         labels = np.stack(list(segment(frames, plate_rgb, measured, fits, body_model, own, settings)))
