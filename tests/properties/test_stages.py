@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for any people and any room: fits and groups move with the world, and know no order and no empty view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from studiorecon import settings as settings_module
+from studiorecon.body import fitting, prior
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.depth import shell as room_step
+from studiorecon.depth.pictures import Picture
+from studiorecon.depth.planes import hypotheses, rig_centre
+from studiorecon.depth.room import Votes
+from studiorecon.geometry import rotations
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.people.associate import Settings as Association
+from studiorecon.people.grouping import Group, group_tracks
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+from tests.foundations.camera_ring import detect, look_at, ring, walk
+from tests.properties.moved_worlds import World, level_worlds, numbers, rigid_worlds
+from tests.stages import made_room
+
+# A fit or a grouping takes a tenth of a second or more: three examples, and none is looked for that is smaller.
+RARE = settings(max_examples=3, deadline=None, derandomize=True, phases=[Phase.generate])
+NAMES = list(LAYOUTS["body_25b"].keypoints)
+PATIENT = fitting.FitSettings(
+    iterations=40,
+    tolerance=1e-8,
+    point_sigma_m=0.005,
+    correction_sigma_m=0.01,
+    huber_units=3,
+    pose_weight=1,
+    limit_weight=1,
+    beta_weight=1,
+    vertex_weight=1,
+    shape="shared",
+    free_scale=False,
+)
+FRAMES = 24
+
+
+@pytest.fixture(scope="module")
+def body(root: Path) -> BodyModel:
+    return BodyModel.load(root / "resources/body.npz")
+
+
+def measured(body: BodyModel, seed: int) -> np.ndarray:
+    """(3, 25, 3) keypoints of a person in poses that people take, with a centimetre of noise."""
+    rng = np.random.default_rng(seed)
+    spread = 0.4 / np.sqrt(np.maximum(prior.precision(), 1e-9))
+    spread[0] = 0
+    local = prior.middle() @ rotations.exp(np.clip(rng.normal(size=(3, 24, 3)) * spread, *prior.limits()))
+    local[:, 0] = [rotations.exp(upright_global_orientation(h)) for h in rng.uniform(-3, 3, 3)]
+    points = body.keypoints(NAMES, rotations.log(local).reshape(3, 72), rng.normal(0, 0.5, 10), rng.normal(0, 1, (3, 3)))
+    return points + rng.normal(0, 0.01, points.shape)
+
+
+def fitted(body: BodyModel, points: np.ndarray, options: fitting.FitSettings = PATIENT, names: list[str] = NAMES) -> fitting.Fit:
+    return fitting.fit(body, names, points, np.where(np.isfinite(points).all(-1), 0.0, np.inf), options, None)
+
+
+@RARE
+@given(rigid_worlds(), st.integers(0, 50))
+def test_a_fitted_body_moves_with_its_world(body: BodyModel, world: World, seed: int) -> None:
+    points = measured(body, seed)
+    here, there = fitted(body, points), fitted(body, world.points(points))
+    np.testing.assert_allclose(there.joints_m, world.points(here.joints_m), atol=1e-3)
+    np.testing.assert_allclose(there.betas, here.betas, atol=0.02)
+    np.testing.assert_allclose(there.rotations[:, 0], world.rotation @ here.rotations[:, 0], atol=5e-3)
+
+
+@RARE
+@given(numbers(0.4, 2.5), st.integers(0, 50))
+def test_a_body_in_another_unit_is_the_same_body_at_another_scale(body: BodyModel, scale: float, seed: int) -> None:
+    """Up to the prior on the scale's logarithm, one unit wide, which keeps scale and shape from running off against each other."""
+    points, free = measured(body, seed), replace(PATIENT, free_scale=True)
+    here, there = fitted(body, points, free), fitted(body, scale * points, replace(free, point_sigma_m=scale * free.point_sigma_m))
+    assert there.scale == pytest.approx(scale * here.scale, rel=0.01)
+    assert np.median(np.linalg.norm(there.joints_m / scale - here.joints_m, axis=-1)) < 0.005
+
+
+@RARE
+@given(st.integers(0, 50), st.integers(0, 3))
+def test_what_was_never_seen_changes_no_fit(body: BodyModel, seed: int, place: int) -> None:
+    """A frame without anybody between the others; a keypoint that no frame has, against one that was never asked for."""
+    points = measured(body, seed)
+    alone = fitted(body, points)
+    with_gap = fitted(body, np.insert(points, place, np.nan, axis=0))
+    assert not with_gap.valid[place]
+    np.testing.assert_allclose(np.delete(with_gap.joints_m, place, axis=0), alone.joints_m, atol=1e-6)
+    np.testing.assert_allclose(with_gap.betas, alone.betas, atol=1e-5)
+    blind = points.copy()
+    blind[:, 7] = np.nan
+    without = fitted(body, np.delete(points, 7, axis=1), names=[n for k, n in enumerate(NAMES) if k != 7])
+    np.testing.assert_allclose(fitted(body, blind).joints_m, without.joints_m, atol=1e-6)
+
+
+@RARE
+@given(st.integers(0, 50), st.permutations(range(3)))
+def test_frames_are_fitted_alike_in_any_order(body: BodyModel, seed: int, order: list[int]) -> None:
+    """The shape is shared, the poses are each frame's own: nothing in a fit knows time."""
+    points = measured(body, seed)
+    here, there = fitted(body, points), fitted(body, points[order])
+    np.testing.assert_allclose(there.joints_m, here.joints_m[order], atol=1e-5)
+    np.testing.assert_allclose(there.betas, here.betas, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def options(default_settings: Callable[..., dict]) -> Association:
+    return settings_module.load(Association, default_settings("people"), "people")
+
+
+def grouped(found: list[Detections], cameras: list[Camera], options: Association) -> list[Group]:
+    agree = options.triangulation
+    assert isinstance(agree, Limits)
+    return group_tracks(found, cameras, FRAMES, 30.0, options.association, agree)
+
+
+def three_people(seed: int, cameras: list[Camera]) -> list[Detections]:
+    rng = np.random.default_rng(seed)
+    starts = np.array([[-0.8, -0.6, 0], [0.7, 0.6, 0], [0.6, -0.9, 0]]) + rng.uniform(-0.1, 0.1, (3, 3)) * [1, 1, 0]
+    people = [walk(start, 0.02 * rng.normal(size=3) * [1, 1, 0], FRAMES, turn) for start, turn in zip(starts, rng.uniform(0, 6, 3))]
+    return detect(cameras, people, 1.0, rng)
+
+
+def places(groups: list[Group]) -> list[np.ndarray]:
+    """Where every group stands in the first frame, in the order of x."""
+    found = [np.nanmedian(g.points_m[0], axis=0) for g in groups]
+    return sorted(found, key=lambda p: p[0])
+
+
+@RARE
+@given(st.integers(0, 50), st.permutations(range(4)), rigid_worlds())
+def test_people_are_grouped_alike_in_any_order_of_cameras_and_tracks(
+    options: Association, seed: int, order: list[int], world: World
+) -> None:
+    cameras = ring(4)
+    found = three_people(seed, cameras)
+    names = {(v, t): (v, (t + v) % 7 + 10) for v in range(4) for t in range(3)}
+    renamed = [replace(d, track=np.array([names[v, int(t)][1] for t in d.track])) for v, d in enumerate(found)]
+    here = grouped(found, cameras, options)
+    moved = [world.camera(cameras[i]) for i in order]
+    there = grouped([renamed[i] for i in order], moved, options)
+    assert {frozenset(g.members) for g in here} == {
+        frozenset((order[v], next(t for t in range(3) if names[order[v], t][1] == track)) for v, track in g.members) for g in there
+    }
+    assert len(here) == 3
+    by_members = {frozenset((order.index(v), names[v, t][1]) for v, t in g.members): g for g in here}
+    for group in there:
+        np.testing.assert_allclose(group.points_m, world.points(by_members[frozenset(group.members)].points_m), atol=2e-6)
+
+
+@RARE
+@given(st.integers(0, 50), st.integers(0, 4))
+def test_a_camera_that_sees_nobody_changes_no_group(options: Association, seed: int, place: int) -> None:
+    cameras = ring(4)
+    found = three_people(seed, cameras)
+    here = grouped(found, cameras, options)
+    nobody = replace(found[0], camera="blind", **{n: getattr(found[0], n)[:0] for n in ("frame", "track", "keypoints")})
+    blind = look_at("blind", np.array([1.0, -5.0, 2.5]), [0, 0, 1])
+    there = grouped([*found[:place], nobody, *found[place:]], [*cameras[:place], blind, *cameras[place:]], options)
+    shifted = {frozenset((v + (v >= place), t) for v, t in g.members) for g in here}
+    assert {frozenset(g.members) for g in there} == shifted
+    for one, other in zip(places(here), places(there)):
+        np.testing.assert_allclose(other, one, atol=1e-9)
+
+
+@RARE
+@given(level_worlds())
+def test_the_fitted_room_turns_with_its_world(default_settings: Callable[..., dict], world: World) -> None:
+    """The plates stay what they are when cameras and room turn and shift together; the walls that are found follow."""
+    section = default_settings("depth", sweep_width=96, wall_step_m=0.1, reach_m=5.0, furniture_m=0.5)
+    options = settings_module.load(room_step.Settings, section, "depth")
+    room = made_room.made_room(table=False)
+    cameras = made_room.ring(3, wh=(96, 54))
+    shots = [made_room.photograph(room, camera) for camera in cameras]
+    here = fitted_room(cameras, shots, 0.35, options)
+    yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
+    moved = fitted_room([world.camera(c) for c in cameras], shots, 0.35 + yaw, options)
+    assert (moved.fitted == here.fitted).all()
+    assert here.fitted[:5].sum() >= 3
+    assert (moved.yaw_rad - yaw) == pytest.approx(here.yaw_rad, abs=1e-6)
+    along = moved.axes @ world.shift
+    np.testing.assert_allclose(moved.low_m - along, here.low_m, atol=1e-5)
+    np.testing.assert_allclose(moved.high_m - along, here.high_m, atol=1e-5)
+
+
+def fitted_room(cameras: list[Camera], shots: list[tuple[np.ndarray, np.ndarray]], yaw_rad: float, options: room_step.Settings):
+    """The shell from votes that say for every pixel which plane of the catalogue is nearest to its true depth."""
+    pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, _) in zip(cameras, shots)]
+    planes = hypotheses(
+        rig_centre(cameras), yaw_rad, 0.0,
+        horizontal_step_m=0.1, wall_step_m=0.1, furniture_m=0.5, ceiling_m=(2.4, 3.4), reach_m=5.0,
+    )  # fmt: skip
+    chosen = []
+    for picture, (_, depth_m) in zip(pictures, shots):
+        off = np.stack([np.abs(picture.depth(plane, 0.3, 14.0) - depth_m) for plane in planes], axis=-1)
+        chosen.append(off.argmin(axis=-1))
+    confident = [np.ones(c.hw, bool) for c in cameras]
+    return room_step.fit_shell(pictures, Votes(planes, chosen, confident), yaw_rad, 0.0, options)
