@@ -46,7 +46,15 @@ def time_bands(frames: int, half_turns: bool = False) -> int:
 
 
 def _encoded(values: np.ndarray, bands: int, half_turns: bool) -> np.ndarray:
-    """(N, D) float64 → (N, D (1 + 2 bands)) float32; the argument of the sines is float64, or its rounding would be theirs."""
-    turned = values[:, None, :] * (2.0 ** np.arange(bands) * (np.pi if half_turns else 1.0))[:, None]
-    waves = np.stack([np.sin(turned), np.cos(turned)], axis=2).reshape(len(values), -1)
-    return np.concatenate([values, waves], axis=1).astype(np.float32)
+    """(N, D) float64 → (N, D (1 + 2 bands)) float32; the argument of the sines is float64, or its rounding would be theirs.
+
+    Each band is twice the one before it, by the formulas of the double angle: sines are dear, and nine doublings lose three digits of
+    sixteen.
+    """
+    waves = np.empty((len(values), bands, 2, values.shape[1]))
+    angle = values * np.pi if half_turns else values
+    waves[:, 0, 0], waves[:, 0, 1] = np.sin(angle), np.cos(angle)
+    for k in range(1, bands):
+        sine, cosine = waves[:, k - 1, 0], waves[:, k - 1, 1]
+        waves[:, k, 0], waves[:, k, 1] = 2 * sine * cosine, (cosine - sine) * (cosine + sine)
+    return np.concatenate([values, waves.reshape(len(values), -1)], axis=1).astype(np.float32)

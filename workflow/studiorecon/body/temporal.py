@@ -97,7 +97,7 @@ class TemporalNetwork:
             if fed is not self._kept[0]:
                 # What the layer was fed ends with the one before it, whose rectifier passes nothing where it gave 0.
                 back = (back @ matrix.T)[:, -self.width :]
-                back[fed[:, -self.width :] <= 0] = 0
+                back *= fed[:, -self.width :] > 0
         return found
 
     def to_arrays(self) -> dict[str, np.ndarray]:
