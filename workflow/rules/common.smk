@@ -68,6 +68,10 @@ SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"]
 FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]
 SHOTS = ["train", *FILMS]
 
+# Who is where comes from keypoint files, or from a network that estimates bodies (people.source).
+BODY_SOURCE = "" if config["people"]["source"] == "keypoints" else config["people"]["source"]
+SIGHTED = bool(DATASET.keypoints) or bool(BODY_SOURCE)
+
 # Cameras come from the user's files or from the people in the pictures.
 FROM_PEOPLE = config["cameras"]["source"] == "people" or (
     config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(DATASET.keypoints)
@@ -80,13 +84,13 @@ if not FROM_PEOPLE and not DATASET.calibration:
     )
 if CORRECTED and not Path(CORRECTED[0]).is_file():
     raise WorkflowError(f"people.identities names {CORRECTED[0]}, which does not exist; copy results/{SCENE}/people/identities.tsv there")
-if DATASET.people and not DATASET.keypoints and len(PLATED) < config["people"]["hull"]["limits"]["cameras"]:
+if DATASET.people and not SIGHTED and len(PLATED) < config["people"]["hull"]["limits"]["cameras"]:
     raise WorkflowError(
         f"dataset {DATASET.folder} has no 2D keypoints: put keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or clean "
         f"plates of {config['people']['hull']['limits']['cameras']} training cameras (plates/<camera>.png; there are {len(PLATED)}), or "
         "write people: 0 into capture.yaml for an empty room"
     )
-if DATASET.keypoints and DATASET.people and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
+if DATASET.keypoints and DATASET.people and not BODY_SOURCE and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
     raise WorkflowError(
         f"camera {blind[0]} of dataset {DATASET.folder} has no keypoints in {next(iter(DATASET.keypoints.values())).parent}: "
         f"add {blind[0]}/*.json there, or leave the camera out with train: [...] in capture.yaml"
@@ -108,6 +112,8 @@ WEIGHTS = config["weights"] if Path(config["weights"]).is_dir() else str(Path(wo
 DEPTH_NETWORK = "" if config["depth"]["source"] == "embedded" else config["depth"]["source"]
 MASK_NETWORK = config["masks"]["source"] if config["masks"]["source"] in MODELS else ""
 SYNTHESIZER = config["views"]["synthesizer"]
+# Enhancer and flow run in one process: in the enhancer's image, whose torchvision has RAFT.
+ENHANCE_NETWORK = next((n for n in (config["enhance"]["enhancer"], config["enhance"]["flow"]) if n in MODELS), "")
 
 
 def settings(section):
@@ -200,7 +206,7 @@ def masks(wildcards):
 
 def detections(wildcards):
     """Keypoints of every training camera; none when the room is known to be empty, or only plates show who is there."""
-    if not DATASET.people or not DATASET.keypoints:
+    if not DATASET.people or not SIGHTED:
         return []
     return [f"results/{wildcards.scene}/people/detections/{c}.npz" for c in TRAINING]
 
@@ -218,6 +224,13 @@ def footage_source(wildcards):
 def keypoint_source(wildcards):
     """Recorded keypoints of one camera."""
     return str(DATASET.keypoints[wildcards.camera])
+
+
+def given_bodies(wildcards):
+    """The user's file of a network's bodies of one camera, if that is where they come from."""
+    if BODY_SOURCE != "precomputed":
+        return []
+    return [brought(config["people"]["precomputed"], wildcards.camera, (".npz", ".pt"), "people.precomputed")]
 
 
 def given_plate(wildcards):
@@ -261,7 +274,7 @@ def scene_products():
         f"{scene}/cameras/images.txt",
         f"{scene}/cameras/heldout/images.txt",
         f"{scene}/cameras/refinement.json",
-        *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people and DATASET.keypoints),
+        *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people and SIGHTED),
         *(f"{scene}/people/{name}" for name in ("people.tsv", "desk.html") if DATASET.people),
         *(f"{scene}/depth/{c}.exr" for c in TRAINING),
         f"{scene}/survey/decisions.json",
@@ -269,6 +282,7 @@ def scene_products():
         *(f"{scene}/views/{s}.mkv" for s in SEGMENTS),
         f"{scene}/background/scene.ply",
         *(f"{scene}/render/{s}.mkv" for s in SHOTS),
+        *(f"{scene}/render/{s}.layers" for s in FILMS if config["render"]["exr"]),
         *(f"{scene}/enhance/{s}.mp4" for s in FILMS),
         *(f"{scene}/enhance/{s}.compare.mp4" for s in FILMS),
         f"{scene}/report/metrics.json",

@@ -1,31 +1,62 @@
 # People: 2D keypoints of every camera, who is who (the checkpoint), and one body per person over time.
 
 
-rule people_detections:
-    input:
-        keypoints=keypoint_source,
-        footage="results/{scene}/capture/{camera}.json",
-        calibration="results/{scene}/cameras/calibration.json",
-    output:
-        detections="results/{scene}/people/detections/{camera}.npz",
-    log:
-        "logs/{scene}/people/detections/{camera}.log",
-    benchmark:
-        "benchmarks/{scene}/people/detections/{camera}.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=500,
-    params:
-        settings=settings("people"),
-        code=code("people.detections"),
-        layout=DATASET.keypoint_layout,
-        first_frame=DATASET.keypoint_first_frame,
-    shell:
-        "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-        " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
+if BODY_SOURCE:
+
+    rule people_bodies:
+        input:
+            video="results/{scene}/capture/{camera}.mkv",
+            footage="results/{scene}/capture/{camera}.json",
+            given=given_bodies,
+        output:
+            detections="results/{scene}/people/detections/{camera}.npz",
+        log:
+            "logs/{scene}/people/bodies/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/bodies/{camera}.tsv"
+        container:
+            model_image(BODY_SOURCE) if BODY_SOURCE in MODELS else image("core")
+        threads: 2
+        resources:
+            mem_mb=8000,
+            gpu=gpus(BODY_SOURCE) if BODY_SOURCE in MODELS else 0,
+        params:
+            settings=settings("people"),
+            code=code("people.bodies"),
+            weights=WEIGHTS,
+            device=config["device"],
+        shell:
+            "python -m studiorecon people.bodies --settings {params.settings:q} --log {log}"
+            " --camera {wildcards.camera:q} --video {input.video:q} --footage {input.footage:q} --given {input.given:q}"
+            " --weights {params.weights:q} --device {params.device} --detections {output.detections:q}"
+
+else:
+
+    rule people_detections:
+        input:
+            keypoints=keypoint_source,
+            footage="results/{scene}/capture/{camera}.json",
+            calibration="results/{scene}/cameras/calibration.json",
+        output:
+            detections="results/{scene}/people/detections/{camera}.npz",
+        log:
+            "logs/{scene}/people/detections/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/detections/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("people"),
+            code=code("people.detections"),
+            layout=DATASET.keypoint_layout,
+            first_frame=DATASET.keypoint_first_frame,
+        shell:
+            "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
+            " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
+            " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
 
 
 checkpoint people_associate:
@@ -122,7 +153,7 @@ rule people_overlay:
         model="results/{scene}/cameras/images.txt",
         manifest="results/{scene}/capture/manifest.json",
         video="results/{scene}/capture/{camera}.mkv",
-        detections=branch(bool(DATASET.keypoints), then="results/{scene}/people/detections/{camera}.npz"),
+        detections=branch(SIGHTED, then="results/{scene}/people/detections/{camera}.npz"),
         identities="results/{scene}/people/identities.tsv",
         fits=fits,
     output:

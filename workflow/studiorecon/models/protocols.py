@@ -42,7 +42,8 @@ class Bodies:
 
     Attributes:
         tracks: (P,) identity of each within its camera, 0-based.
-        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own.
+        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own, which is not where
+            the pelvis is. ``pelvises_m``: (P, 3) pelvis joint.
         joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
     """
 
@@ -50,6 +51,7 @@ class Bodies:
     shapes: np.ndarray
     poses_rad: np.ndarray
     translations_m: np.ndarray
+    pelvises_m: np.ndarray
     joints_px: np.ndarray
     confidences: np.ndarray
 

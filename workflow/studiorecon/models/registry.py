@@ -84,7 +84,13 @@ _TABLE = (
         "comotion",
         "CoMotion",
         "body estimator",
-        Terms("Apple sample code licence", "Apple machine learning research model licence", "no", "weights are for research; needs SMPL"),
+        Terms(
+            "Apple sample code licence",
+            "Apple machine learning research model licence",
+            "no",
+            "weights are for research; needs SMPL",
+            alternative="keypoints, with files of a detector whose terms allow it",
+        ),
         (
             WeightFile("comotion/comotion_detection_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", how="hand"),
             WeightFile("comotion/comotion_refine_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", how="hand"),
