@@ -154,6 +154,21 @@ def test_a_run_taken_up_ends_with_the_same_bytes(monkeypatch: pytest.MonkeyPatch
     assert (taken_up.psnr_db, taken_up.refused) == (whole.psnr_db, whole.refused)
 
 
+def test_mixed_precision_around_the_loop_changes_nothing() -> None:
+    """Naive: the SSIM windows' variances are differences of rounded squares, in bfloat16 off by more than they are."""
+    begin, targets = lesson()
+    settings = replace(SETTINGS, iterations=3)
+
+    def run() -> TrainedGaussians:
+        return train_cuda(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, place="cpu", function=rasterization)
+
+    plain = run()
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = run()
+    for name in FIELDS:
+        assert getattr(mixed.gaussians, name).tobytes() == getattr(plain.gaussians, name).tobytes(), name
+
+
 def test_a_poisoned_start_is_left_out_and_nothing_to_train_is_a_sentence() -> None:
     begin, targets = lesson()
     begin.means_m[7, 1] = np.nan

@@ -122,7 +122,11 @@ class _Run:
         return shown, target.rgb, np.ones(target.camera.hw, bool) if target.weight is None else target.weight > 0
 
     def step(self, iteration: int, index: int) -> tuple[float, float]:
-        """One iteration on one target; returns loss and PSNR."""
+        """One iteration on one target; returns loss and PSNR. In float32 whatever the caller's autocast says (numerics rule 1)."""
+        with torch.autocast(self.adam.refused.device.type, enabled=False):
+            return self._step(iteration, index)
+
+    def _step(self, iteration: int, index: int) -> tuple[float, float]:
         s = self.settings
         target, image, wanted_m = self._target(iteration < s.warmup_half_resolution * s.iterations, index)
         degree = s.sh_degree if s.sh_degree_every == 0 else min(s.sh_degree, iteration // s.sh_degree_every)
