@@ -83,10 +83,11 @@ def main() -> None:
         for camera, path in zip(cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         clock.append(time.perf_counter())
-        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, box, passes)
+        solids, drawn = folder / "solids.json", folder / "solids.png"
+        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, box, solids, drawn, passes)
         clock.append(time.perf_counter())
         for camera, path in zip(cameras, maps):
-            refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, path)
+            refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, solids, path)
         clock.append(time.perf_counter())
         found, confidence = map(list, zip(*map(read_depth, maps)))
         gains = read_shell(box).gains

@@ -25,6 +25,9 @@ from tests.stages.made_room import made_room, photograph, ring, write_capture
 
 # A thinner catalogue than the default: the room is small and the tests are many.
 THIN = {"sweep_width": 144, "refine_width": 192, "wall_step_m": 0.08, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 30}
+# Furniture where a test asks for it.
+THIN |= {"solids": 0}
+FURNISHED = THIN | {"solids": 3, "solids_width": 96, "solids_gain": 20.0}
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,12 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     sweeps = [folder / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, folder / "shell.json", folder / "passes.npz")
+    box, solids, passes = folder / "shell.json", folder / "solids.json", folder / "passes.npz"
+    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, box, solids, folder / "solids.png", passes)
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
-        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, folder / "passes.npz", folder / "shell.json", out)
+        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, solids, out)
         maps.append(read_depth(out))
     return Found(read_shell(folder / "shell.json"), [d for d, _ in maps], [a for _, a in maps])
 
@@ -65,7 +69,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory, default_settings: Callab
     unknown = np.zeros(cameras[0].hw, bool)
     unknown[70:90, 20:40] = True
     plates = write_capture(folder, cameras, exposed, unknown)
-    return estimate(folder, cameras, plates, default_settings("depth", **THIN)), list(truth), folder
+    return estimate(folder, cameras, plates, default_settings("depth", **FURNISHED)), list(truth), folder
 
 
 def test_walls_are_placed_to_two_centimetres(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
@@ -121,6 +125,7 @@ def test_same_inputs_same_bytes(furnished: tuple[Found, list[np.ndarray], Path],
         plates,
         folder / "passes.npz",
         folder / "shell.json",
+        folder / "solids.json",
         again,
     )
     assert again.read_bytes() == (folder / "cam2.exr").read_bytes()

@@ -54,6 +54,8 @@ rule depth_shell:
         ),
     output:
         shell="results/{scene}/depth/shell.json",
+        solids="results/{scene}/depth/solids.json",
+        picture="results/{scene}/depth/solids.png",
         passes="results/{scene}/depth/passes.npz",
     log:
         "logs/{scene}/depth/shell.log",
@@ -61,7 +63,7 @@ rule depth_shell:
         "benchmarks/{scene}/depth/shell.tsv"
     container:
         image("core")
-    threads: 1
+    threads: 2
     resources:
         mem_mb=2500,
     params:
@@ -69,7 +71,8 @@ rule depth_shell:
         code=code("depth.shell"),
     shell:
         "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
-        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --shell {output.shell} --passes {output.passes}"
+        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --shell {output.shell} --solids {output.solids}"
+        " --picture {output.picture} --passes {output.passes}"
 
 
 rule depth_refine:
@@ -81,6 +84,7 @@ rule depth_refine:
             allow_missing=True,
         ),
         shell="results/{scene}/depth/shell.json",
+        solids="results/{scene}/depth/solids.json",
         passes="results/{scene}/depth/passes.npz",
     output:
         depth="results/{scene}/depth/{camera}.planes.exr" if DEPTH_NETWORK else "results/{scene}/depth/{camera}.exr",
@@ -99,7 +103,7 @@ rule depth_refine:
     shell:
         "python -m studiorecon depth.refine --settings {params.settings:q} --log {log}"
         " --camera {wildcards.camera:q} --model {input.model} --plates {input.plates:q} --passes {input.passes}"
-        " --shell {input.shell} --depth {output.depth:q}"
+        " --shell {input.shell} --solids {input.solids} --depth {output.depth:q}"
 
 
 rule depth_given:

@@ -2,7 +2,7 @@
 """One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along edges.
 
 Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge them
-have A at or below ``default_confidence``; measured ones lie above it.
+have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/solids.json``) stands before all of it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,15 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
+from studiorecon.depth.evidence import Explained
 from studiorecon.depth.free_space import back_to_the_shell
 from studiorecon.depth.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.solids import Solid, in_front, read_solids
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
 from studiorecon.images.stills import read_plate
+from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
@@ -116,7 +119,27 @@ def final_pass(
     return explain(picture, shell.planes, depths, scores, seen, settings)
 
 
-def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes: Path, shell: Path, depth: Path) -> None:
+def furnished(
+    camera: Camera, index: int, pictures: list[Picture], shell: Shell, solids: list[Solid], depth_m: np.ndarray, certain: np.ndarray,
+    settings: Settings,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the solids before everything else.
+
+    What another camera sees of a solid has the confidence of its match; the rest of it is as little measured as a default.
+    """
+    depth_m, shown = in_front(solids, camera, depth_m)
+    if not shown.any():
+        return depth_m, certain, shown
+    room = Explained.by_shell(pictures, shell, settings.refine_window, settings.mean_weight)
+    room.replace_all(np.array([solid.numbers for solid in solids]))
+    small = Labelled(*(a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
+                       for a in (room.surface[index], room.depth[index], room.cost[index], room.judges[index] > 0)))  # fmt: skip
+    stated = confidence(replace(small, plane=np.full_like(small.plane, 6)), np.zeros(6, bool), settings.default_confidence)
+    certainty, _ = sample(stated, camera.pixel_centres() * (np.array(stated.shape[::-1]) / camera.wh), "nearest")
+    return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
+
+
+def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes: Path, shell: Path, solids: Path, depth: Path) -> None:
     """Write one camera's depth and confidence."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
@@ -136,5 +159,8 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes
     depth_m, source = at_full_size(cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes)
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
-    say(f"{(labelled.plane >= 6).mean():.0%} of {camera} is furniture, the rest walls, floor and ceiling")
+    depth_m, certainty, shown = furnished(
+        cameras[index], index, pictures, room, read_solids(solids), depth_m, certainty.reshape(depth_m.shape), settings
+    )
+    say(f"{shown.mean():.0%} of {camera} is boxes and cylinders, {(labelled.plane >= 6).mean():.0%} other surfaces inside the room")
     write_depth(depth, depth_m, certainty)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room around all cameras, from every sweep's votes, and a first depth of every camera that agrees with the others.
+"""The room around all cameras, from every sweep's votes, its furniture, and a first depth of every camera that agrees with the others.
 
-Writes ``depth/shell.json`` (``scene.shell.Shell``) and ``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
+Writes ``depth/shell.json`` (``scene.shell.Shell``), ``depth/solids.json`` (``depth.solids.Solid``) with a picture of them, and
+``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.depth import room
+from studiorecon.depth.furniture import furnish
 from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures, surface_gains
+from studiorecon.depth.sheet import sheet, write_sheet
+from studiorecon.depth.solids import Solid, in_front, write_solids
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.colmap import read_model
@@ -41,6 +45,9 @@ class Settings(PassSettings):
     ceiling_default_m: float
     candidates: int
     passes: int
+    solids: int
+    solids_width: int
+    solids_gain: float
 
 
 def fit_shell(pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_m: float, settings: Settings) -> Shell:
@@ -119,8 +126,10 @@ def refine_candidates(pictures: list[Picture], votes: room.Votes, planes: np.nda
     return placed
 
 
-def agreeing_depths(pictures: list[Picture], shell: Shell, starts: list[np.ndarray], settings: Settings) -> list[np.ndarray]:
-    """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth."""
+def agreeing_depths(
+    pictures: list[Picture], shell: Shell, solids: list[Solid], starts: list[np.ndarray], settings: Settings
+) -> list[np.ndarray]:
+    """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth and the solids."""
     depths = [plane_depths(p, shell.planes, shell, settings) for p in pictures]
     scores = [
         [plane_scores(p, o, shell.planes, d, settings) for j, o in enumerate(pictures) if j != i]
@@ -129,12 +138,15 @@ def agreeing_depths(pictures: list[Picture], shell: Shell, starts: list[np.ndarr
     latest = starts
     for _ in progress(range(settings.passes), "agreeing"):
         others = [[(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))]
-        latest = [explain(p, shell.planes, d, s, o, settings).depth_m for p, d, s, o in zip(pictures, depths, scores, others)]
+        found = [explain(p, shell.planes, d, s, o, settings).depth_m for p, d, s, o in zip(pictures, depths, scores, others)]
+        latest = [in_front(solids, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
     return latest
 
 
-def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], shell: Path, passes: Path) -> None:
-    """Fit the room shell to all sweeps, and let the cameras agree on depth."""
+def run(
+    settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], shell: Path, solids: Path, picture: Path, passes: Path
+) -> None:
+    """Fit the room shell to all sweeps, put furniture into it, and let the cameras agree on depth."""
     cameras = read_model(model.parent)
     swept = [dict(np.load(path, allow_pickle=False)) for path in sweeps]
     if len(swept) != len(cameras) or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
@@ -150,15 +162,26 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     planes = refine_candidates(pictures, votes, planes, settings)
     fitted = replace(fitted, planes=planes)
     say(f"{len(planes) - 6} planes inside the room are worth trying")
+    furniture: list[Solid] = []
+    if settings.solids and len(cameras) > 1:
+        small = equalised(read_pictures(cameras, plates, settings.solids_width), gains)
+        furniture = furnish(
+            small, fitted, np.zeros((0, 3)), window=settings.refine_window, mean_weight=settings.mean_weight,
+            least_gain=settings.solids_gain, most=settings.solids,
+        )  # fmt: skip
+        say(f"{len(furniture)} boxes and cylinders explain what walls and floor do not")
     starts = []
-    for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
-        wall_m = fitted.intersect(*picture.camera.rays())[0]
-        starts.append(np.where(confident, picture.depth_of(votes.planes[chosen]), wall_m).astype(np.float32))
-    depths = agreeing_depths(pictures, fitted, starts, settings)
+    for p, chosen, confident in zip(pictures, votes.chosen, votes.confident):
+        wall_m = fitted.intersect(*p.camera.rays())[0]
+        seen_m = np.where(confident, p.depth_of(votes.planes[chosen]), wall_m).astype(np.float32)
+        starts.append(in_front(furniture, p.camera, seen_m)[0])
+    depths = agreeing_depths(pictures, fitted, furniture, starts, settings)
     rest, pairs = surface_gains(pictures, depths, settings.window)
     gains = gains * rest
     say(f"exposure on {pairs} views of common surfaces: " + ", ".join(f"{c.name} {g.mean():.3f}" for c, g in zip(cameras, gains)))
     write_shell(shell, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
+    write_solids(solids, furniture)
+    write_sheet(picture, sheet(pictures, fitted, furniture, depths))
     write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
 
 
