@@ -23,7 +23,7 @@ def options(default_settings):
 
 
 def about(cameras: list[Camera], **changed) -> list[dict]:
-    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
+    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0, "keypoints": True}
     return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
 
 
@@ -63,6 +63,14 @@ def test_one_inverted_camera_shows_in_its_margin(options):
     report = examined(cameras, options)
     assert report["margin"]["c2"] < 1.0
     assert any("c2" in a for a in report["advice"])
+
+
+def test_a_held_out_camera_without_keypoints_is_no_fault(options):
+    cameras = ring(5)
+    seen = [*detect(cameras, PEOPLE, 1.5, np.random.default_rng(0))[:4], doctor.nobody("c4")]
+    report = doctor.examined(cameras, seen, about(cameras, c4={"keypoints": False}), options)[0]
+    assert report["verdict"] == "good"
+    assert ["c4 has no keypoints" in a for a in report["advice"]] == [True]
 
 
 def test_a_late_camera_is_found_with_its_interval(options):

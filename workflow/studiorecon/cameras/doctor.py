@@ -83,6 +83,7 @@ def examined(
     report: dict[str, Any] = {
         "cameras": names,
         "people": people,
+        "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "median_px": median,
@@ -184,7 +185,7 @@ def run(
     about = [
         {
             "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "brightness": g.brightness, "burnt": g.burnt,
-            "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg,
+            "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg, "keypoints": c in seen,
         }
         for c, g in zip(cameras, looks, strict=True)
     ]  # fmt: skip

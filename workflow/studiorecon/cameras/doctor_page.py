@@ -69,7 +69,7 @@ def _cameras(report: dict[str, Any]) -> str:
         cells = [
             html.escape(camera),
             _number(report["px_per_camera"][camera], ".1f"),
-            shown if clear or not report["people"] else f'<span class="bad">{shown}</span>',
+            shown if clear or not report["people"] or camera in report["without_keypoints"] else f'<span class="bad">{shown}</span>',
             _lag(report["lags_frames"].get(camera)),
             f"{facts['field_deg']:.0f}°",
             f"{facts['height_m']:.2f} m",
