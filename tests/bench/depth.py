@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seconds and accuracy of depth and views on a made capture: ``python tests/bench/depth.py TRUTH_FOLDER [--preset standard] [--set k=v]``.
+"""Seconds and accuracy of depth on made rooms and on posed renderings with dense depth, with and without errors of exposure and pose.
 
-TRUTH_FOLDER is the ``truth`` folder of a studio capture (plates, depth, cameras). Plates are the true empty room, so people and the
-temporal plate play no part; depth is compared with the exact one, views with the held-out plates. Run alone on the machine: one thread is
-used, and other work halves its speed.
+``python -m tests.bench.depth --rooms TRUTH ... [--posed FOLDER] [--set k=v] [--pictures FOLDER]`` writes tests/bench/results/depth.json.
+
+TRUTH is the ``truth`` folder of a studio capture (plates, depth, cameras); plates are the true empty room, so people and the temporal plate
+play no part. Depth is compared with the exact one per class (seen by two cameras or more, seen by one), walls with where they stand, and
+the held-out plates with the photos carried there through the depth (holes inpainted). FOLDER holds ``rgb/*.png`` and ``condition.npz``
+(poses, intrinsics, depths). Seconds are of this process on this machine, processor time beside wall time: other work on it slows both.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import platform
 import tempfile
 import time
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
@@ -19,16 +24,18 @@ import cv2
 import numpy as np
 import yaml
 from studiorecon.depth import refine, shell, sweep
+from studiorecon.depth.solids import read_solids
 from studiorecon.images.exr import read_depth
 from studiorecon.images.stills import read_plate
 from studiorecon.images.video import to_bytes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import write_model
-from studiorecon.scene.files import read_json
+from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.shell import read_shell
 from studiorecon.settings import load
+from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
-from studiorecon.views.forward import Source, blend, source
+from studiorecon.views.forward import blend, source
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -60,66 +67,145 @@ def picture(path: Path, rows: list[list[np.ndarray]]) -> None:
     cv2.imwrite(str(path), np.concatenate([np.concatenate(row, axis=1) for row in shown]))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("truth", type=Path)
-    parser.add_argument("--preset", default="")
-    parser.add_argument("--set", nargs="*", default=[], dest="changes")
-    parser.add_argument("--pictures", type=Path, default=None, help="folder for colour-mapped depth and views")
-    given = parser.parse_args()
-    held_out = set(read_json(given.truth / "truth.json")["held_out"])
-    everyone = [Camera.from_json(c) for c in read_json(given.truth / "cameras.json")]
-    cameras = [c for c in everyone if c.name not in held_out]
-    print(f"{date.today()} {platform.processor() or platform.machine()}, {given.truth}, preset {given.preset or 'draft'} {given.changes}")
-    values = section("depth", given.preset, given.changes)
-    plates = [given.truth / f"plates/{c.name}.png" for c in cameras]
-    truth = [read_depth(given.truth / f"depth/{c.name}.exr")[0] for c in cameras]
+@dataclass(frozen=True)
+class Room:
+    """A scene with exact depth: training cameras, their plates and depths, and held-out cameras with theirs."""
+
+    name: str
+    cameras: list[Camera]
+    plates: list[np.ndarray]
+    truth: list[np.ndarray]
+    views: list[Camera]
+    targets: list[np.ndarray]
+    made: bool
+
+
+def made_room(folder: Path) -> Room:
+    held_out = set(read_json(folder / "truth.json")["held_out"])
+    everyone = [Camera.from_json(c) for c in read_json(folder / "cameras.json")]
+    plates = {c.name: read_plate(folder / f"plates/{c.name}.png")[0] for c in everyone}
+    cameras, views = [c for c in everyone if c.name not in held_out], [c for c in everyone if c.name in held_out]
+    truth = [read_depth(folder / f"depth/{c.name}.exr")[0] for c in cameras]
+    return Room(folder.name, cameras, [plates[c.name] for c in cameras], truth, views, [plates[c.name] for c in views], True)
+
+
+def posed(folder: Path) -> Room:
+    """Renderings with camera-to-world poses (OpenCV axes, z up) and z-depth; the floor is put to z = 0."""
+    with np.load(folder / "condition.npz") as stored:
+        poses, lenses, truth = (stored[k].astype(np.float64) for k in ("poses", "intrinsics", "depths"))
+    plates = [read_plate(folder / f"rgb/{k}.png")[0] for k in range(len(poses))]
+    wh = (plates[0].shape[1], plates[0].shape[0])
+    cameras = [Camera(f"cam{k}", wh, lens, np.linalg.inv(pose)) for k, (pose, lens) in enumerate(zip(poses, lenses))]
+    heights = np.concatenate([c.unproject(c.pixel_centres(), d)[..., 2][d > 0] for c, d in zip(cameras, truth)])
+    poses[:, 2, 3] -= np.percentile(heights, 1)
+    cameras = [replace(c, camera_from_world=np.linalg.inv(pose)) for c, pose in zip(cameras, poses)]
+    return Room(folder.name, cameras, plates, [d.astype(np.float32) for d in truth], [], [], False)
+
+
+def disturbed(room: Room, what: str, rng: np.random.Generator) -> Room:
+    """The room with ±12 % gains and ±5 % white balance, or with cameras 0.3° and 2 cm off (r.m.s.)."""
+    if what == "gains":
+        gain = rng.uniform(0.88, 1.12, (len(room.plates), 1)) * rng.uniform(0.95, 1.05, (len(room.plates), 3))
+        return replace(room, plates=[np.clip(p * g, 0, 1).astype(np.float32) for p, g in zip(room.plates, gain)])
+    if what == "poses":
+        moved = []
+        for camera in room.cameras:
+            pose = np.eye(4)
+            pose[:3, :3] = cv2.Rodrigues(rng.normal(0, np.radians(0.3) / np.sqrt(3), 3))[0] @ camera.rotation_camera_from_world
+            pose[:3, 3] = -pose[:3, :3] @ (camera.centre_m + rng.normal(0, 0.02 / np.sqrt(3), 3))
+            moved.append(replace(camera, camera_from_world=pose))
+        return replace(room, cameras=moved)
+    return room
+
+
+def measure(room: Room, values: dict, pictures: Path | None) -> dict:
+    """One estimate of all cameras' depth, compared with the truth."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_model(folder, cameras)
-        model, box, passes = folder / "images.txt", folder / "shell.json", folder / "passes.npz"
-        sweeps, maps = [folder / f"{c.name}.npz" for c in cameras], [folder / f"{c.name}.exr" for c in cameras]
-        clock = [time.perf_counter()]
-        for camera, path in zip(cameras, sweeps):
+        write_model(folder, room.cameras)
+        plates = [folder / f"{c.name}.png" for c in room.cameras]
+        for path, plate in zip(plates, room.plates):
+            cv2.imwrite(str(path), to_bytes(plate)[..., ::-1])
+        model, box, solids, passes = (folder / n for n in ("images.txt", "shell.json", "solids.json", "passes.npz"))
+        sweeps, maps = [folder / f"{c.name}.npz" for c in room.cameras], [folder / f"{c.name}.exr" for c in room.cameras]
+        wall, cpu = [time.perf_counter()], [time.process_time()]
+
+        def lap() -> None:
+            wall.append(time.perf_counter())
+            cpu.append(time.process_time())
+
+        for camera, path in zip(room.cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
-        clock.append(time.perf_counter())
-        solids, drawn = folder / "solids.json", folder / "solids.png"
-        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, box, solids, drawn, passes)
-        clock.append(time.perf_counter())
-        for camera, path in zip(cameras, maps):
+        lap()
+        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, box, solids, folder / "solids.png", passes)
+        lap()
+        for camera, path in zip(room.cameras, maps):
             refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, solids, path)
-        clock.append(time.perf_counter())
-        found, confidence = map(list, zip(*map(read_depth, maps)))
-        gains = read_shell(box).gains
-    print("seconds: sweeps {:.1f}, shell {:.1f}, refinement {:.1f}, all {:.1f}".format(*np.diff(clock), clock[-1] - clock[0]))
-    error = np.concatenate([(np.abs(d - t) / t).ravel() for d, t in zip(found, truth)])
-    count = np.concatenate([seen_by(cameras, truth, i).ravel() for i in range(len(cameras))])
-    for label, where in (("all", count > 0), ("seen by two", count > 1), ("seen by one", count == 1)):
-        print(f"{label} ({where.mean():.0%}): AbsRel {error[where].mean():.4f}, within 5 % {(error[where] < 0.05).mean():.1%}")
-    warp = load(synthesize.Settings, section("views", given.preset, given.changes), "views")
+        lap()
+        found = [read_depth(path)[0] for path in maps]
+        fitted, furniture = read_shell(box), read_solids(solids)
+        if pictures:
+            pictures.mkdir(parents=True, exist_ok=True)
+            (pictures / f"{room.name}.solids.png").write_bytes((folder / "solids.png").read_bytes())
+    result = {
+        "cpu_s": {k: round(v, 1) for k, v in zip(("sweeps", "shell", "refine"), np.diff(cpu))},
+        "wall_s": round(wall[-1] - wall[0], 1),
+    }
+    result["solids"] = len(furniture)
+    error = np.concatenate([(np.abs(d - t) / np.maximum(t, 1e-6))[t > 0] for d, t in zip(found, room.truth)])
+    count = np.concatenate([seen_by(room.cameras, room.truth, i)[t > 0] for i, t in enumerate(room.truth)])
+    for label, where in (("all", count > 0), ("seen_by_two", count > 1), ("seen_by_one", count == 1)):
+        result[label] = {"share": round(float(where.mean()), 3), "abs_rel": round(float(error[where].mean()), 4),
+                         "within_5_percent": round(float((error[where] < 0.05).mean()), 4)}  # fmt: skip
+    if room.made:
+        true_m = np.array([HALF_X_M, HALF_Y_M])[[0 if abs(face[0]) > abs(face[1]) else 1 for face in fitted.faces[:4]]]
+        result["walls_off_m"] = [round(float(abs(abs(f[3]) - t)), 4) for f, t in zip(fitted.faces[:4], true_m)]
+    result["walls_fitted"] = [bool(f) for f in fitted.fitted]
+    if room.views:
+        result["warp_db"], sheets = carried(room, found, fitted.gains)
+        if pictures:
+            maps_in_colour = [[d / 8 for d in found], [t / 8 for t in room.truth], [np.abs(d - t) * 0.5 for d, t in zip(found, room.truth)]]
+            picture(pictures / f"{room.name}.depth.png", maps_in_colour)
+            picture(pictures / f"{room.name}.views.png", sheets)
+    return result
 
-    def photos(depths: list[np.ndarray]) -> list[Source]:
-        read = [read_plate(p) for p in plates]
-        even = [np.clip(rgb / gains[c.name].astype(np.float32), 0, 1) for c, (rgb, _) in zip(cameras, read)]
-        return [source(c, e, m, d, warp.depth_jump) for c, e, (_, m), d in zip(cameras, even, read, depths)]
 
-    sheets = []
-    for label, depths in (("found", found), ("true", truth)):
-        carried, scores, started = photos(depths), [], time.perf_counter()
-        for camera in (c for c in everyone if c.name in held_out):
-            rgb, support, _ = blend(camera, carried, warp.oversampling, warp.z_tolerance, np.radians(warp.fade_deg))
-            painted = synthesize.paint_holes(rgb, support, warp.inpaint_radius)
-            target = read_plate(given.truth / f"plates/{camera.name}.png")[0]
-            scores.append((-10 * np.log10(((painted / 255 - target) ** 2).mean()), (support == 0).mean()))
-            sheets.append([painted, to_bytes(target), support])
-        each = (time.perf_counter() - started) / max(len(scores), 1)
-        quality, holes = np.mean(scores, axis=0)
-        print(f"warp through {label} depth: {quality:.2f} dB over {len(scores)} held-out views, {holes:.1%} hole, {each:.2f} s a view")
-    if given.pictures:
-        given.pictures.mkdir(parents=True, exist_ok=True)
-        columns = [[d / 8 for d in found], [t / 8 for t in truth], [np.abs(d - t) * 0.5 for d, t in zip(found, truth)], confidence]
-        picture(given.pictures / "depth.png", columns)
-        picture(given.pictures / "views.png", sheets)
+def carried(room: Room, depths: list[np.ndarray], gains: dict[str, np.ndarray]) -> tuple[float, list[list[np.ndarray]]]:
+    """Mean PSNR over the held-out views of the photos carried there through ``depths``, and the pictures beside the truth."""
+    warp = load(synthesize.Settings, section("views", "", []), "views")
+    even = [np.clip(p / gains[c.name].astype(np.float32), 0, 1) for c, p in zip(room.cameras, room.plates)]
+    photos = [source(c, e, np.ones(c.hw, bool), d, warp.depth_jump) for c, e, d in zip(room.cameras, even, depths)]
+    scores, sheets = [], []
+    for camera, target in zip(room.views, room.targets):
+        rgb, support, _ = blend(camera, photos, warp.oversampling, warp.z_tolerance, np.radians(warp.fade_deg))
+        painted = synthesize.paint_holes(rgb, support, warp.inpaint_radius)
+        scores.append(-10 * np.log10(((painted / 255 - target) ** 2).mean()))
+        sheets.append([painted, to_bytes(target)])
+    return round(float(np.mean(scores)), 2), sheets
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rooms", type=Path, nargs="*", default=[])
+    parser.add_argument("--posed", type=Path)
+    parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="bare = without boxes and cylinders")
+    parser.add_argument("--preset", default="")
+    parser.add_argument("--set", nargs="*", default=[], dest="changes")
+    parser.add_argument("--pictures", type=Path, default=None, help="folder for depth, views and solids")
+    parser.add_argument("--out", type=Path, default=ROOT / "tests/bench/results/depth.json")
+    given = parser.parse_args()
+    stored = read_json(given.out) if given.out.is_file() else {"runs": {}}
+    stored |= {"date": str(date.today()), "machine": platform.processor() or platform.machine()}
+    rooms = [made_room(folder) for folder in given.rooms] + ([posed(given.posed)] if given.posed else [])
+    for what in given.cases:
+        for room in rooms:
+            values = section("depth", given.preset, given.changes + (["solids=0"] if what == "bare" else []))
+            # Every room its own errors, the same in every run.
+            rng = np.random.default_rng([len(what), *room.name.encode()])
+            result = measure(disturbed(room, what, rng), values, given.pictures if what == "plain" else None)
+            stored["runs"][f"{room.name} {what}"] = result | ({"changes": given.changes} if given.changes else {})
+            print(room.name, what, json.dumps(result), flush=True)
+            write_json(given.out, stored)
 
 
 if __name__ == "__main__":
