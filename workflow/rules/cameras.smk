@@ -32,7 +32,7 @@ else:
 
     rule cameras_calibration:
         input:
-            files=[str(f) for f in DATASET.calibration],
+            files=CALIBRATION,
         output:
             calibration="results/{scene}/cameras/calibration.json",
         log:
@@ -52,6 +52,44 @@ else:
         shell:
             "python -m studiorecon cameras.calibration --settings {params.settings:q} --log {log}"
             " --files {input.files:q} --cameras {params.cameras:q} --pixel-maps {params.pixel_maps:q} --calibration {output.calibration:q}"
+
+
+if CAMERA_NETWORK:
+
+    rule cameras_network:
+        input:
+            sources=[str(DATASET.footage[c]) for c in CAMERAS],
+            sightings=collect(
+                "results/{scene}/people/sightings/{camera}.npz",
+                camera=CAMERAS if set(CAMERAS) <= set(DATASET.keypoints) else [],
+                allow_missing=True,
+            ),
+            body=BODY,
+        output:
+            model="results/{scene}/cameras/network/images.txt",
+            intrinsics="results/{scene}/cameras/network/cameras.txt",
+            points="results/{scene}/cameras/network/points3D.txt",
+        log:
+            "logs/{scene}/cameras/network.log",
+        benchmark:
+            "benchmarks/{scene}/cameras/network.tsv"
+        container:
+            model_image(CAMERA_NETWORK)
+        threads: 1
+        resources:
+            mem_mb=16000,
+            gpu=gpus(CAMERA_NETWORK),
+        params:
+            settings=settings("cameras"),
+            code=code("cameras.network"),
+            cameras=CAMERAS,
+            start=DATASET.first_frame,
+            weights=WEIGHTS,
+            device=config["device"],
+        shell:
+            "python -m studiorecon cameras.network --settings {params.settings:q} --log {log}"
+            " --cameras {params.cameras:q} --sources {input.sources:q} --start {params.start} --sightings {input.sightings:q}"
+            " --body {input.body:q} --weights {params.weights:q} --device {params.device} --model {output.model:q}"
 
 
 rule cameras_refine:

@@ -77,7 +77,20 @@ FROM_PEOPLE = config["cameras"]["source"] == "people" or (
     config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(DATASET.keypoints)
 )
 
-if not FROM_PEOPLE and not DATASET.calibration:
+# Or from a network, whose COLMAP model is then read like the user's.
+CAMERA_NETWORK = config["cameras"]["source"] if config["cameras"]["source"] in MODELS else ""
+CALIBRATION = (
+    [f"results/{SCENE}/cameras/network/{name}.txt" for name in ("cameras", "images")]
+    if CAMERA_NETWORK
+    else list(map(str, DATASET.calibration))
+)
+
+if CAMERA_NETWORK and DATASET.pixel_maps:
+    raise WorkflowError(
+        f"cameras.source is {CAMERA_NETWORK}, which looks at the footage itself, but capture.yaml has pixel_maps, which belong to a calibration: "
+        "take them out, or set cameras.source to files"
+    )
+if not FROM_PEOPLE and not CAMERA_NETWORK and not DATASET.calibration:
     raise WorkflowError(
         f"dataset {DATASET.folder} has no calibration: put intri.yml and extri.yml, a COLMAP model (sparse/0), a Pose2Sim or "
         "caliscope .toml, a .qca.txt or a transforms.json there, or name it in capture.yaml (calibration: FILE)"
