@@ -23,7 +23,7 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import complete, read_json, write_json
-from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.people import Detections, read_detections, usable
 
 _FOOT_HEIGHT_M = 0.08
 
@@ -220,14 +220,19 @@ def run(
     given = read_json(calibration)
     lenses = [Lens.from_json(v) for v in given["lenses"]]
     training, held_out = cameras_of(lenses, found.training), cameras_of(lenses, found.held_out)
-    outcome = decide(
-        training, held_out, [read_detections(p) for p in detections], found.frames, bool(given.get("floor_known", True)), settings
-    )
+    seen = [usable(read_detections(p)) for p in detections]
+    unusable = sum(count for _, count in seen)
+    if unusable:
+        say(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
+    outcome = decide(training, held_out, [d for d, _ in seen], found.frames, bool(given.get("floor_known", True)), settings)
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]
     picture = contact_sheet(outcome.training, outcome.held_out, pictures, outcome.points_m, outcome.report)
     write_model(model.parent, outcome.training, outcome.points_m)
     write_model(heldout_model.parent, outcome.held_out)
-    write_json(refinement, {**outcome.report, "calibration": {k: given.get(k) for k in ("source", "format", "notes")}})
+    write_json(
+        refinement,
+        {**outcome.report, "unusable_keypoints": unusable, "calibration": {k: given.get(k) for k in ("source", "format", "notes")}},
+    )
     with complete(sheet) as partial:
         cv2.imwrite(str(partial), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))

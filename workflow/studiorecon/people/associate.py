@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections, read_detections, write_identities, write_people
+from studiorecon.scene.people import Detections, read_detections, usable, write_identities, write_people
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def run(
     given: Sequence[Detections] = [read_detections(p) for p in detections] or [_nobody(c.name) for c in cameras]
     if not detections:
         say("no camera has keypoints: people are looked for in the visual hull alone, if plates were brought")
-    given, unusable = zip(*(_usable(d) for d in given))
+    given, unusable = zip(*(usable(d) for d in given))
     if sum(unusable):
         say(f"{sum(unusable)} keypoints are not finite or at exactly (0, 0), and were left out")
     if [d.camera for d in given] != [c.name for c in cameras]:
@@ -96,15 +96,6 @@ def run(
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
         write_standing(who / f"{name}.npz", [p for p in upright if p.name == name])
-
-
-def _usable(found: Detections) -> tuple[Detections, int]:
-    """The detections with keypoints that are no numbers, or no places, marked missing, and how many those were."""
-    keypoints = found.keypoints
-    bad = ~np.isfinite(keypoints[..., 2]) | (
-        (keypoints[..., 2] > 0) & (~np.isfinite(keypoints[..., :2]).all(-1) | (keypoints[..., :2] == 0).all(-1))
-    )
-    return replace(found, keypoints=np.where(bad[..., None], [np.nan, np.nan, 0.0], keypoints)), int(bad.sum())
 
 
 def _nobody(camera: str) -> Detections:

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.geometry import rotations
+from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
+from studiorecon.progress import say
 from studiorecon.scene.files import read_table, write_npz, write_table
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source")
@@ -79,6 +82,15 @@ def read_detections(path: Path) -> Detections:
         return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body)
 
 
+def usable(found: Detections) -> tuple[Detections, int]:
+    """The detections with keypoints that are no numbers, or no places, marked missing, and how many those were."""
+    keypoints = found.keypoints
+    bad = ~np.isfinite(keypoints[..., 2]) | (
+        (keypoints[..., 2] > 0) & (~np.isfinite(keypoints[..., :2]).all(-1) | (keypoints[..., :2] == 0).all(-1))
+    )
+    return replace(found, keypoints=np.where(bad[..., None], [np.nan, np.nan, 0.0], keypoints)), int(bad.sum())
+
+
 def write_person(path: Path, person: Person) -> None:
     """Write the AMASS-style npz: ``poses trans betas mocap_framerate`` plus this project's own fields."""
     arrays = {name: getattr(person, name) for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "sigma", "metric")}
@@ -86,9 +98,29 @@ def write_person(path: Path, person: Person) -> None:
 
 
 def read_person(path: Path) -> Person:
+    """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled between sound ones.
+
+    Raises Refusal when the file is missing, no frame is sound, or the shape is not finite.
+    """
     with _open(path) as data:
         arrays = {n: data[n] for n in ("poses", "trans", "betas", "joints", "valid", "sigma")}
-        return Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
+        person = Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
+    sound = np.isfinite(person.poses).all(-1) & np.isfinite(person.trans).all(-1)
+    if sound.all() and np.isfinite(person.betas).all():
+        return person
+    if not sound.any() or not np.isfinite(person.betas).all():
+        raise Refusal(f"{path} holds no body whose numbers are finite; run people.fit again")
+    say(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")
+    turns = rotations.exp(np.where(sound[:, None], person.poses, 0.0).reshape(len(sound), -1, 3))
+    filled = rotations.log(fill_rotations(turns, sound)).reshape(person.poses.shape)
+    return replace(
+        person,
+        poses=np.where(sound[:, None], person.poses, filled),
+        trans=fill_vectors(person.trans, sound),
+        joints=fill_vectors(person.joints, sound),
+        valid=person.valid & sound,
+        sigma=np.where(sound[:, None], person.sigma, np.inf),
+    )
 
 
 def write_people(path: Path, rows: list[tuple[str, int, str, float, str]]) -> None:
