@@ -51,7 +51,9 @@ def find_dataset():
 
 
 DATASET, STUDIO, DESCRIPTION = find_dataset()
-BODY = beside_workflow(config["body"])
+GIVEN_BODY = beside_workflow(config["body"])
+# SMPL's own pickle becomes plain arrays first.
+BODY = f"results/body/{Path(GIVEN_BODY).stem}.npz" if GIVEN_BODY.endswith(".pkl") else GIVEN_BODY
 SCENE = str(config["scene"]) or STUDIO or DATASET.folder.resolve().name
 CAMERAS = list(DATASET.cameras)
 ONE_OF_THE_CAMERAS = "|".join(map(re.escape, CAMERAS))
@@ -188,6 +190,11 @@ def people(wildcards):
 def fits(wildcards):
     """Body file of every person."""
     return [f"results/{wildcards.scene}/people/{p}.npz" for p in people(wildcards)]
+
+
+def walkers(wildcards):
+    """Bodies of the people whose ways are kept free of furniture; none unless depth.solids_walked asks for them."""
+    return fits(wildcards) if config["depth"]["solids_walked"] else []
 
 
 def tracks_of(wildcards):

@@ -38,3 +38,25 @@ rule weights:
         weights=WEIGHTS,
     shell:
         "python -m studiorecon models.weights --log {log} --models {params.models:q} --weights {params.weights:q} --fetching yes"
+
+
+if BODY != GIVEN_BODY:
+
+    rule body_plain:
+        input:
+            pickle=GIVEN_BODY,
+        output:
+            body=BODY,
+        log:
+            "logs/body/plain.log",
+        benchmark:
+            "benchmarks/body/plain.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1000,
+        params:
+            code=code("models.smpl"),
+        shell:
+            "python -m studiorecon models.smpl --log {log} --pickle {input.pickle:q} --body {output.body:q}"
