@@ -41,3 +41,31 @@ rule humans_train:
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
         " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"
         " --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"
+
+
+# On request: snakemake results/SCENE/humans/p00.canonical.ply makes a rest-pose person with LHM, from the best photo of them.
+rule humans_canonical:
+    input:
+        people="results/{scene}/people/people.tsv",
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        masks=collect("results/{scene}/masks/{camera}.mkv", camera=TRAINING, allow_missing=True),
+    output:
+        gaussians="results/{scene}/humans/{person}.canonical.ply",
+        photo="results/{scene}/humans/{person}.photo.png",
+    log:
+        "logs/{scene}/humans/canonical/{person}.log",
+    benchmark:
+        "benchmarks/{scene}/humans/canonical/{person}.tsv"
+    container:
+        model_image("lhm")
+    threads: 4
+    resources:
+        mem_mb=32000,
+        gpu=1,
+    params:
+        code=code("humans.canonical"),
+        weights=WEIGHTS,
+    shell:
+        "python -m studiorecon humans.canonical --log {log} --person {wildcards.person} --people {input.people}"
+        " --videos {input.videos:q} --masks {input.masks:q} --weights {params.weights:q}"
+        " --gaussians {output.gaussians} --photo {output.photo}"

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,6 @@ class PerceptualDistance(Protocol):
 class CanonicalAvatar(Protocol):
     """LHM: a person's Gaussians in a rest pose, from one photo."""
 
-    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> dict[str, np.ndarray]:
-        """Fields of ``scene.gaussians.Gaussians`` by name, in the rest pose, from a uint8 photo and the (H, W) mask of the person in it."""
+    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
+        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask of the person."""
         ...

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``humans.canonical``: a person of the capture in a rest pose by LHM, from the best photo there is of them. On request only.
+
+Writes a canonical ``.ply`` (3DGS layout, SMPL's body axes), for replacing somebody, and the photo it was made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.images.seeking import read_frame_at
+from studiorecon.images.video import read_frames
+from studiorecon.models.lhm import Lhm
+from studiorecon.progress import say
+from studiorecon.scene.gaussians_ply import write_ply
+from studiorecon.scene.people import read_people
+
+# Photos are compared at every so many frames.
+_STEP = 5
+
+
+def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
+    """(camera index, frame) in which the person covers most pixels without touching the border or somebody else's mask.
+
+    Raises Refusal when there is no such frame.
+    """
+    best, found = 0, None
+    for index, path in enumerate(masks):
+        for frame, labels in enumerate(read_frames(path)):
+            if frame % _STEP:
+                continue
+            own = labels == label
+            size = int(own.sum())
+            if size <= best:
+                continue
+            border = own[0].any() or own[-1].any() or own[:, 0].any() or own[:, -1].any()
+            around = cv2.dilate(own.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            if border or ((labels > 0) & ~own & around).any():
+                continue
+            best, found = size, (index, frame)
+    if found is None:
+        raise Refusal("there is no frame in which this person is whole and alone in the picture; bring a photo of your own to LHM")
+    return found
+
+
+def run(person: str, people: Path, videos: list[Path], masks: list[Path], weights: Path, gaussians: Path, photo: Path) -> None:
+    """Write the canonical Gaussians of ``person`` and the photo they come from."""
+    names = read_people(people)
+    if person not in names:
+        raise Refusal(f"{people} has no {person}; it holds {', '.join(names)}")
+    label = names.index(person) + 1
+    network = Lhm(weights)
+    index, frame = best_photo(masks, label)
+    picture, mask = read_frame_at(videos[index], frame), read_frame_at(masks[index], frame) == label
+    say(f"{person}: the best photo is frame {frame} of {videos[index].stem}")
+    made = network.avatar(picture, mask)
+    say(f"{person}: {made.count} Gaussians in the rest pose, {np.ptp(made.means_m[:, 1]):.2f} m high")
+    photo.write_bytes(cv2.imencode(".png", np.where(mask[..., None], picture, 255)[..., ::-1])[1].tobytes())
+    write_ply(gaussians, made)
