@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What makes a person look right: held-out PSNR of the person's own pixels, as trained and with one thing changed (paper, robustness).
+
+    snakemake --cores 2 results/demo/humans/p0.ply                 # once: makes the inputs
+    python -m tests.bench.humans [--scene results/demo] [--truth results/studio/demo/truth] [--people p0] [--only full "no network"]
+
+Every row trains by ``humans.train`` with the configuration's settings and one change: masks eroded, fitted bodies turned at random
+(one turn per joint for the whole clip, so that no average hides it), poses not refined, no temporal network. The score is the PSNR on
+the pixels that the truth calls the person's, at cameras no step reads, on every fifth frame. Seconds are of processor time. Table and
+machine go to tests/bench/results/humans.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from studiorecon import settings as settings_module
+from studiorecon.body.avatar import read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.geometry import rotations
+from studiorecon.humans import train
+from studiorecon.images.video import read_frames, write_lossless
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.people import Person, read_person, write_person
+from studiorecon.splatting.rasterise import Rasteriser
+
+ROOT = Path(__file__).parents[2]
+RESULTS = Path(__file__).parent / "results" / "humans.json"
+BODY = ROOT / "resources" / "body.npz"
+STEP = 5
+
+
+def eroded(pixels: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Masks whose people have lost ``pixels`` on every side."""
+    kernel = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
+
+    def change(labels: np.ndarray) -> np.ndarray:
+        kept = np.zeros_like(labels)
+        for label in np.unique(labels[labels > 0]):
+            kept[cv2.erode((labels == label).astype(np.uint8), kernel) > 0] = label
+        return kept
+
+    return change
+
+
+def turned(degrees: float) -> Callable[[Person], Person]:
+    """Bodies with every joint but the root turned about a random axis by a normal angle of this deviation."""
+
+    def change(person: Person) -> Person:
+        rng = np.random.default_rng(0)
+        noise = rotations.exp(rng.normal(0, np.deg2rad(degrees), (23, 3)) / np.sqrt(3))
+        local = rotations.exp(person.poses.reshape(-1, 24, 3))
+        local[:, 1:] = local[:, 1:] @ noise
+        return replace(person, poses=rotations.log(local).reshape(-1, 72))
+
+    return change
+
+
+ROWS: dict[str, dict[str, Any]] = {
+    "full": {},
+    "no network": {"temporal": {"use": "never"}},
+    "network of the paper's size": {"temporal": {"use": "always", "width": 256}},
+    "poses as fitted": {"rates": {"pose_rad": 0.0}},
+    "masks eroded by 2 px": {"masks": eroded(2)},
+    "masks eroded by 4 px": {"masks": eroded(4)},
+    "bodies turned by 3 degrees": {"body": turned(3.0)},
+    "bodies turned by 5 degrees": {"body": turned(5.0)},
+    "bodies turned by 5 degrees, poses as fitted": {"body": turned(5.0), "rates": {"pose_rad": 0.0}},
+    "harmonics of degree 0": {"sh_degree": 0},
+    "the paper's weight grid": {"skinning": "grid"},
+}
+
+
+def settings_with(changes: dict[str, Any]) -> train.Settings:
+    """The configuration's settings of humans with ``changes``."""
+    section = copy.deepcopy(yaml.safe_load((ROOT / "config" / "config.yaml").read_text())["humans"])
+    for name, value in changes.items():
+        section[name] = {**section[name], **value} if isinstance(value, dict) else value
+    return settings_module.load(train.Settings, section, "humans")
+
+
+def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> tuple[Path, Path, float]:
+    """Files of one training and its processor seconds."""
+    names = [camera.name for camera in read_model(scene / "cameras")]
+    masks, fit = [scene / f"masks/{name}.mkv" for name in names], scene / f"people/{person}.npz"
+    changes = dict(changes)
+    if change := changes.pop("masks", None):
+        for k, (name, path) in enumerate(zip(names, masks)):
+            masks[k] = folder / f"{name}.mkv"
+            write_lossless(masks[k], [change(labels) for labels in read_frames(path, 0, None)], 30.0)
+    if change := changes.pop("body", None):
+        fit = folder / f"{person}.fit.npz"
+        write_person(fit, change(read_person(scene / f"people/{person}.npz")))
+    ply, npz = folder / f"{person}.ply", folder / f"{person}.npz"
+    begin = time.process_time()
+    train.run(
+        settings_with(changes), person, scene / "cameras/images.txt", scene / "capture/manifest.json", scene / "people/people.tsv",
+        [scene / f"capture/{name}.mkv" for name in names], masks, fit, BODY, 1, ply, npz,
+    )  # fmt: skip
+    return ply, npz, time.process_time() - begin
+
+
+def held_out_db(scene: Path, truth: Path, person: str, ply: Path, npz: Path) -> list[float]:
+    """PSNR of the person's pixels in every ``STEP``-th frame of every held-out camera that shows 60 of them."""
+    avatar, rasteriser = read_avatar(ply, npz, BodyModel.load(BODY)), Rasteriser(near_m=0.05, threads=1)
+    label, found = json.loads((truth / "truth.json").read_text())["people"].index(person) + 1, []
+    for camera in read_model(scene / "cameras" / "heldout"):
+        pictures, labels = (read_frames(truth / kind / f"{camera.name}.mkv", 0, avatar.frames) for kind in ("frames", "masks"))
+        for frame, (photo, mask) in enumerate(zip(pictures, labels)):
+            if frame % STEP or np.count_nonzero(mask == label) < 60:
+                continue
+            shown = rasteriser.forward(avatar.posed(frame), camera.resized(photo.shape[1::-1]), (0.3, 0.3, 0.3)).rgb
+            error = shown[mask == label] - photo[mask == label] / 255
+            found.append(float(-10 * np.log10(np.mean(error**2))))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", type=Path, default=Path("results/demo"))
+    parser.add_argument("--truth", type=Path, default=Path("results/studio/demo/truth"))
+    parser.add_argument("--people", nargs="+", default=["p0"])
+    parser.add_argument("--only", nargs="+", choices=list(ROWS), default=list(ROWS))
+    options = parser.parse_args()
+    table: dict[str, dict[str, float]] = {}
+    for name in options.only:
+        scores, seconds = [], 0.0
+        for person in options.people:
+            with tempfile.TemporaryDirectory() as folder:
+                ply, npz, spent = trained(options.scene, person, ROWS[name], Path(folder))
+                scores += held_out_db(options.scene, options.truth, person, ply, npz)
+                seconds += spent
+        table[name] = {"psnr_db": round(float(np.mean(scores)), 3), "worst_db": round(float(np.min(scores)), 3), "cpu_s": round(seconds, 1)}
+        against = f", {table[name]['psnr_db'] - table['full']['psnr_db']:+.2f} dB" if "full" in table else ""
+        print(f"{name}: {table[name]['psnr_db']:.2f} dB (worst frame {table[name]['worst_db']:.1f}){against}, {seconds:.0f} s", flush=True)
+    machine = {"processor": platform.processor(), "cores": os.cpu_count(), "python": platform.python_version(), "numpy": np.__version__}
+    RESULTS.write_text(json.dumps({"machine": machine, "people": options.people, "rows": table}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
