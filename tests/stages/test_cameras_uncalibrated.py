@@ -58,10 +58,40 @@ def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, ro
     assert any("5 % off" in n for n in content["notes"])
 
 
-def test_one_person_who_stands_still_does_not_determine_focal_lengths_or_cameras(options, template):
-    truth, detections = made_take(frames=12, people=1, still=True, occluded=False)
+@pytest.mark.parametrize("people", [1, 2])
+def test_people_who_stand_still_do_not_determine_cameras_of_unknown_lenses(options, template, people):
+    """Sixty pictures of the same pose are no more than one: neither focal lengths nor places may be called known."""
+    truth, detections = made_take(frames=60, people=people, still=True, occluded=False)
     with pytest.raises(Refusal, match="undetermined"):
-        uncalibrated.pose_cameras(detections, [c.wh for c in truth], {}, 12, template, options)
+        uncalibrated.pose_cameras(detections, [c.wh for c in truth], {}, 60, template, options)
+
+
+def test_too_few_pictures_are_undetermined_even_with_known_lenses(options, template):
+    truth, detections = made_take(frames=4, people=1, occluded=False)
+    with pytest.raises(Refusal, match="undetermined"):
+        uncalibrated.pose_cameras(detections, [c.wh for c in truth], {c.name: c.focal_px[0] for c in truth}, 4, template, options)
+
+
+def test_what_is_claimed_covers_a_detector_that_errs_the_same_way_in_every_frame(options, template):
+    """A still body and a detector that misplaces every joint of every view by a constant 4 px: averaging frames does not help."""
+    truth, detections = made_take(frames=40, people=1, still=True, occluded=False)
+    rng = np.random.default_rng(8)
+    biased = []
+    for d in detections:
+        shift = np.concatenate([rng.normal(0, 4.0, (d.keypoints.shape[1], 2)), np.zeros((d.keypoints.shape[1], 1))], axis=1)
+        biased.append(replace(d, keypoints=d.keypoints + shift))
+    focal_px = {c.name: c.focal_px[0] for c in truth}
+    found, report, words = [], {}, ""
+    try:
+        found, report = uncalibrated.pose_cameras(biased, [c.wh for c in truth], focal_px, 40, template, options)
+    except Refusal as refusal:
+        words = str(refusal)
+    if not found:
+        assert "undetermined" in words
+        return
+    degrees, metres, _ = after_similarity(found, truth)
+    assert degrees.max() < 3 * max(report["sigma_deg"].values())
+    assert metres.max() < 3 * max(report["sigma_m"].values())
 
 
 def test_cameras_that_share_nobody_are_undetermined(options, template):
