@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.enhance.enhancer import check_gain
-from studiorecon.enhance.injection import Injection, confidence, history_weights, inject
+from studiorecon.enhance.injection import Injection, confidence, history_weights, inject, whole_levels
 from studiorecon.errors import Refusal
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.flow import chained, consistent, dis_flow, one_thread
@@ -28,6 +28,7 @@ PAPER = Injection(
     blur_px=11,
     blur_sigma_px=2.0,
     form="residual",
+    settle=False,
     flow="direct",
     check=True,
     cut_share=0.1,
@@ -94,6 +95,31 @@ def test_the_first_frames_are_weighted_over_existing_ones_only(existing: int) ->
     blended, shares = inject(render, [render] * existing, [np.ones(SHAPE[:2], np.float32)] * existing, PAPER)
     np.testing.assert_allclose(blended, 0.6, atol=1e-6)
     np.testing.assert_allclose(shares, 0.3 if existing else 0.0, atol=1e-6)
+
+
+def test_e02_eight_bit_feedback_forgets_what_has_moved_on() -> None:
+    # A bright patch of ten frames on a constant wall. Rounded to nearest, strength 0.9 keeps five levels of it for ever.
+    steady = replace(PAPER, strength=0.9, error_threshold=300.0, history=1)
+    wall = np.full(SHAPE, 100 / 255, np.float32)
+    left = {}
+    for settle in (False, True):
+        output = None
+        for render in [wall + np.float32(40 / 255)] * 10 + [wall] * 60:
+            past = [] if output is None else [output]
+            trust = [np.ones(SHAPE[:2], np.float32)] * len(past)
+            blended, _ = inject(render, past, trust, replace(steady, settle=settle))
+            output = np.rint(255 * blended).astype(np.float32) / 255
+        left[settle] = float(np.abs(255 * (output - wall)).max())
+    assert left[True] < 1e-3
+    assert 3 < left[False] < 6
+
+
+def test_e02_a_change_of_whole_levels_is_injected_whole() -> None:
+    levels = np.arange(-40, 41, dtype=np.float32)
+    render = np.full((1, 81, 3), 0.5, np.float32)
+    changes = whole_levels(render + levels[None, :, None] / np.float32(255) - render)
+    np.testing.assert_allclose(255 * changes[0, :, 0], levels, atol=1e-4)
+    np.testing.assert_allclose(255 * whole_levels((levels + np.sign(levels) * np.float32(0.9)) / np.float32(255)), levels, atol=1e-4)
 
 
 def test_the_weights_of_a_full_history_are_the_papers() -> None:

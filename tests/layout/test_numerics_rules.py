@@ -20,6 +20,10 @@ ALLOWED = {
         "float16",
     ): "stored pixel motion of the made studio, up to tens of pixels; stored, never computed in",
     **dict.fromkeys(
+        [("render.layers", "float16"), ("images.exr", "float16")],
+        "OpenEXR channels of colours, normals and shares as compositors expect them; stored, never computed in",
+    ),
+    **dict.fromkeys(
         [(f"models.{adapter}", word) for adapter in ("difix", "pi3") for word in ("float16", "bfloat16")],
         "upstream's own networks run so on a GPU, as their authors do; what comes back is float32 and checked",
     ),

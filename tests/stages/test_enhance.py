@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from studiorecon import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
+from studiorecon.enhance.backends import DisFlow
 from studiorecon.enhance.enhancer import Unchanged, loop_gain
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced
@@ -39,10 +40,12 @@ INJECTION = enhance_shot.Injection(
     blur_px=11,
     blur_sigma_px=2.0,
     form="residual",
+    settle=False,
     flow="direct",
     check=True,
     cut_share=0.1,
 )
+SEARCH = DisFlow("medium")
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
 
 
@@ -215,7 +218,7 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     picture = np.full((*view.hw, 3), 60, np.uint8)
     steps = [Step(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
-    outputs = list(enhanced(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, "medium"))
+    outputs = list(enhanced(steps, [picture] * 12, depths, lambda step: photo, enhancer, section, SEARCH))
     _, cover = carried_over(view, depths[0] / 1000, [source(camera, photo, 0 * photo, depth, TRANSFER)], TRANSFER)
     added = outputs[-1][..., 0].astype(float) - 60
     np.testing.assert_allclose(added[cover > 0.95], 51 * cover[cover > 0.95], atol=2)
@@ -232,7 +235,7 @@ def test_a_film_that_pans_keeps_its_confidence_with_either_flow(flow: str) -> No
     noisy = [np.rint(255 * np.clip(c + rng.normal(0, 4 / 255, c.shape), 0, 1)).astype(np.uint8) for c in clean]
     steps, depths = [Step(view, float(k), "a") for k in range(12)], [np.full(view.hw, 2000, np.uint16)] * 12
     reading = replace(INJECTION, flow=flow)
-    outputs = list(enhanced(steps, noisy, depths, lambda step: noisy[0], Unchanged(), reading, "medium"))
+    outputs = list(enhanced(steps, noisy, depths, lambda step: noisy[0], Unchanged(), reading, SEARCH))
     inner = np.s_[:, 30:-30]
     before, after = (np.std([(p[k] / 255 - clean[k])[inner] for k in range(4, 12)]) for p in (noisy, outputs))
     assert after < 0.93 * before
@@ -249,7 +252,7 @@ def test_pixels_that_an_enhancer_breaks_are_left_as_rendered_and_counted(capsys:
     view, rng = ring([0], "view")[0], np.random.default_rng(3)
     picture, depth = rng.integers(40, 200, (*view.hw, 3), dtype=np.uint8), np.full(view.hw, 2000, np.uint16)
     steps = [Step(view, float(k), "a") for k in range(3)]
-    outputs = list(enhanced(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), INJECTION, "medium"))
+    outputs = list(enhanced(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), INJECTION, SEARCH))
     for output in outputs:
         np.testing.assert_array_equal(output, picture)
     assert "3 pixels not finite" in "".join(capsys.readouterr())
@@ -262,7 +265,7 @@ def test_history_starts_anew_with_every_segment() -> None:
     steps = [Step(view, 0.0, "a"), Step(view, 1.0, "b")]
     depths = [np.full(view.hw, 2000, np.uint16)] * 2
     loose = replace(INJECTION, error_threshold=255.0)
-    together = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), loose, "medium"))
+    together = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), loose, SEARCH))
     np.testing.assert_array_equal(together[1], pictures[1])
 
 
@@ -275,7 +278,7 @@ def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> Non
     picture, depth = np.full((*view.hw, 3), 100, np.uint8), np.full(view.hw, 2000, np.uint16)
     injection = INJECTION
     with pytest.raises(Refusal, match=r"1\.050"):
-        next(enhanced([Step(view, 0.0, "a")], [picture], [depth], lambda step: picture, Brighter(), injection, "medium"))
+        next(enhanced([Step(view, 0.0, "a")], [picture], [depth], lambda step: picture, Brighter(), injection, SEARCH))
 
 
 def test_the_loop_gain_of_the_residual_transfer_is_one() -> None:
@@ -302,7 +305,7 @@ def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture()
     def flicker(history: int) -> float:
         injection = replace(INJECTION, history=history)
         steps = [Step(view, float(i), "a") for i in range(20)]
-        outputs = list(enhanced(steps, [picture] * 20, [depth] * 20, lambda step: picture, Flickering(), injection, "medium"))
+        outputs = list(enhanced(steps, [picture] * 20, [depth] * 20, lambda step: picture, Flickering(), injection, SEARCH))
         return float(np.abs(np.diff(np.stack(outputs[4:]).astype(float), axis=0)).mean())
 
     assert 0.90 < flicker(3) / flicker(0) < 0.95

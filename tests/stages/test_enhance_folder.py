@@ -21,7 +21,7 @@ from studiorecon.models.protocols import Moment
 from studiorecon.scene.path import Step
 
 from tests.stages.made_scene import ring
-from tests.stages.test_enhance import INJECTION
+from tests.stages.test_enhance import INJECTION, SEARCH
 
 VIEW = ring([0], "view", wh=(96, 64))[0]
 
@@ -46,7 +46,7 @@ class Warmer:
 def played(pictures: list[np.ndarray], enhancer: object, before: tuple = (), injection: object = INJECTION) -> list[np.ndarray]:
     steps = [Step(VIEW, float(k), "a") for k in range(len(pictures))]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
-    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, "medium", before))
+    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH, before))
 
 
 @pytest.mark.parametrize("flow", ["direct", "chained"])

@@ -20,15 +20,19 @@ rule enhance_shot:
     benchmark:
         "benchmarks/{scene}/enhance/shot/{shot}.tsv"
     container:
-        image("core")
+        model_image(ENHANCE_NETWORK) if ENHANCE_NETWORK else image("core")
     threads: 2
     resources:
         mem_mb=1500,
+        gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
     params:
         settings=settings("enhance"),
         code=code("enhance.shot"),
+        weights=WEIGHTS,
+        device=config["device"],
     shell:
         "python -m studiorecon enhance.shot --settings {params.settings:q} --log {log}"
+        " --weights {params.weights:q} --device {params.device}"
         " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --render-depth {input.render_depth}"
         " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
         " --model {input.model} --manifest {input.manifest} --videos {input.videos:q}"
@@ -48,15 +52,19 @@ rule enhance_sheet:
     benchmark:
         "benchmarks/{scene}/enhance/sheet/{shot}.{picture}.tsv"
     container:
-        image("core")
+        model_image(ENHANCE_NETWORK) if ENHANCE_NETWORK else image("core")
     threads: 1
     resources:
         mem_mb=800,
+        gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
     params:
         settings=settings("enhance"),
         code=code("enhance.sheet"),
+        weights=WEIGHTS,
+        device=config["device"],
     shell:
         "python -m studiorecon enhance.sheet --settings {params.settings:q} --log {log}"
+        " --weights {params.weights:q} --device {params.device}"
         " --shot {wildcards.shot} --picture {wildcards.picture} --render {input.render:q} --render-path {input.render_path:q}"
         " --video {input.video:q} --image {output.image:q}"
 

@@ -39,3 +39,33 @@ rule render_shot:
         " --avatars {input.avatars:q} --body {input.body}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
         " --ledger {output.ledger}"
+
+
+# With render.exr, or on request: snakemake results/SCENE/render/orbit.layers takes a film apart for compositing.
+rule render_layers:
+    input:
+        path="results/{scene}/render/{shot}.json",
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        gaussians=human_gaussians,
+        avatars=human_avatars,
+        body=BODY,
+    output:
+        folder=directory("results/{scene}/render/{shot}.layers"),
+    log:
+        "logs/{scene}/render/layers/{shot}.log",
+    benchmark:
+        "benchmarks/{scene}/render/layers/{shot}.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=2000,
+    params:
+        settings=settings("render"),
+        code=code("render.layers"),
+        device=config["device"],
+    shell:
+        "python -m studiorecon render.layers --settings {params.settings:q} --log {log} --device {params.device}"
+        " --shot {wildcards.shot} --path {input.path:q} --background {input.background:q} --provenance {input.provenance:q}"
+        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --body {input.body:q} --folder {output.folder:q}"

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from studiorecon.enhance.injection import Injection
-from studiorecon.images.flow import chained, consistent, dis_flow
+from studiorecon.errors import Refusal
+from studiorecon.images.flow import chained, consistent
+from studiorecon.models.protocols import Flow
 
 
 @dataclass(frozen=True)
@@ -19,26 +21,28 @@ class Past:
 
     Attributes:
         output: (H, W, 3) float32 what the enhancer made of it.
-        grey: (H, W) uint8 luminance of its raw render.
+        render: (H, W, 3) uint8 its raw render.
         flow, valid: (H, W, 2) flow to the picture before it and (H, W) where that holds; None for the first of a segment.
     """
 
     output: np.ndarray
-    grey: np.ndarray
+    render: np.ndarray
     flow: np.ndarray | None
     valid: np.ndarray | None
 
 
-def backward_flow(grey: np.ndarray, past_grey: np.ndarray, preset: str, check: bool) -> tuple[np.ndarray, np.ndarray]:
+def backward_flow(picture: np.ndarray, past: np.ndarray, search: Flow, check: bool) -> tuple[np.ndarray, np.ndarray]:
     """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be checked."""
-    backward = dis_flow(grey, past_grey, preset)
+    if picture.shape != past.shape:
+        raise Refusal(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
+    backward = search.flow(picture, past)
     if not check:
         return backward, np.isfinite(backward).all(axis=-1)
-    return backward, consistent(backward, dis_flow(past_grey, grey, preset))
+    return backward, consistent(backward, search.flow(past, picture))
 
 
 def flows_back(
-    grey: np.ndarray, history: Sequence[Past], injection: Injection, preset: str, pool: Executor
+    picture: np.ndarray, history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Flow and validity from the current picture to every earlier one, latest first.
 
@@ -46,8 +50,8 @@ def flows_back(
     earlier picture. Either way every stored output is warped once (numerics E08).
     """
     if injection.flow == "direct":
-        return list(pool.map(lambda past: backward_flow(grey, past.grey, preset, injection.check), history))
-    found = [backward_flow(grey, past.grey, preset, injection.check) for past in list(history)[:1]]
+        return list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))
+    found = [backward_flow(picture, past.render, search, injection.check) for past in list(history)[:1]]
     for past in list(history)[:-1]:
         if past.flow is None or past.valid is None:
             raise ValueError("history holds a picture without its flow to the picture before it")

@@ -18,12 +18,11 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from studiorecon.enhance.enhancer import Unchanged
+from studiorecon.enhance.backends import Preset, flow_of, network
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frames
-from studiorecon.models.protocols import Enhancer
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import complete
@@ -35,9 +34,11 @@ _VIDEOS = {".mkv", ".mp4", ".mov", ".avi", ".webm"}
 
 @dataclass(frozen=True)
 class Settings:
-    enhancer: Literal["residual", "none"]
+    enhancer: Literal["residual", "difix", "fixer", "none"]
     injection: Injection
-    flow_preset: Literal["ultrafast", "fast", "medium"]
+    flow: Literal["dis", "raft"]
+    flow_preset: Preset
+    seed: int
 
 
 def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Iterator[np.ndarray]:
@@ -61,7 +62,16 @@ def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Itera
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def run(settings: Settings, pictures: Path, references: Path | None, output: Path, first: int = 0, count: int = 0) -> None:
+def run(
+    settings: Settings,
+    pictures: Path,
+    references: Path | None,
+    output: Path,
+    first: int = 0,
+    count: int = 0,
+    weights: Path = Path("resources/weights"),
+    device: str = "auto",
+) -> None:
     """Enhance pictures ``first`` … ``first + count - 1`` (0 = to the end) into ``output``/000000.png, 000001.png, …
 
     References are one photo for all pictures, or one per picture. Raises Refusal where an enhancer needs what a folder does not have, where
@@ -70,7 +80,7 @@ def run(settings: Settings, pictures: Path, references: Path | None, output: Pat
     if settings.enhancer == "residual":
         raise Refusal(
             "the enhancer residual needs cameras, depth and renders of the training photos, which a folder of pictures does not have; "
-            "set enhance.enhancer to none, which injects earlier outputs only"
+            "set enhance.enhancer to none, which injects earlier outputs only, or to a network"
         )
     total = sum(1 for _ in pictures_of(pictures))
     wanted = min(count or total, total - first)
@@ -88,7 +98,10 @@ def run(settings: Settings, pictures: Path, references: Path | None, output: Pat
         injection = replace(injection, history=0)
     overlap = min(injection.history, first)
     before = list(zip(pictures_of(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True))
-    enhancer: Enhancer = Unchanged()
+    if settings.enhancer == "difix" and not given:
+        raise Refusal("the enhancer difix needs a photo for reference; give --references, or set enhance.enhancer to fixer or none")
+    enhancer = network(settings.enhancer, weights, device, settings.seed)
+    search = flow_of(settings.flow, settings.flow_preset, weights, device)
     each = pictures_of(references, first, wanted) if references is not None and given == total and total > 1 else None
 
     def reference(step: Step) -> np.ndarray:
@@ -98,7 +111,7 @@ def run(settings: Settings, pictures: Path, references: Path | None, output: Pat
     parts = pictures_of(pictures, first, wanted)
     unknown_depth = np.zeros(next(pictures_of(pictures)).shape[:2], np.uint16)
     depths = (unknown_depth for _ in range(wanted))
-    outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, settings.flow_preset, before)
+    outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, search, before)
     for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=wanted), first):
         _write(output / f"{index:06d}.png", picture)
     say(f"{wanted} pictures of {pictures} are in {output}; {overlap} outputs before them were gone on from")

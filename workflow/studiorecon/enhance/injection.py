@@ -37,6 +37,8 @@ class Injection:
         blurred: what the blur smooths: the ``confidence``, or the ``error`` before it becomes confidence (U05).
         blur_px, blur_sigma_px: kernel of that blur.
         form: ``residual`` keeps constants constant; ``literal`` is the printed formula (U01).
+        settle: what is mixed in moves no value by a part of a level. Outputs are fed back in eight bits, and rounding would otherwise hold
+            a difference below 0.5 / (1 - w) levels for ever, a faint ghost of what has long moved on.
         flow: ``direct`` from the current render to each earlier one, or ``chained`` over the renders between them (U06).
         check: no confidence where the flow does not lead back (U06, numerics E10).
         cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never. Needs ``check``.
@@ -51,6 +53,7 @@ class Injection:
     blur_px: int
     blur_sigma_px: float
     form: Literal["residual", "literal"]
+    settle: bool
     flow: Literal["direct", "chained"]
     check: bool
     cut_share: float
@@ -100,4 +103,13 @@ def inject(
         add_share(added, shares, picture, trust, injection.strength * weight)
     kept = 1 - (shares if injection.form == "residual" else np.float32(injection.strength if len(warped) else 0))
     blended = render * (kept[..., None] if injection.form == "residual" else kept) + added
+    if injection.settle:
+        blended = render + whole_levels(blended - render)
     return blended.astype(np.float32), shares
+
+
+def whole_levels(change: np.ndarray) -> np.ndarray:
+    """float32 ``change`` of values in [0, 1], cut towards 0 to whole levels of 255."""
+    # A change of a whole level stays one, although its float32 may lie just below.
+    levels = 255 * change
+    return np.trunc(levels + np.copysign(np.float32(1e-3), levels)).astype(np.float32) * np.float32(1 / 255)

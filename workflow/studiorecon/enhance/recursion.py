@@ -19,10 +19,10 @@ from studiorecon.enhance.alignment import Past, backward_flow, flows_back
 from studiorecon.enhance.enhancer import check_gain, loop_gain
 from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.errors import Refusal
-from studiorecon.images.flow import grey_levels, one_thread
+from studiorecon.images.flow import one_thread
 from studiorecon.images.video import to_bytes, to_float
 from studiorecon.images.warp import warp
-from studiorecon.models.protocols import Enhancer, Moment
+from studiorecon.models.protocols import Enhancer, Flow, Moment
 from studiorecon.progress import say
 from studiorecon.scene.path import Step
 
@@ -47,13 +47,13 @@ class Blend:
     injected: np.ndarray
 
 
-def blend(picture: np.ndarray, grey: np.ndarray, history: Sequence[Past], injection: Injection, flow_preset: str, pool: Executor) -> Blend:
+def blend(picture: np.ndarray, history: Sequence[Past], injection: Injection, search: Flow, pool: Executor) -> Blend:
     """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a cut.
 
     A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it.
     """
     render = to_float(picture)
-    flows = flows_back(grey, history, injection, flow_preset, pool)
+    flows = flows_back(picture, history, injection, search, pool)
     if flows and injection.check and flows[0][1].mean() < injection.cut_share:
         flows = []
     found = list(pool.map(partial(_aligned, render, injection), list(history)[: len(flows)], flows))
@@ -68,7 +68,7 @@ def enhanced(
     reference: Callable[[Step], np.ndarray],
     enhancer: Enhancer,
     injection: Injection,
-    flow_preset: str,
+    search: Flow,
     before: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> Iterator[np.ndarray]:
     """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every cut.
@@ -80,7 +80,7 @@ def enhanced(
     segment = steps[0].segment if steps and before else None
     checked = False
     with one_thread(), ThreadPoolExecutor(max_workers=2) as pool:
-        history.extend(history_of(before, injection, flow_preset))
+        history.extend(history_of(before, injection, search))
         for number, (step, picture, depth_mm) in enumerate(zip(steps, pictures, depths_mm, strict=True)):
             photo = to_float(reference(step))
             depth_m = depth_mm.astype(np.float32) / 1000
@@ -96,8 +96,7 @@ def enhanced(
                 raise Refusal(
                     f"picture {number} of segment {segment} is {new} and the one before it {old}; pictures of a clip have one size"
                 )
-            grey = grey_levels(picture)
-            mixed = blend(picture, grey, history, injection, flow_preset, pool)
+            mixed = blend(picture, history, injection, search, pool)
             if history and not mixed.flows:
                 say(f"picture {number} of segment {segment} follows a cut: injection starts anew")
                 history.clear()
@@ -105,24 +104,23 @@ def enhanced(
                 enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)), picture, step
             )
             link = (mixed.flows[0], mixed.valid[0]) if mixed.flows else (None, None)
-            history.appendleft(Past(to_float(output), grey, *link))
+            history.appendleft(Past(to_float(output), picture, *link))
             yield output
 
 
-def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injection, flow_preset: str) -> list[Past]:
+def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injection, search: Flow) -> list[Past]:
     """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs ``before`` it.
 
     Nothing from before a cut. Deterministic inside ``one_thread``.
     """
     history: list[Past] = []
     for raw, output in list(before)[-injection.history :] if injection.history else ():
-        grey = grey_levels(raw)
         link: tuple = (None, None)
         if history:
-            link = backward_flow(grey, history[0].grey, flow_preset, injection.check)
+            link = backward_flow(raw, history[0].render, search, injection.check)
             if injection.check and link[1].mean() < injection.cut_share:
                 history, link = [], (None, None)
-        history.insert(0, Past(to_float(output), grey, *link))
+        history.insert(0, Past(to_float(output), raw, *link))
     return history
 
 

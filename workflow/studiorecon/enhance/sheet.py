@@ -9,14 +9,16 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 
+from studiorecon.enhance.backends import Preset, flow_of
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.recursion import Blend, blend, history_of
 from studiorecon.errors import Refusal
-from studiorecon.images.flow import grey_levels, one_thread
+from studiorecon.images.flow import one_thread
 from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import to_bytes
 from studiorecon.progress import say
@@ -32,7 +34,8 @@ _GAIN = 8
 @dataclass(frozen=True)
 class Settings:
     injection: Injection
-    flow_preset: str
+    flow: Literal["dis", "raft"]
+    flow_preset: Preset
 
 
 def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float]:
@@ -79,7 +82,17 @@ def _row(tiles: list[tuple[str, np.ndarray]], columns: int) -> np.ndarray:
     return row
 
 
-def run(settings: Settings, shot: str, picture: int, render: Path, render_path: Path, video: Path, image: Path) -> None:
+def run(
+    settings: Settings,
+    shot: str,
+    picture: int,
+    render: Path,
+    render_path: Path,
+    video: Path,
+    image: Path,
+    weights: Path = Path("resources/weights"),
+    device: str = "cpu",
+) -> None:
     """Write the sheet of one picture; raises Refusal when the shot has no such picture."""
     steps, _ = read_path(render_path)
     if not 0 <= picture < len(steps):
@@ -90,8 +103,9 @@ def run(settings: Settings, shot: str, picture: int, render: Path, render_path: 
     raw = list(read_frames_from(render, start, picture + 1))
     made = list(read_frames_from(video, start, picture + 1))
     with one_thread(), ThreadPoolExecutor(max_workers=1) as pool:
-        history = history_of(list(zip(raw[:-1], made[:-1])), settings.injection, settings.flow_preset)
-        mixed = blend(raw[-1], grey_levels(raw[-1]), history, settings.injection, settings.flow_preset, pool)
+        search = flow_of(settings.flow, settings.flow_preset, weights, device)
+        history = history_of(list(zip(raw[:-1], made[:-1])), settings.injection, search)
+        mixed = blend(raw[-1], history, settings.injection, search, pool)
     done, data = cv2.imencode(".png", np.ascontiguousarray(sheet(raw[-1], mixed, made[-1])[..., ::-1]))
     assert done
     with complete(image) as partial:

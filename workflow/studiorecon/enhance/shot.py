@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.enhance.enhancer import Unchanged
+from studiorecon.enhance.backends import Preset, flow_of, network
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced, stands_still
@@ -32,12 +32,14 @@ _LEAST_EVIDENCE = 0.01
 
 @dataclass(frozen=True)
 class Settings:
-    enhancer: Literal["residual", "none"]
+    enhancer: Literal["residual", "difix", "fixer", "none"]
     strength: float | Literal["auto"]
     judged_frames: int
     transfer: Transfer
     injection: Injection
-    flow_preset: Literal["ultrafast", "fast", "medium"]
+    flow: Literal["dis", "raft"]
+    flow_preset: Preset
+    seed: int
     crf: int
 
 
@@ -101,13 +103,18 @@ def run(
     videos: list[Path],
     video: Path,
     film: Path,
+    weights: Path = Path("resources/weights"),
+    device: str = "cpu",
 ) -> None:
     """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders."""
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
     training = _training(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
-    enhancer: Enhancer = Unchanged()
-    if settings.enhancer == "residual":
+    search = flow_of(settings.flow, settings.flow_preset, weights, device)
+    enhancer: Enhancer
+    if settings.enhancer != "residual":
+        enhancer = network(settings.enhancer, weights, device, settings.seed)
+    else:
         strength, why = judge_strength(training, settings)
         say(f"shot {shot}: residuals of the training photos are carried over with strength {strength:.2f} ({why})")
         latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
@@ -123,7 +130,7 @@ def run(
 
     depths = read_frames(render_depth, 0, len(steps))
     pictures = read_frames(render, 0, len(steps))
-    outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, settings.flow_preset)
+    outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, search)
     writers = (lambda frames: write_lossless(video, frames, fps), lambda frames: write_watchable(film, frames, fps, settings.crf))
     with writing(writers) as put:
         for output in progress(outputs, f"pictures of {shot}", total=len(steps)):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,20 @@ def write_depth(path: Path, depth_m: np.ndarray, confidence: np.ndarray) -> None
     channels = {"Z": np.ascontiguousarray(depth_m, np.float32), "A": np.ascontiguousarray(confidence, np.float32)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with complete(path) as partial, OpenEXR.File(header, channels) as file:
+        file.write(str(partial))
+
+
+def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+    """Write named (H, W) float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or another type."""
+    sizes: dict[str, int] = {}
+    for name, channel in channels.items():
+        sizes = require(name, channel, ("H", "W"), sizes)
+        if channel.dtype not in (np.float16, np.float32):
+            raise ValueError(f"channel {name} is {channel.dtype}, expected float16 or float32")
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with complete(path) as partial, OpenEXR.File(header, {n: np.ascontiguousarray(c) for n, c in channels.items()}) as file:
         file.write(str(partial))
 
 

@@ -54,6 +54,17 @@ def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, floa
     return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
 
 
+def read_composite(background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None) -> Composite:
+    """Background and people from their files; raises Refusal when the provenance is another background's."""
+    static = read_ply(background)
+    with np.load(provenance, allow_pickle=False) as data:
+        classes = np.asarray(data["provenance"], np.uint8)
+    if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
+        raise Refusal(f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again")
+    body_model = BodyModel.load(body) if avatars else None
+    return Composite(static, classes, [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)])
+
+
 def run(
     settings: Settings,
     shot: str,
@@ -76,12 +87,10 @@ def run(
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    body_model = BodyModel.load(body) if avatars else None
-    people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
-    scene = _scene(background, provenance, people)
-    subjects = subjects_of(people, training, capture.frames, capture.fps)
+    scene = read_composite(background, provenance, gaussians, avatars, body)
+    subjects = subjects_of(scene.people, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
-    say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(people)} people")
+    say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")
     canvas = Canvas(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
     entries = []
@@ -97,12 +106,3 @@ def run(
     say(f"shot {shot} is {measured:.0f} % measured, {inferred:.0f} % inferred and {invented:.0f} % invented")
     for sentence in warnings(shot, entries, settings.least_measured, settings.largest_angle_deg):
         say(f"warning: {sentence}")
-
-
-def _scene(background: Path, provenance: Path, people: list) -> Composite:
-    static = read_ply(background)
-    with np.load(provenance, allow_pickle=False) as data:
-        classes = np.asarray(data["provenance"], np.uint8)
-    if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
-        raise Refusal(f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again")
-    return Composite(static, classes, people)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``render.layers``: a film taken apart for compositing: colour, depth, mattes and truth of every picture as OpenEXR, ``000000.exr`` ….
+
+Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing there), NX, NY, NZ
+(half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``, ``matte.<person>`` (half; shares of
+the pixel, each group adds up to A).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.images.exr import write_channels
+from studiorecon.progress import progress, say
+from studiorecon.render.canvas import Canvas, Layers
+from studiorecon.render.shot import read_composite
+from studiorecon.scene.path import read_path
+from studiorecon.splatting.device import resolve
+
+_CLASSES = ("measured", "inferred", "invented")
+
+
+@dataclass(frozen=True)
+class Settings:
+    near_m: float
+
+
+def channels(layers: Layers, people: Sequence[str]) -> dict[str, np.ndarray]:
+    """(H, W) channels by name: float16, depth float32."""
+    rendering = layers.rendering
+    if rendering.normals is None:
+        raise ValueError("layers were drawn without normals")
+    found = {name: rendering.rgb[..., i] for i, name in enumerate("RGB")} | {"A": rendering.alpha}
+    found |= {name: rendering.normals[..., i] for i, name in enumerate(("NX", "NY", "NZ"))}
+    found |= {f"truth.{name}": layers.shares[..., i] for i, name in enumerate(_CLASSES)}
+    found |= {f"matte.{name}": layers.mattes[..., i] for i, name in enumerate(("room", *people))}
+    return {name: channel.astype(np.float16) for name, channel in found.items()} | {"Z": rendering.depth_m.astype(np.float32)}
+
+
+def run(
+    settings: Settings,
+    shot: str,
+    path: Path,
+    background: Path,
+    provenance: Path,
+    gaussians: list[Path],
+    avatars: list[Path],
+    body: Path | None,
+    folder: Path,
+    device: str = "cpu",
+) -> None:
+    """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
+    steps, _ = read_path(path)
+    scene = read_composite(background, provenance, gaussians, avatars, body)
+    people = [person.person for person in scene.people]
+    canvas = Canvas(scene, settings.near_m, resolve(device))
+    for old in folder.glob("*.exr"):
+        old.unlink()
+    for index, step in enumerate(progress(steps, f"layers of {shot}")):
+        write_channels(folder / f"{index:06d}.exr", channels(canvas.layers(step.camera, step.frame), people))
+    say(f"{len(steps)} pictures of {shot} are taken apart in {folder}, with mattes of {', '.join(['the room', *people])}")
