@@ -308,10 +308,11 @@ def test_missing_points_leave_the_others_alone(body: BodyModel) -> None:
     assert (fit.joint_sigma_m[:, JOINT_NAMES.index("left_wrist")] > 2 * fit.joint_sigma_m[:, JOINT_NAMES.index("right_wrist")]).all()
 
 
-@pytest.mark.parametrize("kept", [25, 16, 10, 6], ids="M06-{}-points".format)
-def test_with_few_points_parts_are_right_or_marked(body: BodyModel, kept: int) -> None:
+# The last two: around the least cost alone, deviations claimed 24° and 38° for bodies that were turned round by 166° and 100°.
+@pytest.mark.parametrize(("kept", "seed"), [(25, 25), (16, 16), (10, 10), (6, 6), (6, 45), (10, 74)], ids=lambda v: f"M06-{v}")
+def test_with_few_points_parts_are_right_or_marked(body: BodyModel, kept: int, seed: int) -> None:
     # M06. Naive: 2 cm of noise and a tenth of the points leave parts 30° wrong on average, 136° at worst.
-    rng = np.random.default_rng(kept)
+    rng = np.random.default_rng(seed)
     poses, trans = moderate(40, 4)
     points = body.keypoints(NAMES, poses, np.zeros(10), trans) + rng.normal(0, 0.02, (40, 25, 3))
     for frame in points:
@@ -324,8 +325,10 @@ def test_with_few_points_parts_are_right_or_marked(body: BodyModel, kept: int) -
     # No part is said to be known to 5° that is 15° wrong; what is said is what is so, in the middle and nearly at the worst.
     assert wrong[stated < 5].max(initial=0) < 15
     assert 0.3 < np.median(wrong / stated) < 1
-    # Not all: with both hips, knees or ankles of a side gone, a pelvis may turn backwards and look sure of it.
-    assert (wrong < np.maximum(15, 2.5 * stated)).mean() > 0.99
+    # A deviation is no bound: a few parts of a thousand lie beyond 2.5 of them. No body is turned round unsaid.
+    assert (wrong < np.maximum(15, 2.5 * stated)).mean() > 0.995
+    trunk = [JOINT_NAMES.index(p) for p in ("pelvis", "spine1", "spine2", "spine3")]
+    assert (wrong < np.maximum(15, 3 * stated))[:, trunk].all()
 
 
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.1], ids="M06-surface-{}".format)

@@ -45,7 +45,7 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
         if gain < tolerance * whole:
             return state, normal, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
-            part, costs[busy], damping[busy] = _alone(problem.only(busy), state.at(busy), costs[busy], damping[busy], iterations, tolerance)
+            part, costs[busy], damping[busy] = alone(problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy])
             state = state.put(busy, part)
         posed = problem.basis.posed(state)
     return state, normal, iterations, False
@@ -65,12 +65,15 @@ def _held_where_worse(problem: Problem, state: State, moved: State, costs: np.nd
     return moved, new_costs, worse
 
 
-def _alone(
-    problem: Problem, state: State, costs: np.ndarray, damping: np.ndarray, iterations: int, tolerance: float
+def alone(
+    problem: Problem, state: State, costs: np.ndarray, iterations: int, tolerance: float, damping: np.ndarray | None = None
 ) -> tuple[State, np.ndarray, np.ndarray]:
-    """Steps of some frames, each by itself with all that is shared held fixed, until none gains: state, costs (F,), damping (F,)."""
+    """Every frame by itself with all that is shared held fixed, until none gains: state, costs (F,), damping (F,).
+
+    ``costs`` are those of ``state``; ``damping`` (F,) is where to start, by default where ``descend`` does.
+    """
     busy = np.ones(len(costs), dtype=bool)
-    costs, damping = costs.copy(), damping.copy()
+    costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
     for _ in range(iterations):
         part, old = problem.only(busy), state.at(busy)
         moved = part.own_step(old, part.own(old), damping[busy])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.body import prior
+from studiorecon.body import prior, rivals
 from studiorecon.body.basis import Basis, State
 from studiorecon.body.descent import descend
 from studiorecon.body.model import BodyModel
@@ -80,7 +80,8 @@ class Fit:
             per frame ``betas`` is their median, ``frame_betas`` (T, B) what each frame found.
         corrections_m: (K, 3) detector's point minus the body's, in the axes of the joint that carries it most.
         valid: (T,) bool.
-        joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue.
+        joints_m: (T, 24, 3); ``joint_sigma_m``: (T, 24) posterior deviation, root of the covariance's mean eigenvalue; deviations
+            include what else explains a frame with few points (``rivals``).
         turn_sigma_rad: (T, 24, 3) posterior deviation of each joint's turn about its own axes; ``part_sigma_rad``
             (T, 24) of each part's orientation in the world; ``beta_sigma`` (B,) of the betas.
         residual_m: (T, K) distance between body and keypoint, NaN where there was none.
@@ -137,9 +138,15 @@ def fit(
     problem = Problem(body, evidence, pulls)
     state = State(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
     state, normal, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
+    spread, doubtful = None, rivals.few(names, seen[valid])
+    if doubtful.any():
+        state, spread = rivals.best_of(problem, state, doubtful, settings.iterations, settings.tolerance)
+        normal = problem.normal(state)
     residual = np.linalg.norm(evidence.basis.posed(state).points - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas
     joints, *sigmas, out.beta_sigma[:] = problem.posterior(state, normal)
+    if spread is not None:
+        sigmas = [np.sqrt(s**2 + more) for s, more in zip(sigmas, (spread.joints_m2, spread.turns_rad2, spread.parts_rad2))]
     out.joints_m[valid], out.joint_sigma_m[valid], out.turn_sigma_rad[valid], out.part_sigma_rad[valid] = joints, *sigmas
     out.residual_m[valid] = np.where(seen[valid], residual, np.nan)
     scale = float(np.exp(state.log_scale))
