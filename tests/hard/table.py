@@ -30,7 +30,7 @@ HEAD = """# Hard cases and readings
 
 Made by `python -m tests.hard.table`; do not edit by hand. The first table holds every case in which the method's arithmetic is known to
 break, with the test that holds it and the module that owns it. The second lists every place where the paper leaves room, the reading that
-is taken, and the setting that chooses it.
+is taken, the setting that chooses it, and the setting of the paper's letter where that can be run.
 """
 
 
@@ -50,12 +50,14 @@ class Reading:
     Attributes:
         id: U01 to U60.
         settings: ``key=value`` of config.yaml, several with ``; ``; empty when nothing is to be switched.
+        literal: ``key=value`` of the paper's letter, as far as it is one and can be run; empty where it cannot.
         reading: what is taken and, without a setting, why there is none.
         module: where in ``studiorecon`` it is.
     """
 
     id: str
     settings: str
+    literal: str
     reading: str
     module: str
 
@@ -73,6 +75,11 @@ def readings() -> list[Reading]:
 def _lines(name: str) -> list[dict[str, str]]:
     with (HERE / name).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file, delimiter="\t", quoting=csv.QUOTE_NONE))
+
+
+def pairs(text: str) -> list[str]:
+    """The ``key=value`` of a cell."""
+    return [part.strip() for part in text.split(";") if part.strip()]
 
 
 def module_path(module: str) -> Path:
@@ -119,10 +126,11 @@ def written(tests: Mapping[str, Counter[str]]) -> str:
     for row in listed:
         named = "<br>".join(f"`{test}`" + (f" ×{count}" if count > 1 else "") for test, count in sorted(tests.get(row.id, {}).items()))
         lines.append(f"| {row.id} | {row.what} | {named} | `{row.module}` | {state(row, tests)} |")
-    lines += ["", "## Readings\n", "| id | reading | setting (default) | module |", "|---|---|---|---|"]
+    lines += ["", "## Readings\n", "| id | reading | setting (default) | the paper's letter | module |"]
+    lines.append("|---|---|---|---|---|")
     for reading in readings():
-        keys = "<br>".join(f"`{one.strip()}`" for one in reading.settings.split(";")) if reading.settings else "–"
-        lines.append(f"| {reading.id} | {reading.reading} | {keys} | `{reading.module}` |")
+        keys, letter = ("<br>".join(f"`{one}`" for one in pairs(text)) or "–" for text in (reading.settings, reading.literal))
+        lines.append(f"| {reading.id} | {reading.reading} | {keys} | {letter} | `{reading.module}` |")
     return "\n".join(lines) + "\n"
 
 
