@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -242,3 +243,16 @@ def test_generated_frames_stand_aside_for_photos_or_beside_them(cameras: list[Ca
     steps = [Step(v, 0.0, "00") for v in views]
     kept = {way: train.view_targets(steps, pictures, supports, cameras, settings(photo_poses=way)) for way in ("photos", "both")}
     assert [len(kept[way]) for way in ("photos", "both")] == [1, 3]
+
+
+@pytest.mark.parametrize(("count", "wanted", "cap", "degree"), [(4, 3, True, 1), (4, 3, False, 3), (3, 1, True, 0), (16, 2, True, 2)])
+def test_harmonics_go_no_further_than_the_real_cameras_do(
+    settings: Callable[..., train.Settings], capsys: pytest.CaptureFixture, count: int, wanted: int, cap: bool, degree: int
+) -> None:
+    """Naive: four photos and degree 2 reproduce every camera's exposure error exactly (numerics G15)."""
+    asked = settings(sh_cap=cap)
+    asked = replace(asked, training=replace(asked.training, sh_degree=wanted))
+    cameras = ring([360 * i / count for i in range(count)], "c")
+    start = random_volume(cameras, 50, 0.1, 3, np.random.default_rng(0))
+    assert train.supported(asked, start, cameras).training.sh_degree == degree
+    assert ("cameras cannot tell more apart" in capsys.readouterr().out) == (degree < wanted)

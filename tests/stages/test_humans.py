@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -284,3 +285,16 @@ def test_smoothness_pulls_a_jerk_back_and_leaves_a_held_pose_alone(body: BodyMod
     jerk = Motion(poses, np.zeros((3, 3)), body.rest_joints(np.zeros(10)), body.parents)
     jerk.step(1, jerk.smoothness_gradient(1, 50.0), 0.05)
     assert jerk.poses[1, 12] == pytest.approx(0.15, abs=1e-6)
+
+
+def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still(settings: Callable[..., train.Settings]) -> None:
+    """Degree 2 needs nine directions (numerics G15); what counts are those in the body's own frame."""
+    asked, frames = settings(sh_degree=2), 12
+    cameras = [SimpleNamespace(centre_m=np.array([3 * np.cos(a), 3 * np.sin(a), 1.5])) for a in np.pi / 2 * np.arange(4)]
+    crops = [SimpleNamespace(frame=frame, camera=camera) for frame in range(frames) for camera in cameras]
+    for turn_rad, degree in ((0.0, 1), (0.2, 2)):
+        poses = np.zeros((frames, 72))
+        poses[:, 2] = turn_rad * np.arange(frames)
+        motion = Motion(poses, np.zeros((frames, 3)), np.zeros((24, 3)), np.r_[-1, np.arange(23)])
+        assert train.supported_degree(asked, motion, crops) == degree
+        assert train.supported_degree(replace(asked, sh_cap=False), motion, crops) == 2

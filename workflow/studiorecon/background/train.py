@@ -35,6 +35,7 @@ from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.shell import Shell, read_shell
 from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
 from studiorecon.splatting.device import rasteriser, resolve
+from studiorecon.splatting.harmonics import degree_supported
 from studiorecon.splatting.perceptual import Perceptual
 from studiorecon.splatting.targets import Target, scene_extent
 from studiorecon.splatting.training import TrainingSettings, train
@@ -64,6 +65,7 @@ class Settings:
     hole_weight: float
     photo_poses: Literal["photos", "both"]
     plate_boost: float
+    sh_cap: bool
     seed: int
     training: TrainingSettings
 
@@ -101,6 +103,19 @@ def seeds(photos: Sequence[Photo], shell: Shell, settings: Settings) -> tuple[Ga
             sets.append(discs(painted.points_m[unseen], normals, painted.rgb[unseen], width_m, _FLATNESS, _FILL_OPACITY, degree))
             marks.append(np.full(len(normals), INVENTED))
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
+
+
+def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera]) -> Settings:
+    """The settings, with ``sh_cap`` with no more harmonics than the real cameras tell apart at the middle of the room.
+
+    Synthesized views are made of the photos and have no highlights of their own to add (numerics G15).
+    """
+    middle_m = np.median(start.means_m, axis=0)
+    degree = degree_supported(np.array([camera.centre_m - middle_m for camera in cameras]))
+    if not settings.sh_cap or degree >= settings.training.sh_degree:
+        return settings
+    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {len(cameras)} cameras cannot tell more apart (sh_cap)")
+    return replace(settings, training=replace(settings.training, sh_degree=degree))
 
 
 def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
@@ -214,6 +229,7 @@ def run(
         start = random_volume(cameras, settings.random_count, settings.random_size_m, settings.training.sh_degree, rng)
         marks = np.full(start.count, MEASURED, np.uint8)
         say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
+    settings = supported(settings, start, cameras)
     real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")

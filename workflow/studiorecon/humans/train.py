@@ -40,6 +40,7 @@ from studiorecon.scene.people import Person, read_people, read_person
 from studiorecon.scene.provenance import INFERRED, MEASURED
 from studiorecon.splatting.checkpoint import Checkpoint, fingerprint
 from studiorecon.splatting.device import resolve
+from studiorecon.splatting.harmonics import degree_supported
 from studiorecon.splatting.perceptual import Perceptual
 
 _BONES_KEPT = 4
@@ -56,6 +57,7 @@ class Settings:
 
     gaussians: int
     sh_degree: int
+    sh_cap: bool
     skinning: Literal["surface", "grid"]
     grid_resolution: int
     grid_margin: float
@@ -102,6 +104,12 @@ def first_colours(samples: SurfaceSamples, posing: Posing, motion: Motion, crops
         look(crop, means.astype(np.float64), normals, nearest_surface(pixels, depth_m, crop.camera.hw, reach), sums, weights)
     seen = weights > _SEEN_WEIGHT
     return np.where(seen[:, None], sums / np.maximum(weights, 1e-12)[:, None], 0.5), seen
+
+
+def supported_degree(settings: Settings, motion: Motion, crops: Sequence[Crop]) -> int:
+    """``sh_degree``, with ``sh_cap`` at most what the directions tell apart from which the turning body is seen (numerics G15)."""
+    looks = [motion.local[c.frame, 0].T @ (c.camera.centre_m - motion.trans_m[c.frame]) for c in crops]
+    return min(settings.sh_degree, degree_supported(np.array(looks))) if settings.sh_cap else settings.sh_degree
 
 
 def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin: np.ndarray) -> Gaussians:
@@ -157,7 +165,10 @@ def run(
     motion = Motion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents)
     colours, seen = first_colours(samples, posing, motion, crops)
     near, twin = neighbours(samples, _NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
-    start = gaussians_on(samples, settings.sh_degree)
+    degree = supported_degree(settings, motion, crops)
+    if degree < settings.sh_degree:
+        say(f"{person}: harmonics of degree {degree} instead of {settings.sh_degree}: the crops show too few sides of the body (sh_cap)")
+    start = gaussians_on(samples, degree)
     start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
     say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body]
