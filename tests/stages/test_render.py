@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
+from studiorecon.body.avatar import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry.path import scene_centre
@@ -20,7 +22,7 @@ from studiorecon.render.composite import Composite, blocked, millimetres, truth_
 from studiorecon.render.ledger import LEDGER_COLUMNS
 from studiorecon.render.orbit import Orbit, azimuths, orbit_steps
 from studiorecon.render.planning import smooth_dips
-from studiorecon.render.shots import every_frame, film_times
+from studiorecon.render.shots import every_frame, film_times, looking_at
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.files import read_table
 from studiorecon.scene.gaussians import Gaussians, concatenate, sh_from_rgb
@@ -237,6 +239,31 @@ def test_an_orbit_through_a_wall_is_shrunk_until_it_is_clear(scene: Path, settin
     render_shot.run(settings_module.load(render_shot.Settings, {**vars(settings), "shots": wide}, "render"), **options)
     radius = max(np.linalg.norm(step.camera.centre_m[:2]) for step in read_path(options["path"])[0])
     assert 2.0 < radius < 2.75, "the walls stand 3 m away and 0.3 m must stay clear"
+
+
+def test_a_path_through_a_person_and_a_wall_is_warned_about(
+    scene: Path, settings: render_shot.Settings, root: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """A planted path: clear of everything, into the head of a person, into a wall, out of the room."""
+    options = render_options(scene, "planted")
+    person = read_avatar(options["gaussians"][0], options["avatars"][0], BodyModel.load(root / "resources/body.npz"))
+    head = person.joints_m(2.0)[15]
+    frames = []
+    for eye in (np.array([1.5, -1.5, 1.5]), head, np.array([2.95, 0, 1.3]), np.array([5.0, 0, 1.3])):
+        world_from_camera = np.linalg.inv(looking_at(eye, np.array([0.0, 0.05, 1.0])))
+        pose = world_from_camera @ np.diag([1.0, -1, -1, 1])
+        frames.append({"transform_matrix": pose.tolist(), "frame": 2})
+    file = scene / "planted.json"
+    file.write_text(json.dumps({"fl_x": 60, "w": 96, "h": 64, "frames": frames}))
+    shots = {"planted": {"kind": "path", "file": str(file), "time": "hold"}}
+    render_shot.run(settings_module.load(render_shot.Settings, {**vars(settings), "shots": shots}, "render"), **options)
+    rows = read_table(options["ledger"], LEDGER_COLUMNS)
+    assert [row["near"] for row in rows] == ["", "p0", "background", ""]
+    told = capsys.readouterr()
+    told = told.out + told.err
+    assert "warning: shot planted passes through p0 in 1 of 4 pictures (1)" in told
+    assert "warning: shot planted passes through walls or furniture in 1 of 4 pictures (2)" in told
+    assert "warning: shot planted shows less than 50 % measured surfaces" in told, "from outside the walls' backs are seen, or nothing"
 
 
 def test_a_dip_in_the_radius_is_smooth_and_deep_enough() -> None:

@@ -109,7 +109,7 @@ def run(
     """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders."""
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
-    training = _training(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
+    training = training_of(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
     enhancer: Enhancer
     if settings.enhancer != "residual":
@@ -137,7 +137,11 @@ def run(
             put(output, output)
 
 
-def _training(cameras: list[Camera], steps: list[Step], videos: list[Path], renders: Path, depths: Path, frames: int) -> Training:
+def training_of(cameras: list[Camera], steps: list[Step], videos: list[Path], renders: Path, depths: Path, frames: int) -> Training:
+    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of one camera after the other (``steps``).
+
+    Raises Refusal when the films are of other cameras or frames.
+    """
     segments = [step.segment for step in steps]
     if [camera.name for camera in cameras] != list(dict.fromkeys(segments)) or len(segments) != len(cameras) * frames:
         raise Refusal(f"{renders} does not show {frames} frames of each training camera; render the shot train again")
