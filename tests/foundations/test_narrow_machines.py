@@ -37,7 +37,7 @@ def assert_machine_code(found: dict[str, np.ndarray], instruction_set: str) -> N
     assert found["size"] > 1000, "there is machine code to look at"
     assert not found["wide"], "numba was told that there are no 512 bits"
     assert found["middle"] == found["fused"] == (instruction_set == "AVX2")
-    # Naive, llvm.fma: without the instruction sixteen calls of fmaf for every product, seventy times slower.
+    # Naive, llvm.fma: without the instruction sixteen calls of fmaf for every product; the design saw 70 ms for 4.
     assert found["calls"] == 0
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Any values blended like colours: the splats of a drawn view once more, in other colours.
 
-Projection, order and tile lists stay, so three channels cost one blending pass, a quarter to a half of a forward pass.
+Projection, order and tile lists stay, so three channels cost one blending pass: measured two thirds of a forward pass
+(50,000 Gaussians at 320×176) to nine tenths (300,000 at 1280×704).
 """
 
 from __future__ import annotations
