@@ -29,7 +29,7 @@ from studiorecon.splatting.targets import DrawOrder, Target
 __all__ = ["TrainedGaussians", "TrainingSettings", "exponential", "train"]
 
 STATISTICS_BYTES_MAX = 1 << 30
-"""Targets' SSIM statistics kept in memory; those beyond are computed again at every use (4 % of the loss's time at 320×176, 11 % at 1280×704)."""
+"""Targets' SSIM statistics kept in memory; those beyond are computed anew at every use (4 to 11 % of the loss's time)."""
 BETA_1, BETA_2 = 0.9, 0.999
 EPSILON_STEPS = 4
 EPSILON_LEAST = 1e-30
