@@ -7,15 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon.depth import given, refine, shell, sweep
+from studiorecon.depth.furniture import holds
 from studiorecon.depth.matching import plane_depth
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.planes import wall_yaw
 from studiorecon.depth.room import strong_offsets
+from studiorecon.depth.solids import read_solids
 from studiorecon.depth.turning import matched_yaw
 from studiorecon.errors import Refusal
+from studiorecon.geometry.path import with_pose
 from studiorecon.images.exr import read_depth, write_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.shell import Shell, read_shell
@@ -45,7 +49,7 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     box, solids, passes = folder / "shell.json", folder / "solids.json", folder / "passes.npz"
-    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, box, solids, folder / "solids.png", passes)
+    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, [], box, solids, folder / "solids.png", passes)
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
@@ -213,3 +217,38 @@ def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Cal
     with pytest.raises(Refusal, match=r"0\.0%"):
         given.run(settings, "cam1", tmp_path / "cameras/images.txt", tmp_path / "empty.exr", tmp_path / "no.exr")
     assert not (tmp_path / "no.exr").exists()
+
+
+def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_default(tmp_path: Path, default_settings: Callable) -> None:
+    room, cameras = made_room(), ring()
+    # The fourth camera stands in the cupboard and sees black; the third one's plate was never free of people.
+    inside = np.array([-0.4, 0.7, 0.4]) @ room.shell.axes
+    cameras[3] = with_pose(cameras[3], cameras[3].rotation_camera_from_world.T, inside)
+    pictures = [photograph(room, camera)[0] for camera in cameras]
+    pictures[3][:] = 0.01
+    plates = write_capture(tmp_path, cameras, pictures)
+    never = cv2.imread(str(plates[2]), cv2.IMREAD_UNCHANGED)
+    never[..., 3] = 0
+    cv2.imwrite(str(plates[2]), never)
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **FURNISHED))
+    for depth_m, confidence in zip(found.depth_m, found.confidence):
+        assert np.isfinite(depth_m).all()
+        assert np.isfinite(confidence).all()
+    assert all(np.isfinite(value).all() for value in (found.shell.low_m, found.shell.high_m, *found.shell.gains.values()))
+    for undetermined in found.confidence[2:]:
+        assert (undetermined <= 0.2).mean() > 0.98
+    # The other two still measure what they share.
+    assert all((c > 0.5).mean() > 0.1 for c in found.confidence[:2])
+    solids = [solid.numbers for solid in read_solids(tmp_path / "solids.json")]
+    assert not solids or not holds(np.stack(solids), inside, 0.0).any()
+
+
+def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:
+    room, cameras = made_room(), ring()
+    plates = write_capture(tmp_path, cameras, [photograph(room, c)[0] for c in cameras], np.ones(cameras[0].hw, bool))
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **FURNISHED))
+    assert not found.shell.fitted.any()
+    assert read_solids(tmp_path / "solids.json") == []
+    for depth_m, confidence in zip(found.depth_m, found.confidence):
+        assert np.isfinite(depth_m).all()
+        assert (confidence <= 0.2).all()

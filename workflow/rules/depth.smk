@@ -52,6 +52,7 @@ rule depth_shell:
             other=TRAINING,
             allow_missing=True,
         ),
+        people=walkers,
     output:
         shell="results/{scene}/depth/shell.json",
         solids="results/{scene}/depth/solids.json",
@@ -71,8 +72,8 @@ rule depth_shell:
         code=code("depth.shell"),
     shell:
         "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
-        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --shell {output.shell} --solids {output.solids}"
-        " --picture {output.picture} --passes {output.passes}"
+        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q} --shell {output.shell}"
+        " --solids {output.solids} --picture {output.picture} --passes {output.passes}"
 
 
 rule depth_refine:

@@ -20,6 +20,8 @@ _FLAT_VARIANCE, _FLAT_COST, _LEAST_VARIANCE = 4e-4, 0.3, 1e-3
 _MOST_DIFFERENCE, _MOST_COST = 0.6, 1.2
 _LEAST_PIXELS = 8
 _NEAR_M = 0.1
+# Depth is stored in single precision: what is nearer by less than this share is the same surface.
+_BEFORE = 1 - 1e-5
 # Worth of a pixel that one camera alone sees and whose colour is not at all the wall's.
 _ODDS_WEIGHT = 0.3
 # Surfaces are numbered: the shell's faces 0-5, then ten for every solid; a solid on trial has the numbers from here.
@@ -173,7 +175,7 @@ def draw(lens, pose, centre, known, depth, surface, solid, first):
         for y in range(top, bottom):
             for x in range(left, right):
                 d, face = _trace(lens, pose, centre, v, y, x, solid, ray, normal)
-                if d > _NEAR_M and d < depth[v, y, x]:
+                if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
                     depth[v, y, x], surface[v, y, x] = d, first + face
 
 
@@ -199,7 +201,7 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
         for y in range(top, bottom):
             for x in range(left, right):
                 d, face = _trace(lens, pose, centre, v, y, x, solid, ray, normal)
-                if d > _NEAR_M and d < depth[v, y, x]:
+                if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
                     trial[v, y, x], number[v, y, x] = d, _TRIAL + face
                     touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
                     touched[v, 2], touched[v, 3] = min(touched[v, 2], x), max(touched[v, 3], x + 1)

@@ -17,7 +17,7 @@ from studiorecon.scene.shell import Shell
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MOST_MOVES = 8
 _LEAST_SIDE_M, _LEAST_HEIGHT_M = 0.05, 0.04
-_CLEARANCE_M = 0.1
+_CLEARANCE_M = 0.05
 # A box is tried as a cylinder when its sides differ by less than this share.
 _SQUARE_SHARE = 0.4
 # So many proposals are priced anew at a time, and so many of them moved.

@@ -91,6 +91,8 @@ def floor_and_gains(pictures: Sequence[Picture], window: int, near_m: float, far
     overlaps = []
     for (i, j), score in zip(pairs, scores(floor_m)):
         agree = score > _SAME_SURFACE
+        if agree.sum() < _LEAST_PIXELS:
+            continue
         depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
         points = pictures[i].camera.unproject(pictures[i].camera.pixel_centres(), depth_m)[agree]
         colours, inside = sample(pictures[j].rgb, pictures[j].camera.project(points)[0][None])
@@ -109,6 +111,8 @@ def surface_gains(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray], w
     overlaps = []
     for i, (picture, depth_m) in enumerate(zip(pictures, depths_m)):
         known = picture.known & (depth_m > 0)
+        if not known.any():
+            continue
         points = picture.camera.unproject(picture.camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64))[known]
         for j, (other, other_depth_m) in enumerate(zip(pictures, depths_m)):
             if i == j:

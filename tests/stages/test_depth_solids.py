@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Upright boxes and cylinders: where rays meet them, what they are worth as evidence, and that only what photos agree on is put up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.depth.evidence import Explained, colour_odds
+from studiorecon.depth.furniture import allowed, furnish, holds
+from studiorecon.depth.pictures import Picture
+from studiorecon.depth.sheet import sheet
+from studiorecon.depth.shell import walked
+from studiorecon.depth.solids import Solid, in_front, read_solids, write_solids
+from studiorecon.scene.people import Person, write_person
+
+from tests.stages.made_room import Room, made_room, photograph, ring
+
+BOX = Solid("box", (0.3, -0.2), 0.5, (0.8, 0.4), 0.1, 0.9, 0.0)
+POST = Solid("cylinder", (-0.4, 0.3), 0.0, (0.5, 0.5), 0.0, 1.2, 0.0)
+NOBODY = np.zeros((0, 3))
+
+
+def cupboard(room: Room) -> Solid:
+    """The solid that stands in ``made_room``."""
+    low, high = room.table.low_m, room.table.high_m
+    x, y, _ = (low + high) / 2 @ room.table.axes
+    return Solid("box", (x, y), room.table.yaw_rad, tuple((high - low)[:2]), low[2], high[2], 0.0)
+
+
+def looks(room: Room, width: int = 96) -> list[Picture]:
+    cameras = ring(wh=(width, round(width * 0.5625)))
+    return [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+
+
+@pytest.fixture(scope="module")
+def furnished() -> tuple[Room, list[Picture], list[Solid]]:
+    """The room with its cupboard, four looks at it, and what is found in them."""
+    room = made_room()
+    pictures = looks(room)
+    return room, pictures, furnish(pictures, room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3)
+
+
+@pytest.mark.parametrize("solid", [BOX, POST], ids=["box", "cylinder"])
+def test_rays_enter_a_solid_on_its_surface(solid: Solid) -> None:
+    for camera in ring(3):
+        depth_m = solid.depth(camera)
+        hit = depth_m > 0
+        assert 0.02 < hit.mean() < 0.5
+        points = camera.unproject(camera.pixel_centres(), depth_m)[hit]
+        c, s = np.cos(solid.yaw_rad), np.sin(solid.yaw_rad)
+        u, v = ((points[:, :2] - solid.centre_m) @ np.array([[c, -s], [s, c]]) / (np.array(solid.size_m) / 2)).T
+        side = np.maximum(np.abs(u), np.abs(v)) if solid.kind == "box" else np.hypot(u, v)
+        level = np.abs((points[:, 2] - (solid.low_m + solid.high_m) / 2) / ((solid.high_m - solid.low_m) / 2))
+        np.testing.assert_allclose(np.maximum(side, level), 1.0, atol=1e-9)
+
+
+def test_a_camera_inside_a_solid_sees_the_room() -> None:
+    camera = ring(1)[0]
+    around = Solid("box", tuple(camera.centre_m[:2]), 0.0, (1.0, 1.0), 0.0, 3.0, 0.0)
+    assert not around.depth(camera).any()
+    depth_m, shown = in_front([around], camera, np.full(camera.hw, 2.0, np.float32))
+    assert (depth_m == 2.0).all()
+    assert not shown.any()
+
+
+def test_a_solid_stands_before_what_is_behind_it_and_before_the_unknown() -> None:
+    camera = ring(1)[0]
+    own = BOX.depth(camera)
+    for behind, seen in ((50.0, own > 0), (0.0, own > 0), (0.5, np.zeros(camera.hw, bool))):
+        depth_m, shown = in_front([BOX], camera, np.full(camera.hw, behind, np.float32))
+        assert (shown == seen).all()
+        np.testing.assert_allclose(depth_m, np.where(seen, own, behind), rtol=1e-6)
+        assert depth_m.dtype == np.float32
+
+
+def test_solids_are_written_and_read(tmp_path: Path) -> None:
+    write_solids(tmp_path / "solids.json", [BOX, POST])
+    assert read_solids(tmp_path / "solids.json") == [BOX, POST]
+    assert Solid.from_numbers(POST.numbers, POST.evidence) == POST
+
+
+def test_the_true_solid_is_worth_most_and_gains_are_what_adding_brings() -> None:
+    room = made_room()
+    seen = Explained.by_shell(looks(room), room.shell, 5, 1.5)
+    true = cupboard(room).numbers
+    beside, larger, thin_air = true.copy(), true.copy(), true.copy()
+    beside[1] += 0.4
+    larger[4:6] += 0.4
+    thin_air[6:] += 1.2
+    gains = seen.gains(np.stack([true, beside, larger, thin_air]))
+    assert gains[0] > 100
+    assert (gains[1:] < 0.6 * gains[0]).all()
+    before = float(seen.cost.sum(dtype=np.float64))
+    seen.add(true)
+    # What is hidden behind it counts as unseen both ways; colour odds are no part of the cost.
+    assert before - float(seen.cost.sum(dtype=np.float64)) == pytest.approx(gains[0], rel=0.25)
+    assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Solid]]) -> None:
+    room, pictures, found = furnished
+    assert found
+    truth = [photograph(room, p.camera)[1] for p in pictures]
+    bare = [room.shell.intersect(*p.camera.rays())[0] for p in pictures]
+    error = {}
+    for name, solids in (("bare", []), ("found", found)):
+        depths = [in_front(solids, p.camera, d)[0] for p, d in zip(pictures, bare)]
+        error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
+    assert error["found"] < 0.4 * error["bare"]
+
+
+def test_an_empty_room_stays_empty() -> None:
+    room = made_room(table=False)
+    assert furnish(looks(room), room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+
+
+def test_nothing_is_put_where_somebody_walked_or_a_camera_is(furnished: tuple[Room, list[Picture], list[Solid]], tmp_path: Path) -> None:
+    room, pictures, found = furnished
+    numbers = np.stack([solid.numbers for solid in found])
+    place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
+    assert allowed(numbers, room.shell, NOBODY)[0]
+    assert not allowed(numbers, room.shell, place[None])[0]
+    assert not any(holds(numbers, p.camera.centre_m, 0.0).any() for p in pictures)
+    joints = np.tile(place, (3, 24, 1))
+    joints[1], joints[2, 0] = 9.0, np.nan
+    person = Person("p0", "mpfb", 30.0, np.zeros((3, 72)), np.zeros((3, 3)), np.zeros(10), joints, np.array([True, False, True]),
+                    np.zeros((3, 24)), True)  # fmt: skip
+    write_person(tmp_path / "p0.npz", person)
+    places = walked([tmp_path / "p0.npz"])
+    assert len(places) == 1
+    assert np.abs(places[0] - place).max() <= 0.1 + 1e-9
+    assert walked([]).shape == (0, 3)
+
+
+def test_colours_unlike_a_wall_are_told_from_its_own() -> None:
+    rng = np.random.default_rng(0)
+    rgb = np.zeros((1, 40, 60, 3), np.float32)
+    rgb[..., 2] = 0.5 + 0.05 * rng.random((1, 40, 60))
+    face = np.full((1, 40, 60), 3, np.int32)
+    rgb[:, 10:30, 20:30] = [0.8, 0.2, 0.1]
+    cost = np.where(rgb[..., 0] > 0.5, 0.5, 0.1).astype(np.float32)
+    odds = colour_odds(rgb, np.ones(face.shape, bool), face, cost)
+    assert (odds[:, 12:28, 22:28] > 0.9).all()
+    assert (odds[:, :, :18] < 0.2).all()
+    # A wall of which nothing was matched says nothing about its colours.
+    assert not colour_odds(rgb, np.ones(face.shape, bool), face, np.full(face.shape, 0.9, np.float32)).any()
+
+
+def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Solid]]) -> None:
+    room, pictures, found = furnished
+    depths = [p.depth_of(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
+    with_them, without = sheet(pictures, room.shell, [*found, POST], depths), sheet(pictures, room.shell, [], depths)
+    assert with_them.shape == without.shape == (3 * 360, 2 * 640, 3)
+    assert (with_them != without).any(axis=-1).mean() > 0.002
