@@ -87,6 +87,29 @@ class TestHull:
         assert (label[blind > 0] == FOREGROUND).mean() > 0.85  # fingers are thinner than a cell
         assert (label[(pictured[2] > 0) & (blind == 0)] == UNKNOWN).mean() > 0.7
 
+    def test_what_may_be_somebody_elses_is_unknown(self, body, cameras, options) -> None:
+        """Two people in line: their silhouettes meet in a hull with arms of nobody, which each would otherwise wear."""
+        poses, trans = poses_of(body, 1)
+        places = [trans[0] + [0.9, 0.5, 0], trans[0] - [0.7, 0.5, 0]]
+        alone = [silhouettes(body, cameras, poses[0], place) for place in places]
+        both = [np.maximum(a, b) for a, b in zip(*alone)]
+        found = sorted(self.people(cameras, both, options), key=lambda p: -p.place_m[0])
+        assert len(found) == 2
+        whole = [hull.whole_person(*hull.cells_around(p.place_m, VOXEL_M / 2), cameras, both, VOXEL_M / 2, p.place_m, 0.5) for p in found]
+        stolen, kept, worn = 0, 0, 0
+        for v, camera in enumerate(cameras):
+            pictured = hull.silhouettes(whole, [p.place_m for p in found], v, camera, both[v], VOXEL_M / 2)
+            for k in (0, 1):
+                (by_itself,) = hull.silhouettes([whole[k]], [found[k].place_m], v, camera, both[v], VOXEL_M / 2)
+                others = (alone[k][v] == 0) & (alone[1 - k][v] > 0)
+                worn += int(((by_itself == FOREGROUND) & others).sum())
+                stolen += int(((pictured[k] == FOREGROUND) & others).sum())
+                kept += int(((pictured[k] == FOREGROUND) & (alone[k][v] > 0)).sum())
+        own = sum(int((a > 0).sum()) for views in alone for a in views)
+        assert worn > 0.03 * own, "the case has ghosts"
+        assert stolen < 0.3 * worn
+        assert kept > 0.6 * own
+
     def test_a_low_thing_is_nobody(self, cameras, pictured, options) -> None:
         sat = []
         for picture in pictured:
