@@ -24,7 +24,7 @@ ALLOWED = {
         "OpenEXR channels of colours, normals and shares as compositors expect them; stored, never computed in",
     ),
     **dict.fromkeys(
-        [(f"models.{adapter}", word) for adapter in ("difix", "pi3") for word in ("float16", "bfloat16")],
+        [(f"models.{adapter}", word) for adapter in ("difix", "pi3") for word in ("float16", "bfloat16")] + [("models.sam3", "bfloat16")],
         "upstream's own networks run so on a GPU, as their authors do; what comes back is float32 and checked",
     ),
 }
