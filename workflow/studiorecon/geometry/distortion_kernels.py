@@ -15,7 +15,7 @@ _PLANE_STEPS = 12
 _SETTLED, _PLANE_SETTLED = 2e-7, 1e-6
 # Lenses with tangential terms: points settled together, and the residual above which one is settled alone.
 _BLOCK, _BLOCK_SETTLED = 512, 1e-13
-# Starts are read from a table of the radial inverse up to this distorted radius (63° off axis without distortion).
+# Starts are read from a table of the radial inverse, even in the squared radius, up to this one (63° off axis without distortion).
 _TABLE_SIZE, _TABLE_SPAN = 2048, 2.0
 
 
@@ -30,7 +30,7 @@ def undistort(points, k, fisheye, limit, tolerance, answers, valid):
     span = min(farthest, _TABLE_SPAN)
     table = np.ones(_TABLE_SIZE + 1)
     for i in range(1, _TABLE_SIZE + 1):
-        target = span * i / _TABLE_SIZE
+        target = span * np.sqrt(i / _TABLE_SIZE)
         table[i] = _invert(target, min(target, 0.5 * limit), k, fisheye, limit, farthest) / target
     block = np.empty((3, _BLOCK))
     for n in range(len(points)):
@@ -49,7 +49,7 @@ def undistort(points, k, fisheye, limit, tolerance, answers, valid):
         # Tangential terms shift the reachable region a little: leave that decision to the residual check.
         if not target <= farthest * 1.05 + 1e-12 or target == np.inf:
             continue
-        start = target * _ratio(target, table, span) if target < span else min(target, 0.5 * limit)
+        start = target * _ratio(target * target, table, span * span) if target < span else min(target, 0.5 * limit)
         radius = _invert(target, start, k, fisheye, limit, farthest)
         scale = (np.tan(radius) if fisheye else radius) / target if target > 1e-12 else 1.0
         u, v = x * scale, y * scale
@@ -95,18 +95,19 @@ def _plane_block(points, k, rational, table, span, block):
     each has settled does not let it do.
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
-    per = _TABLE_SIZE / span
+    reach = span * span
+    per = _TABLE_SIZE / reach
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        target = np.sqrt(x * x + y * y)
-        position = target * per if target < span else 0.0
+        square = x * x + y * y
+        position = square * per if square < reach else 0.0
         j = int(position)
         ratio = table[j] + (position - j) * (table[j + 1] - table[j])
         u, v = x * ratio, y * ratio
         s = u * u + v * v
         # What the tangential terms add, roughly, comes off before the radial inverse is read again.
         u, v = x - 2 * p1 * u * v - p2 * (s + 2 * u * u), y - p1 * (s + 2 * v * v) - 2 * p2 * u * v
-        position = np.sqrt(u * u + v * v) * per
+        position = (u * u + v * v) * per
         position = position if position < _TABLE_SIZE else 0.0
         j = int(position)
         ratio = table[j] + (position - j) * (table[j + 1] - table[j])
@@ -132,7 +133,7 @@ def _plane_block(points, k, rational, table, span, block):
         v -= (across * dy - mixed * dx) * turn
         dx, dy = _plane_miss(u, v, x, y, k, rational)
         block[0, i], block[1, i] = u, v
-        block[2, i] = max(abs(dx), abs(dy)) if target < span else np.inf
+        block[2, i] = max(abs(dx), abs(dy)) if square < reach else np.inf
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
@@ -159,9 +160,9 @@ def _radial(radius, k, fisheye):
 
 
 @njit(cache=True, nogil=True)
-def _ratio(target, table, span):
-    """Undistorted over distorted radius, interpolated."""
-    position = target * (_TABLE_SIZE / span)
+def _ratio(square, table, reach):
+    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: in the square it is nearly straight."""
+    position = square * (_TABLE_SIZE / reach)
     i = min(int(position), _TABLE_SIZE - 1)
     return table[i] + (position - i) * (table[i + 1] - table[i])
 
