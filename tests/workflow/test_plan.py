@@ -34,6 +34,7 @@ def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset
     assert plan["depth_sweep"] == 3
     assert plan["views_synthesize"] == 3
     assert "studio_capture" not in plan
+    assert "render_layers" not in plan, "on request only"
 
 
 def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
@@ -98,6 +99,12 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
     assert done.returncode != 0
     assert "plains" in done.stdout
+
+
+def test_films_are_taken_apart_into_exr_when_asked(house: House, dataset: Path) -> None:
+    there = on(house, dataset)
+    plan = there.plan("--configfile", there.overlay(render={"exr": True}))
+    assert plan["render_layers"] == plan["enhance_shot"] >= 1
 
 
 def test_workflow_also_runs_from_another_directory(tmp_path: Path) -> None:
