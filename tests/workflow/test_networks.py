@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-import pytest
+import yaml
+from studiorecon.models.selection import selected
 
 from .conftest import ROOT, House
 from .test_plan import dataset, on
@@ -13,38 +15,32 @@ from .test_plan import dataset, on
 __all__ = ["dataset"]
 
 
-@pytest.mark.parametrize(
-    ("sections", "jobs", "gone"),
-    [
-        ({"depth": {"source": "moge"}}, {"depth_network": 1, "depth_aligned": 3, "depth_refine": 3}, ()),
-        ({"views": {"synthesizer": "gen3c"}}, {"views_request": 3, "views_generate": 3, "views_fitted": 3}, ("views_synthesize",)),
-        ({"people": {"source": "comotion"}}, {"people_bodies": 3}, ("people_detections",)),
-        ({"cameras": {"source": "pi3x"}}, {"cameras_network": 1, "cameras_calibration": 1, "people_sightings": 3}, ()),
-    ],
-    ids=["depth", "views", "people", "cameras"],
-)
-def test_a_networks_jobs_take_the_place_of_the_stages_own(
-    house: House, dataset: Path, sections: dict, jobs: dict[str, int], gone: tuple[str, ...]
-) -> None:
+def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: Path) -> None:
+    sections = {
+        "cameras": {"source": "pi3x"},
+        "people": {"source": "comotion"},
+        "depth": {"source": "moge"},
+        "views": {"synthesizer": "gen3c"},
+    }
     plan = on(house, dataset).plan("--configfile", house.overlay(**sections))
-    assert jobs.items() <= plan.items()
-    assert not set(gone) & set(plan)
+    assert {"cameras_network": 1, "cameras_calibration": 1, "people_sightings": 3, "people_bodies": 3}.items() <= plan.items()
+    assert {"depth_network": 1, "depth_refine": 3, "depth_aligned": 3}.items() <= plan.items()
+    assert {"views_request": 3, "views_generate": 3, "views_fitted": 3}.items() <= plan.items()
+    assert not {"people_detections", "views_synthesize"} & set(plan)
 
 
-def test_the_papers_networks_are_one_preset(house: House, dataset: Path) -> None:
-    preset = str(ROOT / "config/presets/networks.yaml")
-    plan = on(house, dataset).plan("--configfile", str(ROOT / "config/presets/paper.yaml"), preset)
-    assert {"people_bodies", "depth_network", "views_generate", "enhance_shot"} <= set(plan)
-    listing = on(house, dataset).snakemake("--cores", "1", "weights_list", "--configfile", preset).stdout
-    for title in ("CoMotion", "SAM 3", "MoGe-2", "GEN3C", "Difix3D+", "RAFT", "LPIPS"):
-        assert title in listing
-    refused = on(house, dataset).snakemake("--dry-run", "--configfile", preset, "--config", "licences=commercial", check=False)
+def test_the_papers_networks_are_one_preset() -> None:
+    preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
+    assert [name for _, name in selected(preset)] == ["comotion", "sam3", "moge", "gen3c", "difix", "raft", "lpips", "lpips"]
+
+
+def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(house: House, dataset: Path, tmp_path: Path) -> None:
+    capture = on(house, dataset)
+    overlay = house.overlay(licences="commercial", people={"source": "comotion"})
+    refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
     assert refused.returncode != 0
     assert "people.source is comotion, and CoMotion may not be used commercially" in refused.stdout
-
-
-def test_what_was_to_be_brought_and_is_not_there_is_named(house: House, dataset: Path, tmp_path: Path) -> None:
     overlay = house.overlay(depth={"source": "precomputed", "precomputed": str(tmp_path)})
-    refused = on(house, dataset).snakemake("--dry-run", "--configfile", overlay, check=False)
+    refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
     assert refused.returncode != 0
-    assert "has no left with one of the endings .exr, .npy, .npz, .png" in refused.stdout.replace("\n", " ")
+    assert re.search(r"has no (left|right|back) with one of the endings \.exr, \.npy, \.npz, \.png", refused.stdout)
