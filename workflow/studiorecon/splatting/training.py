@@ -196,10 +196,12 @@ class _Run:
 
     def _settle_epsilons(self, by_blocks: np.ndarray, visible: np.ndarray) -> None:
         """Per kind of parameter: ``adam_epsilon`` × root mean square gradient over the first steps."""
-        shown, gradients = visible.reshape(-1, 1, LANES) != 0, by_blocks.reshape(-1, ROWS, LANES)
-        # An infinite gradient that counted here would make epsilon infinite, and nothing would ever move again.
-        seen = np.where(shown & np.isfinite(gradients), gradients, 0).astype(np.float64)
-        self._squares += np.square(seen).sum(axis=(0, 2)) / max(1, int(shown.sum())) / EPSILON_STEPS
+        shown, gradients = visible.reshape(-1, LANES) != 0, by_blocks.reshape(-1, ROWS, LANES)
+        count = max(1, int(shown.sum())) * EPSILON_STEPS
+        for row in range(ROWS):  # one at a time: all at once in float64 would be the largest thing in memory
+            # An infinite gradient that counted here would make epsilon infinite, and nothing would ever move again.
+            seen = np.where(shown & np.isfinite(gradients[:, row]), gradients[:, row], 0).astype(np.float64)
+            self._squares[row] += np.square(seen).sum() / count
         for rows in (slice(0, SCALE), slice(SCALE, QUATERNION), slice(QUATERNION, OPACITY), slice(OPACITY, SH), slice(SH, ROWS)):
             typical = np.sqrt(self._squares[rows].max() * EPSILON_STEPS / self.steps)
             self._epsilons[rows] = max(self.settings.adam_epsilon * typical, EPSILON_LEAST)
