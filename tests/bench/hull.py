@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """People from clean plates alone, without a single keypoint: ``python -m tests.bench.hull``.
 
-Made takes of 48 frames at 480×270, 24 a second, with plates: one person and three cameras, two people and four. Front end, association
+Made takes of 24 frames at 320×180, twelve a second, with plates: one person and three cameras, two people and four. Front end, association
 by the visual hull and fit as the workflow runs them, against the exact truth: joints, facing with what it rests on, and where the time
 goes (processor seconds of one thread). Writes ``tests/bench/results/hull.json``. A few minutes of an idle core.
 """
@@ -39,7 +39,7 @@ BAR_MM = 60.0
 def make(folder: Path, people: int, cameras: int) -> None:
     """A take with plates and without keypoints in ``folder/dataset``, its truth in ``folder/truth``."""
     described = {
-        "seed": 5, "frames": 48, "fps": 24.0, "size": [480, 270], "people": people, "plates": True,
+        "seed": 5, "frames": 24, "fps": 12.0, "size": [320, 180], "people": people, "plates": True,
         "cameras": {"training": cameras, "held_out": 0},
     }  # fmt: skip
     folder.mkdir(parents=True)
