@@ -327,6 +327,26 @@ def test_a_calibration_of_other_cameras_is_refused(tmp_path, options):
         refined(tmp_path, given, truth, options(refine.Settings))
 
 
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 3)])
+def test_swapped_cameras_are_refused_by_name(tmp_path, options, pair):
+    """Some swaps leave every two cameras with somebody they agree on, and no three: that must not pass for unchecked."""
+    given = ring()
+    for i, j in (pair, pair[::-1]):
+        given[i] = Camera(given[i].name, given[i].wh, given[i].intrinsics, ring()[j].camera_from_world)
+    with pytest.raises(Refusal, match=f"cameras c{pair[0]} and c{pair[1]} are swapped"):
+        refined(tmp_path, given, ring(), options(refine.Settings))
+
+
+def test_two_pairs_of_cameras_that_see_a_person_each_do_not_contradict_one_another(options):
+    truth = ring()
+    apart = [walk([0, 0, 0], [0.01, 0, 0], FRAMES), walk([30.0, 0, 0], [0, 0.01, 0], FRAMES)]
+    there = [moved(c, c.camera_from_world[:3, :3], c.centre_m + np.array([30.0, 0, 0])) for c in truth[:2]]
+    cameras = [*truth[:2], *(Camera(f"c{i + 2}", c.wh, c.intrinsics, c.camera_from_world) for i, c in enumerate(there))]
+    outcome = refine.decide(cameras, [], detect(cameras, apart, 1.5, np.random.default_rng(0)), FRAMES, True, options(refine.Settings))
+    assert not outcome.report["refined"]
+    assert all((a.camera_from_world == b.camera_from_world).all() for a, b in zip(outcome.training, cameras))
+
+
 def test_inverted_poses_are_recognised(tmp_path, options):
     truth = ring()
     given = [Camera(c.name, c.wh, c.intrinsics, np.linalg.inv(c.camera_from_world)) for c in truth]

@@ -65,6 +65,16 @@ def test_one_inverted_camera_shows_in_its_margin(options):
     assert any("c2" in a for a in report["advice"])
 
 
+@pytest.mark.parametrize("pair", [(0, 1), (1, 3)], ids=["neighbours", "opposite: nearly a mirror image"])
+def test_swapped_cameras_are_named(options, pair):
+    cameras = ring()
+    for i, j in (pair, pair[::-1]):
+        cameras[i] = replace(cameras[i], camera_from_world=ring()[j].camera_from_world)
+    report = examined(cameras, options)
+    assert report["verdict"] == "wrong"
+    assert f"cameras c{pair[0]} and c{pair[1]} are swapped" in " ".join(report["advice"])
+
+
 def test_a_held_out_camera_without_keypoints_is_no_fault(options):
     cameras = ring(5)
     seen = [*detect(cameras, PEOPLE, 1.5, np.random.default_rng(0))[:4], doctor.nobody("c4")]

@@ -187,10 +187,12 @@ def test_keypoints_of_another_picture_size_are_not_called_good(capture, examine)
     assert "01" in " ".join(report["advice"])
 
 
-def test_swapped_cameras_are_not_called_good(capture, examine):
+def test_swapped_cameras_are_named(capture, examine):
     poses = [c.camera_from_world for c in cameras()]
     write_calibration(capture, [replace(c, camera_from_world=p) for c, p in zip(cameras(), [poses[1], poses[0], *poses[2:]])])
-    assert examine(capture)["verdict"] in ("wrong", "cannot tell")
+    report = examine(capture)
+    assert report["verdict"] == "wrong"
+    assert "cameras 00 and 01 are swapped" in report["advice"][0]
 
 
 def test_a_camera_that_sees_nobody_is_named(capture, examine):

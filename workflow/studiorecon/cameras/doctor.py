@@ -19,7 +19,7 @@ from studiorecon.cameras.advice import verdict
 from studiorecon.cameras.correspondences import Observations, observe, spread_frames
 from studiorecon.cameras.doctor_page import page
 from studiorecon.cameras.glance import glance
-from studiorecon.cameras.hypotheses import LENS_READINGS, lens_row, verdicts
+from studiorecon.cameras.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.cameras.lens_model import LensReading, as_model
 from studiorecon.cameras.people_bundle import error_medians
 from studiorecon.cameras.sheet import contact_sheet
@@ -71,10 +71,16 @@ def examined(
     if len(seen.frame):
         median, each, points = error_medians(cameras, seen, settings.limits)
     median = median if len(points) else None
+    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    if people and (median is None or median > 0.5 * limit_px):
+        swap = best_swap(cameras, detections, few, settings.refine_gate_m)
+        if swap is not None:
+            # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels tell.
+            px = None if median is None else _median_px(swap[1], detections, chosen, settings)
+            table.append({**swap[0], **({} if px is None else {"median_px": px})})
     for name, (cams, found) in (lens_readings or {}).items():
-        other, _ = observe(found, cams, chosen, settings.refine_gate_m)
-        px = error_medians(cams, other, settings.limits)[0] if len(other.frame) else float("nan")
-        table.append({**lens_row(name, cams, found, few, settings.refine_gate_m), "median_px": px if np.isfinite(px) else None})
+        row = lens_row(name, cams, found, few, settings.refine_gate_m)
+        table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
     middle, reach = _volume(cameras, points)
     half = min(frames, _CLOCK_FRAMES) // 2
@@ -97,8 +103,14 @@ def examined(
         "reach_m": reach,
         "blind_sectors_deg": health.blind_sectors(cameras, middle),
     }
-    report["verdict"], report["advice"] = verdict(report, settings.max_error_share * max(max(c.wh) for c in cameras))
+    report["verdict"], report["advice"] = verdict(report, limit_px)
     return report, shown_points
+
+
+def _median_px(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings) -> float | None:
+    seen, _ = observe(detections, cameras, frames, settings.refine_gate_m)
+    px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
+    return px if np.isfinite(px) else None
 
 
 def replace_frames(seen: Detections, first: int, stop: int) -> Detections:

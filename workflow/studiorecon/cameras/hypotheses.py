@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,21 @@ def verdicts(
 def lens_row(name: str, cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> dict[str, Any]:
     """The row of ``verdicts`` for cameras and detections as another lens model would have them."""
     return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
+
+
+def best_swap(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> tuple[dict[str, Any], list[Camera]] | None:
+    """The row of ``verdicts`` for the two cameras whose exchange people like best, and all cameras then; None with fewer than three."""
+    rows = []
+    for i, j in combinations(range(len(cameras)), 2) if len(cameras) > 2 else ():
+        poses = [c.camera_from_world for c in cameras]
+        poses[i], poses[j] = poses[j], poses[i]
+        swapped = [replace(c, camera_from_world=p) for c, p in zip(cameras, poses)]
+        name = f"cameras {cameras[i].name} and {cameras[j].name} are swapped"
+        remedy = "exchange their names in the calibration, or their videos and keypoints"
+        rows.append(({"hypothesis": name, "score": _score(swapped, detections, frames, gate_m), "remedy": remedy}, swapped))
+    return max(rows, key=lambda row: row[0]["score"], default=None)
 
 
 def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:

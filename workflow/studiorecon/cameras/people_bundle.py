@@ -15,6 +15,7 @@ from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
 from studiorecon.geometry.distortion import undistort
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
 
 _LOOSE = 3.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
@@ -47,6 +48,17 @@ def error_medians(cameras: Sequence[Camera], seen: Observations, limits: Limits)
     per_camera = [float(np.median(row[np.isfinite(row)])) if np.isfinite(row).any() else None for row in error]
     pooled = error[np.isfinite(error)]
     return (float(np.median(pooled)) if len(pooled) else float("nan")), per_camera, found.points_m[counted]
+
+
+def contradicted(cameras: Sequence[Camera], seen: Observations, detections: Sequence[Detections], limits: Limits) -> float:
+    """Share of the points of two views that lie in a third one's picture, where people were seen in that frame, but not there."""
+    found = triangulate(seen.pixels, seen.confidence, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))
+    elsewhere = np.zeros(len(seen.frame), dtype=bool)
+    for v, (camera, d) in enumerate(zip(cameras, detections)):
+        pixels, depth = camera.project(np.where(found.valid[:, None], found.points_m, np.nan))
+        inside = (np.nan_to_num(depth) > 0) & (np.nan_to_num(pixels, nan=-1.0) >= 0).all(-1) & (np.nan_to_num(pixels) < camera.wh).all(-1)
+        elsewhere |= inside & np.isin(seen.frame, d.frame) & ~found.inliers[v]
+    return float(elsewhere[found.valid].mean()) if found.valid.any() else 0.0
 
 
 def fitted(

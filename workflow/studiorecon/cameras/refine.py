@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from studiorecon.cameras.correspondences import Observations, observe, spread_frames
-from studiorecon.cameras.hypotheses import check_conventions
-from studiorecon.cameras.people_bundle import LensSettings, error_medians, fitted, lenses_called_for, straightened
+from studiorecon.cameras.hypotheses import best_swap, check_conventions
+from studiorecon.cameras.people_bundle import LensSettings, contradicted, error_medians, fitted, lenses_called_for, straightened
 from studiorecon.cameras.sheet import contact_sheet
 from studiorecon.errors import Refusal
 from studiorecon.geometry.bundle import BundleSettings, LensPrior, moved
@@ -26,6 +26,9 @@ from studiorecon.scene.files import complete, read_json, write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 
 _FOOT_HEIGHT_M = 0.08
+_MOST_CONTRADICTED = 0.5
+# Share of the allowed error past which it is asked whether cameras were exchanged, and how many times better people must then fit.
+_SUSPICIOUS, _MUCH_BETTER = 0.5, 3.0
 
 
 @dataclass(frozen=True)
@@ -92,13 +95,20 @@ def decide(
     if not len(seen.frame):
         return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
     before, before_each, points = error_medians(training, seen, settings.limits)
+    limit = settings.max_error_share * max(max(c.wh) for c in training)
+    if not before < _SUSPICIOUS * limit:
+        _refuse_swapped(training, detections, chosen, before, settings)
+    if len(training) > 2 and not len(points) and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
+        raise Refusal(
+            f"the calibration does not fit the footage: no keypoint agrees in three cameras, and where two agree a third one sees people "
+            f"elsewhere in {share:.0%} of the cases; check that it is for these cameras, and that the videos are synchronised"
+        )
     report |= {"points": len(points), "before_px": before, "before_px_per_camera": before_each}
     adjusted, after = training, before
     if settings.refine and len(training) > 2 and len(points):
         adjusted, seen, report = _try_refinement(training, seen, before, report, settings)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
-    limit = settings.max_error_share * max(max(c.wh) for c in training)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
         raise Refusal(
@@ -109,6 +119,24 @@ def decide(
     if not floor_known and len(points):
         adjusted, held_out, points = _on_floor(adjusted, held_out, seen, points, settings)
     return Outcome(adjusted, held_out, points, report)
+
+
+def _refuse_swapped(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, before: float, settings: Settings
+) -> None:
+    """Raises Refusal when people fit several times better with two cameras exchanged.
+
+    On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
+    """
+    found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], settings.refine_gate_m)
+    if found is None:
+        return
+    row, swapped = found
+    seen, _ = observe(detections, swapped, frames, settings.refine_gate_m)
+    after = error_medians(swapped, seen, settings.limits)[0] if len(seen.frame) else float("nan")
+    if after * _MUCH_BETTER < (before if np.isfinite(before) else np.inf):
+        known = f"{before:.0f} px as read" if np.isfinite(before) else "no three cameras agree as read"
+        raise Refusal(f"the calibration fits the people only if {row['hypothesis']} ({after:.1f} px off, {known}): {row['remedy']}")
 
 
 def _nothing_agrees(
