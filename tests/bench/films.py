@@ -27,7 +27,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import DisFlow
 from studiorecon.enhance.injection import Injection
-from studiorecon.enhance.recursion import enhanced
+from studiorecon.enhance.recursion import enhanced, for_path
 from studiorecon.enhance.residual import ResidualTransfer, Source, carried_over
 from studiorecon.images import metrics
 from studiorecon.images.flow import consistent, dis_flow, grey_levels, one_thread
@@ -179,12 +179,12 @@ class Bench:
             carried_over(s.camera, d.astype(np.float32) / 1000, self.sources(s.frame), transfer)[1] > 0
             for s, d in zip(film.steps, film.depth_mm)
         ]
-        off = replace(settings.injection, history=0)
+        off, injection = replace(settings.injection, history=0), for_path(settings.injection, film.steps)
         versions: dict[str, Callable[[], list[np.ndarray]]] = {
             "render": lambda: film.raw,
             "residual": lambda: self.play(film, self.residual(), off),
             "residual, paper's injection": lambda: self.play(film, self.residual(), self.paper),
-            "residual, injection": lambda: self.play(film, self.residual(), settings.injection),
+            "residual, injection": lambda: self.play(film, self.residual(), injection),
         }
         found: dict[str, Any] = {name: quality(make(), film, flows, seen) for name, make in versions.items()}
         for name in ("residual, paper's injection", "residual, injection"):

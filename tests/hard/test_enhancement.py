@@ -21,6 +21,7 @@ from tests.foundations.test_flow import textured
 PAPER = Injection(
     history=3,
     strength=0.3,
+    moving_strength=0.3,
     decay=0.5,
     error="mean",
     error_threshold=30.0,

@@ -15,7 +15,7 @@ from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import DisFlow
 from studiorecon.enhance.enhancer import Unchanged, loop_gain
 from studiorecon.enhance.playback import Playback
-from studiorecon.enhance.recursion import enhanced
+from studiorecon.enhance.recursion import enhanced, for_path
 from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
 from studiorecon.images.metrics import psnr
@@ -33,6 +33,7 @@ from tests.stages.made_scene import FRAMES, enhance_options, render_options, rin
 INJECTION = enhance_shot.Injection(
     history=3,
     strength=0.3,
+    moving_strength=0.3,
     decay=0.5,
     error="mean",
     error_threshold=30.0,
@@ -311,6 +312,17 @@ def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture(r
 
     tamed = flicker(3) / flicker(0)
     assert 0.90 < tamed < 0.95 if reading == "paper" else tamed < 0.85
+
+
+def test_a_moving_camera_has_a_strength_of_its_own(settings: enhance_shot.Settings) -> None:
+    first, second = ring([0, 5], "view")
+    wide = replace(first, intrinsics=first.intrinsics * np.array([[0.9], [0.9], [1.0]]))
+    given = settings.injection
+    assert for_path(given, [Step(first, 0.0, "a"), Step(first, 1.0, "a"), Step(second, 0.0, "b"), Step(second, 1.0, "b")]) == given
+    for other in (second, wide):
+        moving = for_path(given, [Step(first, 0.0, "a"), Step(other, 1.0, "a")])
+        assert moving == replace(given, strength=given.moving_strength)
+        assert moving.strength < given.strength
 
 
 def test_brightness_stays_over_a_long_film(settings: enhance_shot.Settings) -> None:

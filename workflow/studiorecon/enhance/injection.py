@@ -31,6 +31,7 @@ class Injection:
     Attributes:
         history: K, the number of earlier outputs.
         strength: w, the overall share of history at full confidence.
+        moving_strength: w for films whose camera moves: every pixel of every picture is then read between pixels, which blurs all of it.
         decay: weight of each frame relative to the one after it.
         error: how the RGB difference of a pixel becomes one number: ``mean`` over channels, ``norm`` or ``sum`` (U04).
         error_threshold: τ_e, that number in levels of 255 at which confidence reaches zero.
@@ -46,6 +47,7 @@ class Injection:
 
     history: int
     strength: float
+    moving_strength: float
     decay: float
     error: Literal["mean", "norm", "sum"]
     error_threshold: float

@@ -7,10 +7,11 @@ of the K pictures before the cut: the bytes are those of one pass. Memory holds 
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -122,6 +123,17 @@ def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injec
                 history, link = [], (None, None)
         history.insert(0, Past(to_float(output), raw, *link))
     return history
+
+
+def for_path(injection: Injection, steps: Sequence[Step]) -> Injection:
+    """The injection for a film along ``steps``: with ``moving_strength`` where the camera moves or zooms within a segment."""
+    for one, other in itertools.pairwise(steps):
+        if one.segment == other.segment and not (
+            np.array_equal(one.camera.camera_from_world, other.camera.camera_from_world)
+            and np.array_equal(one.camera.intrinsics, other.camera.intrinsics)
+        ):
+            return replace(injection, strength=injection.moving_strength)
+    return injection
 
 
 def stands_still(steps: Sequence[Step], pictures: Iterable[np.ndarray]) -> bool:

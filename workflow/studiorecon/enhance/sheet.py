@@ -16,7 +16,7 @@ import numpy as np
 
 from studiorecon.enhance.backends import Preset, flow_of
 from studiorecon.enhance.injection import Injection
-from studiorecon.enhance.recursion import Blend, blend, history_of
+from studiorecon.enhance.recursion import Blend, blend, for_path, history_of
 from studiorecon.errors import Refusal
 from studiorecon.images.flow import one_thread
 from studiorecon.images.seeking import read_frames_from
@@ -104,8 +104,9 @@ def run(
     made = list(read_frames_from(video, start, picture + 1))
     with one_thread(), ThreadPoolExecutor(max_workers=1) as pool:
         search = flow_of(settings.flow, settings.flow_preset, weights, device)
-        history = history_of(list(zip(raw[:-1], made[:-1])), settings.injection, search)
-        mixed = blend(raw[-1], history, settings.injection, search, pool)
+        injection = for_path(settings.injection, steps)
+        history = history_of(list(zip(raw[:-1], made[:-1])), injection, search)
+        mixed = blend(raw[-1], history, injection, search, pool)
     done, data = cv2.imencode(".png", np.ascontiguousarray(sheet(raw[-1], mixed, made[-1])[..., ::-1]))
     assert done
     with complete(image) as partial:

@@ -14,7 +14,7 @@ import numpy as np
 from studiorecon.enhance.backends import Preset, flow_of, network
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.playback import Playback
-from studiorecon.enhance.recursion import enhanced, stands_still
+from studiorecon.enhance.recursion import enhanced, for_path, stands_still
 from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
 from studiorecon.errors import Refusal
 from studiorecon.images.streams import writing
@@ -119,7 +119,7 @@ def run(
         say(f"shot {shot}: residuals of the training photos are carried over with strength {strength:.2f} ({why})")
         latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
         enhancer = ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer)
-    injection = settings.injection
+    injection = for_path(settings.injection, steps)
     if injection.history and stands_still(steps, read_frames(render, 0, len(steps))):
         say(f"shot {shot} stands still, so there is nothing to steady: no earlier outputs are injected")
         injection = replace(injection, history=0)
