@@ -47,6 +47,7 @@ def test_missing_weights_name_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.weights
+@pytest.mark.filterwarnings("ignore:In CPU autocast")
 def test_upstreams_network_with_random_weights(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     pytest.importorskip("utils3d", reason="utils3d is not installed")
@@ -54,7 +55,7 @@ def test_upstreams_network_with_random_weights(tmp_path: Path) -> None:
     from moge.model.v2 import MoGeModel
 
     torch.manual_seed(0)
-    common = {"num_res_blocks": [0] * 5, "res_block_norm": "none", "resamplers": "bilinear"}
+    common = {"num_res_blocks": [0] * 5, "resamplers": ["bilinear"] * 4}
     head = {"dim_in": [32] * 5, "dim_res_blocks": [32] * 5, **common}
     settings = {
         "encoder": {"backbone": "dinov2_vits14", "intermediate_layers": [5, 11], "dim_out": 32},
