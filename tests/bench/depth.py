@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Seconds and accuracy of depth on made rooms and on posed renderings with dense depth, with and without errors of exposure and pose.
 
-``python -m tests.bench.depth --rooms TRUTH ... [--posed FOLDER] [--set k=v] [--pictures FOLDER]`` writes tests/bench/results/depth.json.
+``python -m tests.bench.depth --rooms TRUTH ... [--posed FOLDER [--views K ...]] [--set k=v] [--pictures FOLDER]``
+writes tests/bench/results/depth.json.
 
 TRUTH is the ``truth`` folder of a studio capture (plates, depth, cameras); plates are the true empty room, so people and the temporal plate
 play no part. Depth is compared with the exact one per class (seen by two cameras or more, seen by one), walls with where they stand, and
@@ -89,13 +90,14 @@ def made_room(folder: Path) -> Room:
     return Room(folder.name, cameras, [plates[c.name] for c in cameras], truth, views, [plates[c.name] for c in views], True)
 
 
-def posed(folder: Path) -> Room:
+def posed(folder: Path, chosen: list[int]) -> Room:
     """Renderings with camera-to-world poses (OpenCV axes, z up) and z-depth; the floor is put to z = 0."""
     with np.load(folder / "condition.npz") as stored:
-        poses, lenses, truth = (stored[k].astype(np.float64) for k in ("poses", "intrinsics", "depths"))
-    plates = [read_plate(folder / f"rgb/{k}.png")[0] for k in range(len(poses))]
+        chosen = chosen or list(range(len(stored["poses"])))
+        poses, lenses, truth = (stored[k][chosen].astype(np.float64) for k in ("poses", "intrinsics", "depths"))
+    plates = [read_plate(folder / f"rgb/{k}.png")[0] for k in chosen]
     wh = (plates[0].shape[1], plates[0].shape[0])
-    cameras = [Camera(f"cam{k}", wh, lens, np.linalg.inv(pose)) for k, (pose, lens) in enumerate(zip(poses, lenses))]
+    cameras = [Camera(f"cam{k}", wh, lens, np.linalg.inv(pose)) for k, pose, lens in zip(chosen, poses, lenses)]
     heights = np.concatenate([c.unproject(c.pixel_centres(), d)[..., 2][d > 0] for c, d in zip(cameras, truth)])
     poses[:, 2, 3] -= np.percentile(heights, 1)
     cameras = [replace(c, camera_from_world=np.linalg.inv(pose)) for c, pose in zip(cameras, poses)]
@@ -188,6 +190,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=Path, nargs="*", default=[])
     parser.add_argument("--posed", type=Path)
+    parser.add_argument("--views", type=int, nargs="*", default=[], help="of the posed renderings, only these")
     parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="bare = without boxes and cylinders")
     parser.add_argument("--preset", default="")
     parser.add_argument("--set", nargs="*", default=[], dest="changes")
@@ -196,14 +199,15 @@ def main() -> None:
     given = parser.parse_args()
     stored = read_json(given.out) if given.out.is_file() else {"runs": {}}
     stored |= {"date": str(date.today()), "machine": platform.processor() or platform.machine()}
-    rooms = [made_room(folder) for folder in given.rooms] + ([posed(given.posed)] if given.posed else [])
+    rooms = [made_room(folder) for folder in given.rooms] + ([posed(given.posed, given.views)] if given.posed else [])
     for what in given.cases:
         for room in rooms:
             values = section("depth", given.preset, given.changes + (["solids=0"] if what == "bare" else []))
             # Every room its own errors, the same in every run.
             rng = np.random.default_rng([len(what), *room.name.encode()])
             result = measure(disturbed(room, what, rng), values, given.pictures if what == "plain" else None)
-            stored["runs"][f"{room.name} {what}"] = result | ({"changes": given.changes} if given.changes else {})
+            told = {"changes": given.changes} | ({} if room.made else {"views": given.views})
+            stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in told.items() if v}
             print(room.name, what, json.dumps(result), flush=True)
             write_json(given.out, stored)
 

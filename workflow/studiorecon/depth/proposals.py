@@ -30,6 +30,8 @@ _FLAT_VARIANCE = 4e-4
 _LEAST_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
 _DEPTHS_M = (0.25, 0.45, 0.8)
 _TO_WALL_M = 1.0
+# How far outside the cameras furniture is looked for where there is no wall.
+_REACH_M = 2.5
 _SLAB_M = 0.06
 _LEAST_AREA, _LEAST_ON_FLOOR = 40, 4
 
@@ -99,9 +101,22 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
     return shared / (rows * columns + height * width - shared)
 
 
+def ground(room: Explained, shell: Shell) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) least and (3,) greatest coordinates along the shell's axes between which furniture is looked for.
+
+    That is the room; where a wall is a default, as far as furniture can be told from two cameras.
+    """
+    centres = room.centre @ shell.axes.T
+    fitted = shell.fitted.reshape(3, 2)
+    low = np.where(fitted[:, 0], shell.low_m, np.maximum(shell.low_m, centres.min(axis=0) - _REACH_M))
+    high = np.where(fitted[:, 1], shell.high_m, np.minimum(shell.high_m, centres.max(axis=0) + _REACH_M))
+    return low, high
+
+
 def tops(room: Explained, shell: Shell) -> Iterator[tuple[float, np.ndarray]]:
     """(sum, solid (8,)) of boxes and slabs under every rectangle in plan that matches."""
-    middle, size = (shell.low_m + shell.high_m)[:2] / 2, (shell.high_m - shell.low_m)[:2]
+    low_m, high_m = ground(room, shell)
+    middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     # One square map, so that it can be turned about its middle.
     half = int(np.hypot(*size) / 2 / _CELL_M) + 1
@@ -124,14 +139,15 @@ def tops(room: Explained, shell: Shell) -> Iterator[tuple[float, np.ndarray]]:
 
 def fronts(room: Explained, shell: Shell) -> Iterator[tuple[float, np.ndarray]]:
     """(sum, solid (8,)) of boxes behind every rectangle in elevation that matches."""
+    low_m, high_m = ground(room, shell)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     heights = shell.low_m[2] + np.arange(_CELL_M / 2, min(_FRONT_HEIGHT_M, shell.high_m[2] - shell.low_m[2]), _CELL_M)
     for axis, side in product((0, 1), (-1, 1)):
         other = 1 - axis
-        along = np.arange(shell.low_m[other] + _CELL_M / 2, shell.high_m[other], _CELL_M)
+        along = np.arange(low_m[other] + _CELL_M / 2, high_m[other], _CELL_M)
         outward = side * shell.axes[axis]
         wall = shell.low_m[axis] if side > 0 else shell.high_m[axis]
-        for offset in np.arange(shell.low_m[axis] + _FRONT_STEP_M, shell.high_m[axis], _FRONT_STEP_M):
+        for offset in np.arange(low_m[axis] + _FRONT_STEP_M, high_m[axis], _FRONT_STEP_M):
             local = np.zeros((len(heights), len(along), 3))
             local[..., axis], local[..., other], local[..., 2] = offset, along, heights[:, None]
             value = advantage(room, local @ shell.axes, outward)

@@ -26,6 +26,8 @@ def matched_yaw(pictures: Sequence[Picture], floor_m: float, reach_m: float, nea
 
     First every 7.5°, then every 1.5° beside the best. Costs some seconds; ``wall_yaw`` needs none when there are lines.
     """
+    if sum(bool(picture.known.any()) for picture in pictures) < 2:
+        return 0.0
     small = [_smaller(picture) for picture in pictures]
     floor = np.array([0.0, 0.0, 1.0, floor_m])
     floor_scores = [_best_score(small, i, floor, near_m, far_m) for i in range(len(small))]
