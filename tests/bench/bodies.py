@@ -29,6 +29,7 @@ from studiorecon.geometry import rotations, smoothing
 from studiorecon.people import associate
 from studiorecon.people import fit as step
 from studiorecon.people.detections import Settings
+from studiorecon.people.points import Points, lift, observations
 from studiorecon.people.tracking import tracks, without_duplicates
 from studiorecon.people.verdicts import identities_from_keypoints
 from studiorecon.scene.camera import Camera
@@ -48,6 +49,10 @@ def cost_s(work: Callable[[], object], repeats: int) -> float:
         work()
         times.append(time.process_time() - started)
     return min(times)
+
+
+def lifted(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: step.Settings) -> Points:
+    return lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
 
 
 def walk(frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -195,8 +200,8 @@ def whole_step(body: BodyModel, section: dict) -> dict[str, float]:
     out = {}
     for name, values in (("smoothed", section), ("unsmoothed", rough)):
         settings = settings_module.load(step.Settings, values, "people")
-        names, keypoints = step.observations("p0", found, identities, body, frames)
-        person = step.fit_person("p0", step.lift(names, keypoints, cameras, settings), body, FPS, settings)[0]
+        names, keypoints = observations("p0", found, identities, body, frames)
+        person = step.fit_person("p0", lifted(names, keypoints, cameras, settings), body, FPS, settings)[0]
         out[f"{name}: joints_mm"] = 1000 * np.linalg.norm(person.joints - truth, axis=-1).mean()
         out[f"{name}: jitter_mm_per_frame2"] = jitter_mm(person.joints)
         out[f"{name}: valid_share"] = person.valid.mean()
@@ -233,8 +238,8 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
     identities = {key: verdict.person for key, verdict in verdicts.items()}
     errors = []
     for name, *_ in rows:
-        names, keypoints = step.observations(name, found, identities, body, frames)
-        person = step.fit_person(name, step.lift(names, keypoints, cameras, fit_step), body, FPS, fit_step)[0]
+        names, keypoints = observations(name, found, identities, body, frames)
+        person = step.fit_person(name, lifted(names, keypoints, cameras, fit_step), body, FPS, fit_step)[0]
         errors.append(min(np.linalg.norm(person.joints - body.joints(p, BETAS, t), axis=-1).mean() for p, t in people))
     out["all_s"] = time.process_time() - started
     return out | {"people": len(rows), "joints_mm": 1000 * float(np.mean(errors))}

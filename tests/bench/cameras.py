@@ -35,6 +35,7 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.people import detections as people_detections
 from studiorecon.people import fit, sightings
+from studiorecon.people.points import Points, lift, observations
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.dataset import open_dataset
 from studiorecon.scene.files import read_json
@@ -171,9 +172,9 @@ def the_man(
     outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, True, section(refine)))
     body = BodyModel.load(ROOT / "resources/body.npz")
     everybody = {(d.camera, int(t)): "p0" for d in seen for t in np.unique(d.track)}
-    names, keypoints = fit.observations("p0", seen, everybody, body, 100)
+    names, keypoints = observations("p0", seen, everybody, body, 100)
     settings = section(fit)
-    points = fit.lift(names, keypoints, outcome.training, settings)
+    points = _lifted(names, keypoints, outcome.training, settings)
     person, _ = fit.fit_person("p0", points, body, 60.0, settings)
     on_body = body.keypoints(names, person.poses, person.betas, person.trans)
     known = np.isfinite(points.points_m).all(-1)
@@ -182,7 +183,7 @@ def the_man(
         **cost, "before_px": outcome.report["before_px"], "after_px": outcome.report["after_px"], "lens": outcome.report["lens"],
         "body_to_points_mean_mm": 1000 * float(np.linalg.norm(on_body - points.points_m, axis=-1)[known].mean()),
         "ours": judged(ours, outcome.training, seen, lenses),
-        "ours, the given cameras": judged(_named(names, fit.lift(names, keypoints, cameras, settings)), cameras, seen, lenses),
+        "ours, the given cameras": judged(_named(names, _lifted(names, keypoints, cameras, settings)), cameras, seen, lenses),
         "ours, the body": judged(fitted, outcome.training, seen, lenses),
     }  # fmt: skip
     if pose2sim is not None:
@@ -196,7 +197,11 @@ def the_man(
     return report
 
 
-def _named(names: list[str], points: fit.Points) -> dict[str, np.ndarray]:
+def _lifted(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: fit.Settings) -> Points:
+    return lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
+
+
+def _named(names: list[str], points: Points) -> dict[str, np.ndarray]:
     return {n: points.points_m[:, i] for i, n in enumerate(names)}
 
 

@@ -18,6 +18,7 @@ from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.people import fit
+from studiorecon.people.points import Points, lift, observations
 from studiorecon.people.standing import write_standing
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
@@ -61,6 +62,10 @@ def made(body: BodyModel) -> Made:
     return Made(poses, trans, body.joints(poses, BETAS, trans), [look(f"cam{i}", azimuth) for i, azimuth in enumerate((0, 85, 190, 265))])
 
 
+def lifted(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: fit.Settings) -> Points:
+    return lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
+
+
 def look(name: str, azimuth_deg: float) -> Camera:
     a = np.deg2rad(azimuth_deg)
     centre, target = np.array([4 * np.cos(a), 4 * np.sin(a), 2.2]), np.array([0, 0, 1.0])
@@ -86,8 +91,8 @@ def detect(body: BodyModel, made: Made, noise_px: float, seed: int = 0, layout: 
 def solve(body: BodyModel, made: Made, detections: list[Detections], section: dict[str, Any], views: int = 4) -> Person:
     settings = settings_module.load(fit.Settings, section, "people")
     identities = {(d.camera, 0): "p0" for d in detections}
-    names, keypoints = fit.observations("p0", detections[:views], identities, body, FRAMES)
-    return fit.fit_person("p0", fit.lift(names, keypoints, made.cameras[:views], settings), body, FPS, settings)[0]
+    names, keypoints = observations("p0", detections[:views], identities, body, FRAMES)
+    return fit.fit_person("p0", lifted(names, keypoints, made.cameras[:views], settings), body, FPS, settings)[0]
 
 
 def error_mm(person: Person, made: Made) -> float:
@@ -128,8 +133,8 @@ def test_the_solver_of_the_triangulation_is_a_setting(body: BodyModel, made: Mad
         section = default_settings("people")
         section = {**section, "triangulation": {**section["triangulation"], "solver": solver}}
         options = settings_module.load(fit.Settings, section, "people")
-        known, keypoints = fit.observations("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
-        points = fit.lift(known, keypoints, made.cameras, options)
+        known, keypoints = observations("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
+        points = lifted(known, keypoints, made.cameras, options)
         truth = body.keypoints(right, made.poses, BETAS, made.trans)
         wrong = np.linalg.norm(points.points_m[:, [known.index(n) for n in right]] - truth, axis=-1)
         off_mm[solver] = 1000 * float(np.nanmedian(wrong))
@@ -251,8 +256,8 @@ def test_real_balancing_man_is_fitted_to_two_centimetres(real_data: Path, body: 
                 keypoints[frame, at, 2] = np.minimum(found[at, 2], 1)
         views.append(Detections(name, "body_25b", np.arange(100), np.zeros(100, dtype=np.int64), keypoints))
     settings = settings_module.load(fit.Settings, default_settings("people"), "people")
-    names, keypoints = fit.observations("p0", views, {(c.name, 0): "p0" for c in cameras}, body, 100)
-    points = fit.lift(names, keypoints, cameras, settings)
+    names, keypoints = observations("p0", views, {(c.name, 0): "p0" for c in cameras}, body, 100)
+    points = lifted(names, keypoints, cameras, settings)
     person, result = fit.fit_person("p0", points, body, 60.0, settings)
     assert person.valid.mean() > 0.98
     assert np.nanmedian(result.residual_m) < 0.016

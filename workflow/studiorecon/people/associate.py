@@ -18,6 +18,7 @@ from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.corrected import read_corrected, rows_of
 from studiorecon.people.evidence import EvidenceLimits
 from studiorecon.people.foreground import open_view
+from studiorecon.people.points import Triangulation, lift, observations
 from studiorecon.people.standing import HullSettings, Standing, find_standing, write_standing
 from studiorecon.people.verdicts import Verdict, identities_from_keypoints
 from studiorecon.progress import say
@@ -32,7 +33,7 @@ from studiorecon.scene.people import Detections, read_detections, usable, write_
 class Settings:
     """Limits of agreement, of association and of the pictures' say; ``fit``, ``smooth`` and ``hull`` for people without keypoints."""
 
-    triangulation: fit.Triangulation
+    triangulation: Triangulation
     association: AssociationLimits
     evidence: EvidenceLimits
     fit: fit.BodyFit
@@ -131,8 +132,8 @@ def _without_keypoints(
     options = fit.Settings(settings.triangulation, settings.fit, settings.smooth, settings.hull)
     known = []
     for name in names:
-        keypoint_names, keypoints = fit.observations(name, list(detections), identities, model, manifest.frames)
-        points = fit.lift(keypoint_names, keypoints, list(cameras), options)
+        keypoint_names, keypoints = observations(name, list(detections), identities, model, manifest.frames)
+        points = lift(keypoint_names, keypoints, list(cameras), settings.triangulation, settings.fit.unverified_sigma_m)
         try:
             known.append(fit.fit_person(name, points, model, manifest.fps, options)[0])
         except Refusal as refusal:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One person's body over time: triangulate the keypoints of all cameras, fit the body model, fill gaps, smooth.
+"""One person's body over time: fit the body model to the triangulated keypoints of all cameras, fill gaps, smooth.
 
-Somebody without keypoints is fitted to silhouettes instead. Paper §triangulation, §fitting and appendix (smoothing). Shape is shared
+Somebody without keypoints is fitted to silhouettes instead. Paper §fitting and appendix (smoothing). Shape is shared
 over the sequence (numerics U39); the world is in metres, so there is no scale to estimate: the ratio of measured to fitted limbs is
 reported as a check (U36).
 """
@@ -14,18 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.body import alternation, fitting
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import OTHER_SIDE, BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
-from studiorecon.geometry.triangulation import Limits, Solver, triangulate
+from studiorecon.people.points import Points, Triangulation, lift, observations
 from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
-from studiorecon.scene.people import Detections, Person, read_detections, read_identities, write_person
+from studiorecon.scene.people import Person, read_detections, read_identities, write_person
 
 _LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow")))
 
@@ -64,13 +63,6 @@ class BodyFit:
 
 
 @dataclass(frozen=True)
-class Triangulation(Limits):
-    """What counts as agreement of views, and the ``solver`` that makes points of keypoints, see ``geometry.triangulation.triangulate``."""
-
-    solver: Solver
-
-
-@dataclass(frozen=True)
 class Settings:
     """Keys of the section ``people`` that this step uses."""
 
@@ -78,55 +70,6 @@ class Settings:
     fit: BodyFit
     smooth: Smoothing
     hull: HullSettings
-
-
-@dataclass(frozen=True)
-class Points:
-    """Triangulated keypoints of one person.
-
-    Attributes:
-        names: K keypoints the body knows.
-        points_m: (T, K, 3), NaN where undetermined; ``sigma_m``: (T, K) deviation per coordinate, inf there.
-        cameras: (T,) cameras that saw the person.
-    """
-
-    names: list[str]
-    points_m: np.ndarray
-    sigma_m: np.ndarray
-    cameras: np.ndarray
-
-
-def observations(person: str, detections: list[Detections], identities: dict[tuple[str, int], str], body: BodyModel, frames: int):
-    """Names (K) and keypoints (V, T, K, 3) of one person in every camera: x, y, confidence; NaN and 0 where there is none."""
-    known = {d.camera: [LAYOUTS[d.layout].keypoints[k] for k in LAYOUTS[d.layout].known_to(body)] for d in detections}
-    names = sorted({n for camera_names in known.values() for n in camera_names})
-    out = np.full((len(detections), frames, len(names), 3), np.nan)
-    out[..., 2] = 0.0
-    for view, seen in enumerate(detections):
-        layout = LAYOUTS[seen.layout]
-        source, target = layout.known_to(body), [names.index(n) for n in known[seen.camera]]
-        for d in range(len(seen.frame)):
-            frame = int(seen.frame[d])
-            if identities.get((seen.camera, int(seen.track[d])), "") != person or not 0 <= frame < frames:
-                continue
-            # Two tracks of one person may overlap for a frame where one takes over: the more confident one counts.
-            if np.nansum(seen.keypoints[d, source, 2]) > out[view, frame, :, 2].sum():
-                out[view, frame] = [np.nan, np.nan, 0.0]
-                out[view, frame, target] = seen.keypoints[d, source]
-    return names, out
-
-
-def lift(names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: Settings) -> Points:
-    """World points of all frames at once from keypoints (V, T, K, 3)."""
-    views, frames, count = keypoints.shape[:3]
-    flat = keypoints.reshape(views, frames * count, 3)
-    result = triangulate(flat[..., :2], flat[..., 2], cameras, settings.triangulation, solver=settings.triangulation.solver)
-    with np.errstate(invalid="ignore"):
-        sigma = result.sigma_m / np.sqrt(3)
-    sigma = np.where(result.verified, sigma, np.hypot(sigma, settings.fit.unverified_sigma_m))
-    sigma = np.where(result.valid, sigma, np.inf).reshape(frames, count)
-    seen = (np.isfinite(keypoints[..., 0]) & (keypoints[..., 2] > 0)).any(-1).sum(0)
-    return Points(names, result.points_m.reshape(frames, count, 3), sigma, seen)
 
 
 def fit_person(
@@ -286,7 +229,7 @@ def run(
         raise Refusal(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
     body_model = BodyModel.load(body)
     names, keypoints = observations(person, seen, read_identities(identities), body_model, footage.frames)
-    points = lift(names, keypoints, [cameras[d.camera] for d in seen], settings)
+    points = lift(names, keypoints, [cameras[d.camera] for d in seen], settings.triangulation, settings.fit.unverified_sigma_m)
     fitted, result = fit_person(person, points, body_model, footage.fps, settings)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
