@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +29,7 @@ def default_settings() -> Callable[..., dict[str, Any]]:
     def section(stage: str, **replaced: Any) -> dict[str, Any]:
         unknown = set(replaced) - set(config[stage])
         assert not unknown, f"config section {stage} has no {unknown}"
-        return {**config[stage], **replaced}
+        return {**copy.deepcopy(config[stage]), **replaced}
 
     return section
 

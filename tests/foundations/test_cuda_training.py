@@ -66,7 +66,9 @@ REGULARISERS = {
 }
 
 
-@pytest.mark.parametrize(("changes", "reached_db"), [pytest.param(*v, id=k) for k, v in REGULARISERS.items()])
+@pytest.mark.parametrize(
+    ("changes", "reached_db"), [pytest.param(*v, id=k, marks=[pytest.mark.slow] if k == "plain" else []) for k, v in REGULARISERS.items()]
+)
 def test_both_loops_learn_the_same(changes: dict, reached_db: float) -> None:
     begin, _ = lesson()
     on_cpu, on_cuda = trained_on_both(**changes)

@@ -12,7 +12,7 @@ import pytest
 from studiorecon.body.avatar import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.footage import IGNORED, Crop, crops_of
-from studiorecon.humans.unchanged import mark_of, still_stands
+from studiorecon.humans.unchanged import keep, mark_of, still_stands
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 
@@ -91,15 +91,20 @@ def test_files_stand_only_together_and_become_new(body: BodyModel, tmp_path: Pat
         valid=np.ones(2, bool), fps=30.0, metric=True,
     )  # fmt: skip
     write_avatar(ply, npz, avatar, "m")
+    assert not still_stands("m", ply, npz), "nobody asked for it to be kept"
+    keep(ply, npz)
+    written = [path.read_bytes() for path in (ply, npz)]
     for path in (ply, npz):
         os.utime(path, (1, 1))
+        path.unlink()  # as the workflow does before it runs the step again
     assert not still_stands("other", ply, npz)
-    assert ply.stat().st_mtime == 1
+    assert not ply.exists()
     assert still_stands("m", ply, npz)
+    assert [path.read_bytes() for path in (ply, npz)] == written
     assert min(ply.stat().st_mtime, npz.stat().st_mtime) > 1, "the workflow compares times"
-    written = ply.read_bytes()
-    ply.write_bytes(written[:-1] + b"x")
+    last = tmp_path / ".last" / "p0.ply"
+    last.write_bytes(written[0][:-1] + b"x")
     assert not still_stands("m", ply, npz), "half of it was replaced"
-    ply.write_bytes(written)
-    npz.write_bytes(npz.read_bytes()[:100])
+    last.write_bytes(written[0])
+    (tmp_path / ".last" / "p0.npz").write_bytes(written[1][:100])
     assert not still_stands("m", ply, npz)

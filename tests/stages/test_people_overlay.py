@@ -91,9 +91,12 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
     assert all(20 < frame.sum() < 0.2 * frame.size for frame in changed)
     overlay.run(**{**options, "detections": []})
     np.testing.assert_array_equal(read_stack(options["film"]), film, err_msg="without keypoints there is nothing but the skeleton, as here")
-    short = replace(person, poses=person.poses[:2])
+    short = replace(person, **{name: getattr(person, name)[:2] for name in ("poses", "trans", "joints", "valid", "sigma")})
     write_person(tmp_path / "people/p0.npz", short)
     with pytest.raises(Refusal, match="has 2 frames and the capture 6"):
+        overlay.run(**options)
+    write_person(tmp_path / "people/p0.npz", replace(person, poses=person.poses[:2]))
+    with pytest.raises(Refusal, match="different numbers of frames \\(poses 2, trans 6"):
         overlay.run(**options)
     with pytest.raises(Refusal, match="camera cam9 is not in"):
         overlay.run(**{**options, "camera": "cam9"})

@@ -80,6 +80,7 @@ def test_a_killed_background_ends_with_the_same_bytes(default_settings: Callable
 
 def test_a_killed_person_ends_with_the_same_bytes(default_settings: Callable, made: Made, tmp_path: Path) -> None:
     section = copy.deepcopy(default_settings("humans", iterations=ITERATIONS, gaussians=2000, pose_from=5))
+    section["temporal"] |= {"use": "always", "start": 2, "width": 8}
     assert section["rates"]["pose_rad"] > 0, "poses are refined too"
     killed_and_taken_up("humans.train", section, made.options, {"gaussians": "p3.ply", "avatar": "p3.npz"}, tmp_path)
 

@@ -51,6 +51,7 @@ def test_one_changed_line_fits_one_person_again(fitted: House) -> None:
     assert fitted.plan(*RESULTS, *options) == {}
 
 
+@pytest.mark.slow
 def test_masks_made_again_train_nobody_again_whom_they_show_unchanged(fitted: House) -> None:
     """Masks show everybody, so a correction makes them all again; whose own crops are the same stays as trained, to the bit."""
     avatars = [f"results/tiny/humans/p0.{kind}" for kind in ("ply", "npz")]

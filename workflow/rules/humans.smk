@@ -19,9 +19,8 @@ rule humans_train:
         fit="results/{scene}/people/{person}.npz",
         body=BODY,
     output:
-        # Kept until the step has seen whether anything near this person changed: masks show everybody.
-        gaussians=update("results/{scene}/humans/{person}.ply"),
-        avatar=update("results/{scene}/humans/{person}.npz"),
+        gaussians="results/{scene}/humans/{person}.ply",
+        avatar="results/{scene}/humans/{person}.npz",
     log:
         "logs/{scene}/humans/train/{person}.log",
     benchmark:

@@ -29,7 +29,7 @@ from studiorecon.humans.footage import Crop, crops_of
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
 from studiorecon.humans.training import Limits, Losses, Rates, Support, train_gaussians
-from studiorecon.humans.unchanged import mark_of, still_stands
+from studiorecon.humans.unchanged import keep, mark_of, still_stands
 from studiorecon.images.video import read_frames
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
@@ -148,7 +148,10 @@ def run(
             f"no training camera shows {settings.smallest_px} pixels of {person} in any frame with a fitted body; check the masks, or "
             "remove the person in people/identities.tsv"
         )
-    trained_from = mark_of(settings, crops, [fit, body], code.digest("humans.train"), threads, person, device)
+    # How often a checkpoint is made changes no byte of the result.
+    trained_from = mark_of(
+        replace(settings, checkpoint_every_s=0.0), crops, [fit, body], code.digest("humans.train"), threads, person, device
+    )
     if still_stands(trained_from, gaussians, avatar):
         say(
             f"{person}: nothing has changed in the {len(crops)} crops around {person}, the fit and the settings; the result stands as it is"
@@ -189,6 +192,7 @@ def run(
         valid=fitted.valid, fps=fitted.fps, metric=fitted.metric, network=appearance.trained if appearance else None,
         decision=json.dumps(asdict(appearance.decision)) if appearance and appearance.decision else "",
     ), trained_from)  # fmt: skip
+    keep(gaussians, avatar)
     checkpoint.remove()
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import numpy as np
 
 from studiorecon.body.avatar import written_from
 from studiorecon.humans.footage import Crop
+from studiorecon.scene.files import complete
 from studiorecon.splatting.checkpoint import fingerprint
 
 
@@ -32,9 +35,31 @@ def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: 
 
 
 def still_stands(mark: str, gaussians: Path, avatar: Path) -> bool:
-    """Whether both files are there, belong together and were trained from what ``mark`` names; then their time becomes now."""
-    if written_from(gaussians, avatar) != mark:
+    """Whether what was last trained, in ``_kept``, was trained from what ``mark`` names; then it is put into place with the time of now."""
+    kept = [_kept(path) for path in (gaussians, avatar)]
+    if written_from(*kept) != mark:
         return False
-    for path in (gaussians, avatar):
+    for path, last in zip((gaussians, avatar), kept):
+        _linked(last, path)
         path.touch()
     return True
+
+
+def keep(gaussians: Path, avatar: Path) -> None:
+    """Remember what was trained, where a workflow that takes away the outputs of steps it runs again does not look."""
+    for path in (gaussians, avatar):
+        _linked(path, _kept(path))
+
+
+def _kept(path: Path) -> Path:
+    return path.parent / ".last" / path.name
+
+
+def _linked(source: Path, target: Path) -> None:
+    """``target`` is ``source`` under another name, or a copy of it where the file system has no such links."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with complete(target) as partial:
+        try:
+            os.link(source, partial)
+        except OSError:
+            shutil.copyfile(source, partial)

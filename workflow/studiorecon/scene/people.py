@@ -100,11 +100,15 @@ def write_person(path: Path, person: Person) -> None:
 def read_person(path: Path) -> Person:
     """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled between sound ones.
 
-    Raises Refusal when the file is missing, no frame is sound, or the shape is not finite.
+    Raises Refusal when the file is missing, its arrays have different lengths, no frame is sound, or the shape is not finite.
     """
     with _open(path) as data:
         arrays = {n: data[n] for n in ("poses", "trans", "betas", "joints", "valid", "sigma")}
         person = Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
+    lengths = {n: len(arrays[n]) for n in arrays if n != "betas"}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{n} {length}" for n, length in lengths.items())
+        raise Refusal(f"{path} holds arrays of different numbers of frames ({told}); run people.fit again")
     sound = np.isfinite(person.poses).all(-1) & np.isfinite(person.trans).all(-1)
     if sound.all() and np.isfinite(person.betas).all():
         return person

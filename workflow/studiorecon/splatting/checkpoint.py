@@ -75,7 +75,8 @@ class Checkpoint:
             return None
 
     def remove(self) -> None:
-        """Takes the file away, and its folder when nothing else is in it: the outputs are complete."""
-        self.path.unlink(missing_ok=True)
+        """Takes the file away, with what a process killed while saving left of it, and its folder when nothing else is in it."""
+        for path in (self.path, *self.path.parent.glob(f".partial-*-{self.path.name}")):
+            path.unlink(missing_ok=True)
         if self.path.parent.is_dir() and not any(self.path.parent.iterdir()):
             self.path.parent.rmdir()
