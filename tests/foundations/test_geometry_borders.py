@@ -11,7 +11,6 @@ from studiorecon.body import skinning, weight_grid
 from studiorecon.geometry import bundle, correspondence, lens, lifting, path, relative_pose, rotations, scale, smoothing, surface
 from studiorecon.geometry.depth_alignment import align_depth
 from studiorecon.geometry.distortion import distort, fold_radius, undistort
-from studiorecon.geometry.intrinsics import focal_from_points
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.scene.camera import Camera, Lens
 
@@ -98,7 +97,6 @@ SHAPES: dict[str, Case] = {
     "sampson": (lambda: relative_pose.sampson(np.eye(3), zeros(4, 3), zeros(4, 3)), r"first has shape \(4, 3\)"),
     "in_front": (lambda: relative_pose.in_front(np.eye(3), MIDDLE, zeros(4, 2), zeros(4, 3)), r"second has shape \(4, 3\)"),
     "resection": (lambda: relative_pose.resection(zeros(20, 2), zeros(20, 2), 0.01), r"points_m has shape \(20, 2\)"),
-    "turn_deg": (lambda: relative_pose.turn_deg(np.eye(3), zeros(3)), r"rotations has shape"),
     "distort": (lambda: distort(zeros(3), "opencv", zeros(5)), r"points has shape \(3,\)"),
     "undistort": (lambda: undistort(zeros(2, 3), "fisheye", zeros(4)), r"points has shape \(2, 3\)"),
     "fold_radius": (lambda: fold_radius("opencv", bad(5)), "coefficients of the opencv model must be at most 8 finite numbers"),
@@ -114,7 +112,6 @@ SHAPES: dict[str, Case] = {
         lambda: align_depth(zeros(5, 5), zeros(5, 4), np.ones((5, 5), bool), np.random.default_rng(0)),
         r"reference_m has shape \(5, 4\)",
     ),
-    "focal": (lambda: focal_from_points(zeros(5, 3), zeros(4, 2), zeros(5), (64, 36), 0.1), r"pixels has shape \(4, 2\)"),
     "triangulate": (lambda: triangulate(zeros(3, 5, 2), zeros(2, 5), CAMERAS, LIMITS), r"pixels has shape .* expected \(2, \.\.\., 2\)"),
     "triangulate-confidence": (lambda: triangulate(zeros(2, 5, 2), zeros(2, 4), CAMERAS, LIMITS), r"confidence has shape \(2, 4\)"),
     "project": (lambda: CAMERAS[0].project(zeros(4, 2)), r"points_m has shape \(4, 2\)"),

@@ -12,8 +12,8 @@ from studiorecon.body.model import BodyModel
 from studiorecon.cameras import uncalibrated
 from studiorecon.cameras.standing_world import world_from_people
 from studiorecon.errors import Refusal
-from studiorecon.geometry.relative_pose import relative_pose, resection, turn_deg
-from studiorecon.geometry.rotations import exp
+from studiorecon.geometry.relative_pose import relative_pose, resection
+from studiorecon.geometry.rotations import angle, exp
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import write_detections
 
@@ -112,11 +112,11 @@ def test_a_pair_is_placed_in_spite_of_a_third_of_false_points():
     first, second = ((pixels[v] - cameras[v].principal_px) / cameras[v].focal_px for v in (0, 1))
     rotation, translation, inliers = relative_pose(first, second, 0.006)
     expected = cameras[1].camera_from_world @ cameras[0].world_from_camera
-    assert turn_deg(rotation, expected[:3, :3]) < 1.5
+    assert np.degrees(angle(rotation, expected[:3, :3])) < 1.5
     assert translation @ expected[:3, 3] / np.linalg.norm(expected[:3, 3]) > np.cos(np.radians(2.0))
     assert inliers[false].mean() < 0.2
     pose, agreed = resection(points, second, 0.006)
-    assert turn_deg(pose[:3, :3], cameras[1].camera_from_world[:3, :3]) < 0.5
+    assert np.degrees(angle(pose[:3, :3], cameras[1].camera_from_world[:3, :3])) < 0.5
     assert not agreed[false].any()
 
 

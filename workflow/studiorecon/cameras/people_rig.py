@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.cameras.correspondences import Observations, observe
 from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses
 from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, stable_detections
-from studiorecon.geometry.relative_pose import essential_of, in_front, relative_pose, resection, sampson
+from studiorecon.geometry.relative_pose import essential_of, in_front, misses, relative_pose, resection, sampson
 from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
 from studiorecon.scene.camera import Camera
@@ -285,10 +285,7 @@ def _agreeing(
     """Points that agree with a pose, every track with one group at most, and those pairs."""
     votes = {}
     for key, (points, pixels) in pairs.items():
-        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-        ahead = in_camera[:, 2] > 1e-6
-        error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - pixels, axis=-1)
-        agreed = int((ahead & (error < unit)).sum())
+        agreed = int((misses(pose, points, pixels) < unit).sum())
         if agreed >= _AGREE * len(points):
             votes[key] = agreed
     chosen: list[tuple[int, int]] = []

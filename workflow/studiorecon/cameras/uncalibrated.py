@@ -19,7 +19,7 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
 from studiorecon.geometry.lens import mapped_lens
-from studiorecon.geometry.relative_pose import turn_deg
+from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
@@ -174,7 +174,7 @@ def _no_rival(found: Sequence[Rig], names: Sequence[str], settings: PeopleRigSet
 def _relative_turn(first: Rig, second: Rig, view: int) -> float:
     a = first.cameras[view].camera_from_world[:3, :3] @ first.cameras[0].camera_from_world[:3, :3].T
     b = second.cameras[view].camera_from_world[:3, :3] @ second.cameras[0].camera_from_world[:3, :3].T
-    return turn_deg(a, b)
+    return float(np.degrees(angle(a, b)))
 
 
 def _self_calibrated(rig: Rig, seen: Any, template_m: np.ndarray, focal_sigma: float, settings: Settings) -> tuple[Rig, Adjusted]:

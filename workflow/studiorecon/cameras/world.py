@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.geometry.rotations import cross_matrix
 
 # Cameras of one room are further apart than 20 m only when the numbers are millimetres (or centimetres, which no format uses).
 _MILLIMETRE_SPREAD = 100.0
@@ -79,7 +80,7 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     if up[2] < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     axis = np.cross(up, [0.0, 0.0, 1.0])
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    cross = cross_matrix(axis)
     return np.eye(3) + cross + cross @ cross / (1 + up[2])
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.rotations import exp, log
+from studiorecon.geometry.rotations import cross_matrix, exp
 
 _LEAST_PAIRS = 12
 _CONFIDENCE = 0.9999
@@ -47,8 +47,7 @@ def relative_pose(first: np.ndarray, second: np.ndarray, unit: float) -> tuple[n
 
 def essential_of(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """(3, 3) E = [t]x R, with second^T E first = 0."""
-    x, y, z = translation
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
+    return cross_matrix(translation) @ rotation
 
 
 def sampson(essential: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -120,15 +119,15 @@ def resection(points_m: np.ndarray, normalised: np.ndarray, unit: float) -> tupl
         turn, shift = cv2.solvePnPRefineLM(points[inliers], pixels[inliers], np.eye(3), None, turn, shift)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = exp(turn[:, 0]), shift[:, 0]
-        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
-        ahead = in_camera[:, 2] > 1e-6
-        error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - pixels, axis=-1)
-        inliers = ahead & (error < unit)
+        inliers = misses(pose, points, pixels) < unit
         if inliers.sum() < _LEAST_PAIRS:
             return None
     return pose, inliers
 
 
-def turn_deg(first: np.ndarray, second: np.ndarray) -> float:
-    """Angle in degrees between two rotations (3, 3)."""
-    return float(np.degrees(np.linalg.norm(log(first @ second.T))))
+def misses(camera_from_world: np.ndarray, points_m: np.ndarray, normalised: np.ndarray) -> np.ndarray:
+    """(N,) distance between world points (N, 3) as a camera (4, 4) shows them and ``normalised`` (N, 2); inf behind the camera."""
+    in_camera = points_m @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
+    ahead = in_camera[:, 2] > 1e-6
+    error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - normalised, axis=-1)
+    return np.where(ahead, error, np.inf)
