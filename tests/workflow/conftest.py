@@ -46,7 +46,9 @@ class House:
 
     def environment(self, path: Path | None = None) -> dict[str, str]:
         binaries = [*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]]
-        return {**os.environ, "PYTHONPATH": str(self.folder / "workflow"), "PATH": os.pathsep.join(binaries)}
+        # Some machines forbid byte code beside the sources; snakemake would compile itself at every call.
+        byte_code = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(self.folder.parent / "bytecode")}
+        return {**os.environ, **byte_code, "PYTHONPATH": str(self.folder / "workflow"), "PATH": os.pathsep.join(binaries)}
 
     def plan(self, *arguments: str) -> dict[str, int]:
         """Jobs per rule of a dry run; empty when there is nothing to do."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws a composite picture after picture: the room is put into blocks once, only the people are written anew.
 
-Everything but colour (classes of truth, mattes, normals) is blended with the lists of the same pass, so it costs no second projection.
+Everything but colour (classes of truth, mattes, normals) is blended beside it or with the lists of the same pass.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ class Canvas:
     def draw(self, camera: Camera, frame: float, background_rgb: Sequence[float]) -> tuple[Rendering, np.ndarray]:
         """The rendering at a (fractional) frame, and each class's share of every pixel (H, W, 3)."""
         classes = self._enter(frame)
-        rendering = self._rasteriser.forward(self._blocked, camera, background_rgb)
-        return rendering, self._rasteriser.features(classes)
+        rendering = self._rasteriser.forward(self._blocked, camera, background_rgb, values=classes)
+        return rendering, rendering.values
 
     def layers(self, camera: Camera, frame: float) -> Layers:
         """The picture at a (fractional) frame, taken apart for compositing."""
         classes = self._enter(frame)
-        rendering = self._rasteriser.forward(self._blocked, camera, sides=("normals",))
-        drawn = self._rasteriser.features(np.hstack([classes, self._membership()]))
+        rendering = self._rasteriser.forward(self._blocked, camera, sides=("normals",), values=np.hstack([classes, self._membership()]))
+        drawn = rendering.values
         return Layers(rendering, drawn[..., : classes.shape[1]], drawn[..., classes.shape[1] :])
 
     def _enter(self, frame: float) -> np.ndarray:

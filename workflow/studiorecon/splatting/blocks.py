@@ -88,11 +88,11 @@ def morton_order(means_m: np.ndarray) -> np.ndarray:
     return np.argsort(code, kind="stable")
 
 
-@njit(parallel=True, **KERNEL)
+@njit(**KERNEL)
 def fill_blocks(means_m, quaternions, log_scales, logit_opacities, sh, order, parameters):
     """Gaussians → blocks with activated scales and opacities; padding lanes become harmless (opacity 0, unit scale, no rotation)."""
     count, bands = len(order), sh.shape[1]
-    for block_index in prange(len(parameters) // BLOCK_FLOATS):
+    for block_index in range(len(parameters) // BLOCK_FLOATS):
         base = block_index * BLOCK_FLOATS
         for lane in range(LANES):
             at, i = base + lane, block_index * LANES + lane

@@ -35,8 +35,9 @@ SH_BANDS = 16
 ROWS = SH + 3 * SH_BANDS
 BLOCK_FLOATS = ROWS * LANES
 
-# Fields of one splat record of 16 floats (one cache line): centre, ellipse (see projection), log2 opacity, colour, depth, half extents.
-X, Y, ELLIPSE_A, ELLIPSE_K, ELLIPSE_C, OPACITY_LOG2, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT = range(12)
+# Fields of one splat record of 16 floats (one cache line): centre, ellipse (see projection), log2 opacity, colour, depth, half extents,
+# and from MORE on three values of the caller's own.
+X, Y, ELLIPSE_A, ELLIPSE_K, ELLIPSE_C, OPACITY_LOG2, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, MORE = range(13)
 RECORD = 16
 
 # The camera vector that kernels take: rotation (row-major, 0–8), translation (9–11), focal lengths, principal point, size, near, centre,
@@ -51,4 +52,5 @@ PAIRS_MAX = 1 << 28
 
 # No reassociation: sums replay bit for bit. No nnan/ninf: NaN inputs must be caught by comparisons, not be undefined.
 KERNEL: dict[str, Any] = {"cache": True, "fastmath": {"nsz", "contract"}, "error_model": "numpy", "boundscheck": False}
+# parallel=True is for loops that run at every step: it doubles a kernel's time to compile.
 INLINE: dict[str, Any] = {**KERNEL, "forceinline": True}

@@ -26,6 +26,7 @@ from studiorecon.splatting.conventions import (
     INLINE,
     KERNEL,
     LANES,
+    MORE,
     OPACITY_LOG2,
     RECORD,
     RED,
@@ -51,8 +52,8 @@ from studiorecon.splatting.simd import (
 )
 from studiorecon.splatting.simd_rows import item, load, prefetch, store, take_ticket
 
-STATE = 5 * LANES
-"""Floats of one pixel block while it is blended: red, green, blue, depth sum, transmittance."""
+STATE = 8 * LANES
+"""Floats of one pixel block while it is blended: red, green, blue, depth sum, transmittance, and three channels more when asked for."""
 
 LANE_OFFSETS = np.array([i % BLOCK_PX for i in range(LANES)] + [i // BLOCK_PX for i in range(LANES)], np.float32)
 """Column (16) and row (16) of every lane within its block."""
@@ -71,7 +72,8 @@ def lanes_outside(tile_x, tile_y, block, width, height):
 
 
 @njit(**KERNEL)
-def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, ends, background, offsets, state, finished, planes):
+def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, ends, background, offsets, state, finished, planes, more):
+    # ``more`` is None or planes (3, H, W): what depends on it is left out when the kernel is compiled for None.
     lane_x, lane_y = load(offsets, 0), load(offsets, LANES)
     tile_x, tile_y = (tile % columns) * TILE_PX, (tile // columns) * TILE_PX
     full_blocks = 0
@@ -79,6 +81,9 @@ def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, en
         for channel in range(4):
             store(state, block * STATE + channel * LANES, zeros())
         store(state, block * STATE + 4 * LANES, broadcast(float32(1)))
+        if more is not None:
+            for channel in range(5, 8):
+                store(state, block * STATE + channel * LANES, zeros())
         finished[block] = 0
         if tile_x + TILE_PX > width or tile_y + TILE_PX > height:
             finished[block] = lanes_outside(tile_x, tile_y, block, width, height)
@@ -102,6 +107,9 @@ def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, en
             c, opacity = broadcast(item(splats, at + ELLIPSE_C)), broadcast(item(splats, at + OPACITY_LOG2))
             red, green = broadcast(item(splats, at + RED)), broadcast(item(splats, at + GREEN))
             blue, depth = broadcast(item(splats, at + BLUE)), broadcast(item(splats, at + DEPTH))
+            if more is not None:
+                first, second = broadcast(item(splats, at + MORE)), broadcast(item(splats, at + MORE + 1))
+                third = broadcast(item(splats, at + MORE + 2))
             for block_y in range(y0 // BLOCK_PX, y1 // BLOCK_PX + 1):
                 dy = lane_y + broadcast(float32(block_y * BLOCK_PX) - y)
                 for block_x in range(x0 // BLOCK_PX, x1 // BLOCK_PX + 1):
@@ -131,6 +139,10 @@ def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, en
                     store(state, here + LANES, madd(weight, green, load(state, here + LANES)))
                     store(state, here + 2 * LANES, madd(weight, blue, load(state, here + 2 * LANES)))
                     store(state, here + 3 * LANES, madd(weight, depth, load(state, here + 3 * LANES)))
+                    if more is not None:
+                        store(state, here + 5 * LANES, madd(weight, first, load(state, here + 5 * LANES)))
+                        store(state, here + 6 * LANES, madd(weight, second, load(state, here + 6 * LANES)))
+                        store(state, here + 7 * LANES, madd(weight, third, load(state, here + 7 * LANES)))
         touched[i] = touched_here
         i += 1
     ends[tile] = i
@@ -146,6 +158,9 @@ def _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, en
                 planes[2, py, px] = state[at + 2 * LANES] + rest * background[2]
                 planes[3, py, px] = state[at + 3 * LANES]
                 planes[4, py, px] = rest
+                if more is not None:
+                    for channel in range(3):
+                        more[channel, py, px] = state[at + (5 + channel) * LANES]
 
 
 @njit(parallel=True, **KERNEL)
@@ -165,4 +180,23 @@ def blend(threads, columns, rows, splats, starts, pairs, touched, ends, backgrou
             tile = take_ticket(ticket)
             if tile >= columns * rows:
                 break
-            _blend_tile(tile, columns, width, height, splats, starts, pairs, touched, ends, background, offsets, state, finished, planes)
+            _blend_tile(
+                tile, columns, width, height, splats, starts, pairs, touched, ends, background, offsets, state, finished, planes, None
+            )
+
+
+@njit(parallel=True, **KERNEL)
+def blend_more(threads, columns, rows, splats, starts, pairs, touched, ends, background, offsets, planes, more, ticket):
+    """``blend`` that also fills ``more`` (3, H, W) with three further values of the splats' records, over 0."""
+    height, width = planes.shape[1], planes.shape[2]
+    ticket[0] = 0
+    for _ in prange(threads):
+        state = np.empty(BLOCKS * STATE, np.float32)
+        finished = np.empty(BLOCKS, np.int64)
+        while True:
+            tile = take_ticket(ticket)
+            if tile >= columns * rows:
+                break
+            _blend_tile(
+                tile, columns, width, height, splats, starts, pairs, touched, ends, background, offsets, state, finished, planes, more
+            )

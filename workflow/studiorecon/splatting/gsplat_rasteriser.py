@@ -28,10 +28,10 @@ from studiorecon.splatting.rendering import (
     Rendering,
     check_sides,
     checked_crop,
+    checked_values,
     facing_normals,
-    largest_share,
+    taken_apart,
     together,
-    unit_or_zero,
 )
 
 if TYPE_CHECKING:
@@ -147,6 +147,7 @@ class GsplatRasteriser:
         *,
         crop: tuple[int, int, int, int] | None = None,
         sides: Collection[str] = (),
+        values: np.ndarray | None = None,
     ) -> Rendering:
         """As ``Rasteriser.forward``. A crop is cut from the whole frame, which gsplat linearises by its own size."""
         import torch
@@ -169,23 +170,20 @@ class GsplatRasteriser:
                               function=self._function)  # fmt: skip
             self.refused, self.visible_count = int(self._view.refused), int(self._view.visible.sum())
             rendering = Rendering(*(self._cut(image) for image in (self._view.rgb, self._view.alpha, expected_depth(self._view))))
-        set_id = normals = None
+        wanted = [] if values is None else [checked_values(values, drawn.count)]
         if "set_id" in sides:
-            member = np.searchsorted(starts[1:], np.arange(drawn.count), side="right")[:, None] == np.arange(len(starts) - 1)
-            set_id = largest_share(self.features(member), 1 - rendering.alpha)
+            wanted.append(np.searchsorted(starts[1:], np.arange(drawn.count), side="right")[:, None] == np.arange(len(starts) - 1))
         if "normals" in sides:
-            facing = facing_normals(arrays[0], arrays[1], arrays[2], camera.centre_m)
-            normals = unit_or_zero(self.features(facing))
-        return Rendering(rendering.rgb, rendering.alpha, rendering.depth_m, set_id, normals)
+            wanted.append(facing_normals(arrays[0], arrays[1], arrays[2], camera.centre_m))
+        blended = self._blended(np.hstack(wanted)) if wanted else np.zeros((*rendering.alpha.shape, 0), np.float32)
+        parts = taken_apart(blended, 0 if values is None else values.shape[1], len(starts) - 1, sides, rendering.alpha)
+        return Rendering(rendering.rgb, rendering.alpha, rendering.depth_m, *parts)
 
-    def features(self, values: np.ndarray) -> np.ndarray:
-        """As ``Rasteriser.features``; raises as it does."""
+    def _blended(self, values: np.ndarray) -> np.ndarray:
+        """Values (N, C) of the Gaussians just drawn, blended like colours over 0: (H, W, C) float32."""
         import torch
 
-        count = len(self._leaves["means_m"])
-        if values.ndim != 2 or len(values) != count:
-            raise ValueError(f"features of shape {values.shape} do not fit the Gaussians that were drawn last")
-        if count == 0:
+        if len(values) == 0:
             return np.zeros(
                 (self._crop[0].stop - self._crop[0].start, self._crop[1].stop - self._crop[1].start, values.shape[1]), np.float32
             )

@@ -19,6 +19,9 @@ D0, D2, D4 = np.float32(1.0925484305920792), np.float32(0.31539156525252005), np
 T0, T1, T2 = np.float32(-0.5900435899266435), np.float32(2.890611442640554), np.float32(-0.4570457994644658)
 T3, T5 = np.float32(0.3731763325901154), np.float32(1.445305721320277)
 
+BAND = 3 * LANES
+"""Floats from one band's coefficients to the next one's. Kernels add it up where they call: numba compiles a function anew for every
+literal number it is given."""
 DEGREE_MAX = 3
 DISTINCT_DEG = 5.0
 """Directions closer than this show the same colour of every band up to degree 3, so they count once."""
@@ -62,8 +65,7 @@ def degree_three(x, y, z):
 
 
 @njit(**INLINE)
-def _accumulate(parameters, base, band, weight, red, green, blue):
-    row = base + (SH + 3 * band) * LANES
+def _accumulate(parameters, row, weight, red, green, blue):
     return (
         madd(weight, load(parameters, row), red),
         madd(weight, load(parameters, row + LANES), green),
@@ -74,36 +76,35 @@ def _accumulate(parameters, base, band, weight, red, green, blue):
 @njit(**INLINE)
 def colour(parameters, base, degree, x, y, z):
     """Red, green and blue (not yet clamped at 0) of the block at ``base`` seen along the unit directions (x, y, z)."""
-    half = broadcast(np.float32(0.5))
-    r, g, b = _accumulate(parameters, base, 0, broadcast(C0), half, half, half)
+    first, half = base + SH * LANES, broadcast(np.float32(0.5))
+    r, g, b = _accumulate(parameters, first, broadcast(C0), half, half, half)
     if degree > 0:
         w1, w2, w3 = degree_one(x, y, z)
-        r, g, b = _accumulate(parameters, base, 1, w1, r, g, b)
-        r, g, b = _accumulate(parameters, base, 2, w2, r, g, b)
-        r, g, b = _accumulate(parameters, base, 3, w3, r, g, b)
+        r, g, b = _accumulate(parameters, first + 1 * BAND, w1, r, g, b)
+        r, g, b = _accumulate(parameters, first + 2 * BAND, w2, r, g, b)
+        r, g, b = _accumulate(parameters, first + 3 * BAND, w3, r, g, b)
     if degree > 1:
         w4, w5, w6, w7, w8 = degree_two(x, y, z)
-        r, g, b = _accumulate(parameters, base, 4, w4, r, g, b)
-        r, g, b = _accumulate(parameters, base, 5, w5, r, g, b)
-        r, g, b = _accumulate(parameters, base, 6, w6, r, g, b)
-        r, g, b = _accumulate(parameters, base, 7, w7, r, g, b)
-        r, g, b = _accumulate(parameters, base, 8, w8, r, g, b)
+        r, g, b = _accumulate(parameters, first + 4 * BAND, w4, r, g, b)
+        r, g, b = _accumulate(parameters, first + 5 * BAND, w5, r, g, b)
+        r, g, b = _accumulate(parameters, first + 6 * BAND, w6, r, g, b)
+        r, g, b = _accumulate(parameters, first + 7 * BAND, w7, r, g, b)
+        r, g, b = _accumulate(parameters, first + 8 * BAND, w8, r, g, b)
     if degree > 2:
         w9, w10, w11, w12, w13, w14, w15 = degree_three(x, y, z)
-        r, g, b = _accumulate(parameters, base, 9, w9, r, g, b)
-        r, g, b = _accumulate(parameters, base, 10, w10, r, g, b)
-        r, g, b = _accumulate(parameters, base, 11, w11, r, g, b)
-        r, g, b = _accumulate(parameters, base, 12, w12, r, g, b)
-        r, g, b = _accumulate(parameters, base, 13, w13, r, g, b)
-        r, g, b = _accumulate(parameters, base, 14, w14, r, g, b)
-        r, g, b = _accumulate(parameters, base, 15, w15, r, g, b)
+        r, g, b = _accumulate(parameters, first + 9 * BAND, w9, r, g, b)
+        r, g, b = _accumulate(parameters, first + 10 * BAND, w10, r, g, b)
+        r, g, b = _accumulate(parameters, first + 11 * BAND, w11, r, g, b)
+        r, g, b = _accumulate(parameters, first + 12 * BAND, w12, r, g, b)
+        r, g, b = _accumulate(parameters, first + 13 * BAND, w13, r, g, b)
+        r, g, b = _accumulate(parameters, first + 14 * BAND, w14, r, g, b)
+        r, g, b = _accumulate(parameters, first + 15 * BAND, w15, r, g, b)
     return r, g, b
 
 
 @njit(**INLINE)
-def _spread(parameters, gradient, base, band, mask, weight, red, green, blue):
-    """Stores the gradient of one band and returns dL/d(basis function)."""
-    row = base + (SH + 3 * band) * LANES
+def _spread(parameters, gradient, row, mask, weight, red, green, blue):
+    """Stores the gradient of the band at ``row`` and returns dL/d(basis function)."""
     store(gradient, row, where(mask, weight * red))
     store(gradient, row + LANES, where(mask, weight * green))
     store(gradient, row + 2 * LANES, where(mask, weight * blue))
@@ -116,33 +117,34 @@ def colour_gradient(parameters, gradient, base, degree, mask, x, y, z, red, gree
 
     The colour gradients must be 0 outside ``mask``.
     """
-    _spread(parameters, gradient, base, 0, mask, broadcast(C0), red, green, blue)
+    first = base + SH * LANES
+    _spread(parameters, gradient, first, mask, broadcast(C0), red, green, blue)
     dx = broadcast(np.float32(0))
     dy, dz = dx, dx
     if degree > 0:
         w1, w2, w3 = degree_one(x, y, z)
-        dy = dy - C1 * _spread(parameters, gradient, base, 1, mask, w1, red, green, blue)
-        dz = dz + C1 * _spread(parameters, gradient, base, 2, mask, w2, red, green, blue)
-        dx = dx - C1 * _spread(parameters, gradient, base, 3, mask, w3, red, green, blue)
+        dy = dy - C1 * _spread(parameters, gradient, first + 1 * BAND, mask, w1, red, green, blue)
+        dz = dz + C1 * _spread(parameters, gradient, first + 2 * BAND, mask, w2, red, green, blue)
+        dx = dx - C1 * _spread(parameters, gradient, first + 3 * BAND, mask, w3, red, green, blue)
     if degree > 1:
         w4, w5, w6, w7, w8 = degree_two(x, y, z)
-        f4 = D0 * _spread(parameters, gradient, base, 4, mask, w4, red, green, blue)
-        f5 = D0 * _spread(parameters, gradient, base, 5, mask, w5, red, green, blue)
-        f6 = (2 * D2) * _spread(parameters, gradient, base, 6, mask, w6, red, green, blue)
-        f7 = D0 * _spread(parameters, gradient, base, 7, mask, w7, red, green, blue)
-        f8 = (2 * D4) * _spread(parameters, gradient, base, 8, mask, w8, red, green, blue)
+        f4 = D0 * _spread(parameters, gradient, first + 4 * BAND, mask, w4, red, green, blue)
+        f5 = D0 * _spread(parameters, gradient, first + 5 * BAND, mask, w5, red, green, blue)
+        f6 = (2 * D2) * _spread(parameters, gradient, first + 6 * BAND, mask, w6, red, green, blue)
+        f7 = D0 * _spread(parameters, gradient, first + 7 * BAND, mask, w7, red, green, blue)
+        f8 = (2 * D4) * _spread(parameters, gradient, first + 8 * BAND, mask, w8, red, green, blue)
         dx = dx + y * f4 - x * f6 - z * f7 + x * f8
         dy = dy + x * f4 - z * f5 - y * f6 - y * f8
         dz = dz - y * f5 + 2 * z * f6 - x * f7
     if degree > 2:
         w9, w10, w11, w12, w13, w14, w15 = degree_three(x, y, z)
-        f9 = T0 * _spread(parameters, gradient, base, 9, mask, w9, red, green, blue)
-        f10 = T1 * _spread(parameters, gradient, base, 10, mask, w10, red, green, blue)
-        f11 = T2 * _spread(parameters, gradient, base, 11, mask, w11, red, green, blue)
-        f12 = T3 * _spread(parameters, gradient, base, 12, mask, w12, red, green, blue)
-        f13 = T2 * _spread(parameters, gradient, base, 13, mask, w13, red, green, blue)
-        f14 = T5 * _spread(parameters, gradient, base, 14, mask, w14, red, green, blue)
-        f15 = T0 * _spread(parameters, gradient, base, 15, mask, w15, red, green, blue)
+        f9 = T0 * _spread(parameters, gradient, first + 9 * BAND, mask, w9, red, green, blue)
+        f10 = T1 * _spread(parameters, gradient, first + 10 * BAND, mask, w10, red, green, blue)
+        f11 = T2 * _spread(parameters, gradient, first + 11 * BAND, mask, w11, red, green, blue)
+        f12 = T3 * _spread(parameters, gradient, first + 12 * BAND, mask, w12, red, green, blue)
+        f13 = T2 * _spread(parameters, gradient, first + 13 * BAND, mask, w13, red, green, blue)
+        f14 = T5 * _spread(parameters, gradient, first + 14 * BAND, mask, w14, red, green, blue)
+        f15 = T0 * _spread(parameters, gradient, first + 15 * BAND, mask, w15, red, green, blue)
         xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
         dx = dx + 6 * xy * f9 + yz * f10 - 2 * xy * f11 - 6 * xz * f12
         dx = dx + (4 * zz - 3 * xx - yy) * f13 + 2 * xz * f14 + 3 * (xx - yy) * f15

@@ -29,6 +29,7 @@ class Rendering:
         set_id: (H, W) int16, which of several sets has the largest share of the pixel; −1 where the background has. None unless asked.
         normals: (H, W, 3) float32 unit normals in the world, 0 where nothing is drawn: the Gaussians' shortest axes, turned towards the
             camera and blended like colours. None unless asked.
+        values: (H, W, C) float32, the caller's values of the Gaussians blended like colours. None unless given.
     """
 
     rgb: np.ndarray
@@ -36,6 +37,7 @@ class Rendering:
     depth_m: np.ndarray
     set_id: np.ndarray | None = None
     normals: np.ndarray | None = None
+    values: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,25 @@ def facing_normals(means_m: np.ndarray, quaternions: np.ndarray, scales: np.ndar
         axes = columns[np.argmin(scales, axis=1), np.arange(len(scales))]
         away = np.einsum("ni,ni->n", axes, means_m - centre_m) > 0
     return np.where(away[:, None], -axes, axes).astype(np.float32)
+
+
+def checked_values(values: np.ndarray, count: int) -> np.ndarray:
+    """The values as given. Raises ValueError unless they are (count, C)."""
+    if values.ndim != 2 or len(values) != count:
+        raise ValueError(f"values of shape {values.shape} do not fit {count} Gaussians")
+    return values
+
+
+def taken_apart(
+    blended: np.ndarray, channels: int, sets: int, sides: Collection[str], alpha: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """(H, W, C) of the caller's ``channels``, then membership of ``sets``, then normals → set_id, normals, values of a ``Rendering``."""
+    member = channels + (sets if "set_id" in sides else 0)
+    return (
+        largest_share(blended[..., channels:member], 1 - alpha) if "set_id" in sides else None,
+        unit_or_zero(blended[..., member:]) if "normals" in sides else None,
+        blended[..., :channels] if channels else None,
+    )
 
 
 def largest_share(shares: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -97,25 +97,25 @@ def gaussians_of(state: TrainingState) -> Gaussians:
     return Gaussians(*arrays)
 
 
-@njit(parallel=True, **KERNEL)
+@njit(**KERNEL)
 def fill_raw(log_scales, logit_opacities, order, raw):
     """Log scales and logits → their blocks.
 
     Padding gets logit −60: Adam writes the opacity of every lane of a visible block, and that of a logit of 0 would be a ghost of ½.
     """
-    for i in prange(len(order), len(raw) // RAW_ROWS):
+    for i in range(len(order), len(raw) // RAW_ROWS):
         raw[((i // LANES) * RAW_ROWS + 3) * LANES + i % LANES] = float32(-60)
-    for i in prange(len(order)):
+    for i in range(len(order)):
         at, j = (i // LANES) * RAW_ROWS * LANES + i % LANES, order[i]
         for axis in range(3):
             raw[at + axis * LANES] = log_scales[j, axis]
         raw[at + 3 * LANES] = logit_opacities[j]
 
 
-@njit(parallel=True, **KERNEL)
+@njit(**KERNEL)
 def take_parameters(parameters, raw, means_m, quaternions, log_scales, logit_opacities, sh):
     """Blocks → arrays of the Gaussians in block order."""
-    for i in prange(len(means_m)):
+    for i in range(len(means_m)):
         at, raw_at = (i // LANES) * BLOCK_FLOATS + i % LANES, (i // LANES) * RAW_ROWS * LANES + i % LANES
         for axis in range(3):
             means_m[i, axis] = parameters[at + (MEAN + axis) * LANES]
