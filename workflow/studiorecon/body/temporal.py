@@ -91,13 +91,16 @@ class TemporalNetwork:
         found = np.empty_like(self.flat)
         back = np.concatenate([by_colour, by_logit[:, None]], axis=1).astype(self.flat.dtype)
         back[~np.isfinite(back)] = 0
+        # The half of a body that a camera does not see teaches nothing.
+        taught = np.flatnonzero(back.any(axis=1))
+        back = back[taught]
         layers = list(zip(self.matrices(), self.matrices(found), self._kept))
-        for (matrix, _), (by_matrix, by_bias), fed in reversed(layers):
+        for index, ((matrix, _), (by_matrix, by_bias), kept) in reversed(list(enumerate(layers))):
+            fed = kept[taught]
             by_matrix[...], by_bias[...] = fed.T @ back, back.sum(axis=0)
-            if fed is not self._kept[0]:
+            if index > 0:
                 # What the layer was fed ends with the one before it, whose rectifier passes nothing where it gave 0.
-                back = (back @ matrix.T)[:, -self.width :]
-                back *= fed[:, -self.width :] > 0
+                back = (back @ matrix[-self.width :].T) * (fed[:, -self.width :] > 0)
         return found
 
     def to_arrays(self) -> dict[str, np.ndarray]:
