@@ -284,6 +284,13 @@ def shot_path(wildcards):
     return [file] if file else []
 
 
+def stand_ins(wildcards):
+    """Files of the people who stand in for others in a shot; people of this scene are inputs anyway."""
+    wanted = config["render"]["shots"].get(wildcards.shot, {}).get("replace", {})
+    files = [Path(source) for source in wanted.values() if not re.fullmatch(r"p\d+", source)]
+    return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
+
+
 def scene_products():
     """Every stage's product that needs no knowledge of who is in the scene."""
     scene = f"results/{SCENE}"

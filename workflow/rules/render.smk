@@ -13,6 +13,8 @@ rule render_shot:
         body=BODY,
         # Camera paths that shots follow: an edited path makes its film again.
         followed=shot_path,
+        # Who stands in for whom: a new file of theirs makes the film again.
+        stand_ins=stand_ins,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
@@ -50,6 +52,7 @@ rule render_layers:
         gaussians=human_gaussians,
         avatars=human_avatars,
         body=BODY,
+        stand_ins=stand_ins,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),
     log:

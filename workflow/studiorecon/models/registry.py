@@ -261,7 +261,7 @@ _TABLE = (
             "CC BY-NC 4.0; needs SMPL-X",
             "no",
             "weights are for non-commercial use; SMPL-X needs registration",
-            alternative="a trained person of another capture (render.shots: subjects)",
+            alternative="a trained person of another capture (replace of a shot)",
         ),
         (
             WeightFile("lhm/LHM-1B/model.safetensors", _HUB, "3DAIGC/LHM-1B-HF", remote="model.safetensors"),

@@ -26,6 +26,7 @@ _CLASSES = ("measured", "inferred", "invented")
 
 @dataclass(frozen=True)
 class Settings:
+    shots: dict
     near_m: float
 
 
@@ -55,7 +56,7 @@ def run(
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
-    scene = read_composite(background, provenance, gaussians, avatars, body)
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots)
     people = [person.person for person in scene.people]
     canvas = Canvas(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):

@@ -53,7 +53,9 @@ def plan(
         return every_frame(held_out, subjects.frames)
     if kind not in _KINDS:
         raise Refusal(f"shot {shot} is of kind {kind!r}; known kinds are heldout, {', '.join(_KINDS)}")
-    settings: Any = settings_module.load(_KINDS[kind], described, f"render.shots.{shot}")
+    # Who is in the picture is none of the path's business (``render/replacement.py``).
+    moves = {name: value for name, value in described.items() if name != "replace"}
+    settings: Any = settings_module.load(_KINDS[kind], moves, f"render.shots.{shot}")
     wh = picture_size(training, width)
     if isinstance(settings, Spline):
         return spline_steps(read_keys(settings.keys, shot), shot, training, subjects, wh)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
 from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, warnings, write_ledger
 from studiorecon.render.planning import plan
+from studiorecon.render.replacement import replaced
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
@@ -54,15 +55,18 @@ def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, floa
     return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
 
 
-def read_composite(background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None) -> Composite:
-    """Background and people from their files; raises Refusal when the provenance is another background's."""
+def read_composite(
+    background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping
+) -> Composite:
+    """Background and people from their files, with whom the shot replaces; raises Refusal when the provenance is another background's."""
     static = read_ply(background)
     with np.load(provenance, allow_pickle=False) as data:
         classes = np.asarray(data["provenance"], np.uint8)
     if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
         raise Refusal(f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again")
     body_model = BodyModel.load(body) if avatars else None
-    return Composite(static, classes, [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)])
+    people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
+    return Composite(static, classes, replaced(people, shots.get(shot, {}).get("replace", {}), shot))
 
 
 def run(
@@ -87,7 +91,7 @@ def run(
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    scene = read_composite(background, provenance, gaussians, avatars, body)
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots)
     subjects = subjects_of(scene.people, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")
