@@ -27,25 +27,14 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 from tests.foundations.camera_ring import detect, look_at, ring, walk
+from tests.hard.test_body_fitting import SETTINGS
 from tests.properties.moved_worlds import World, level_worlds, numbers, rigid_worlds
 from tests.stages import made_room
 
 # A fit or a grouping takes a tenth of a second or more: three examples, and none is looked for that is smaller.
 RARE = settings(max_examples=3, deadline=None, derandomize=True, phases=[Phase.generate])
 NAMES = list(LAYOUTS["body_25b"].keypoints)
-PATIENT = fitting.FitSettings(
-    iterations=40,
-    tolerance=1e-8,
-    point_sigma_m=0.005,
-    correction_sigma_m=0.01,
-    huber_units=3,
-    pose_weight=1,
-    limit_weight=1,
-    beta_weight=1,
-    vertex_weight=1,
-    shape="shared",
-    free_scale=False,
-)
+PATIENT = replace(SETTINGS, iterations=40, tolerance=1e-8)
 FRAMES = 24
 
 

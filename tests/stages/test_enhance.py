@@ -28,24 +28,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import Step, read_path
 
+from tests.hard.test_enhancement import PAPER
 from tests.stages.made_scene import FRAMES, enhance_options, render_options, ring, write_scene
 
-INJECTION = enhance_shot.Injection(
-    history=3,
-    strength=0.3,
-    moving_strength=0.3,
-    decay=0.5,
-    error="mean",
-    error_threshold=30.0,
-    blurred="confidence",
-    blur_px=11,
-    blur_sigma_px=2.0,
-    form="residual",
-    settle=False,
-    flow="direct",
-    check=True,
-    cut_share=0.1,
-)
 SEARCH = DisFlow("medium")
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
 
@@ -215,7 +200,7 @@ def test_the_recursion_ends_at_the_residual_and_not_beyond() -> None:
     """History already carries the correction; adding it again in full would end at 1 / (1 - w) times the residual."""
     camera, view, depth, view_depth, photo = one_view()
     enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
-    section = replace(INJECTION, error_threshold=60.0)
+    section = replace(PAPER, error_threshold=60.0)
     picture = np.full((*view.hw, 3), 60, np.uint8)
     steps = [Step(view, 0.0, "00")] * 12
     depths = [np.rint(view_depth * 1000).astype(np.uint16)] * 12
@@ -235,7 +220,7 @@ def test_a_film_that_pans_keeps_its_confidence_with_either_flow(flow: str) -> No
     clean = [texture[:, 2 * k : 2 * k + width] for k in range(12)]
     noisy = [np.rint(255 * np.clip(c + rng.normal(0, 4 / 255, c.shape), 0, 1)).astype(np.uint8) for c in clean]
     steps, depths = [Step(view, float(k), "a") for k in range(12)], [np.full(view.hw, 2000, np.uint16)] * 12
-    reading = replace(INJECTION, flow=flow)
+    reading = replace(PAPER, flow=flow)
     outputs = list(enhanced(steps, noisy, depths, lambda step: noisy[0], Unchanged(), reading, SEARCH))
     inner = np.s_[:, 30:-30]
     before, after = (np.std([(p[k] / 255 - clean[k])[inner] for k in range(4, 12)]) for p in (noisy, outputs))
@@ -253,7 +238,7 @@ def test_pixels_that_an_enhancer_breaks_are_left_as_rendered_and_counted(capsys:
     view, rng = ring([0], "view")[0], np.random.default_rng(3)
     picture, depth = rng.integers(40, 200, (*view.hw, 3), dtype=np.uint8), np.full(view.hw, 2000, np.uint16)
     steps = [Step(view, float(k), "a") for k in range(3)]
-    outputs = list(enhanced(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), INJECTION, SEARCH))
+    outputs = list(enhanced(steps, [picture] * 3, [depth] * 3, lambda step: picture, Breaking(), PAPER, SEARCH))
     for output in outputs:
         np.testing.assert_array_equal(output, picture)
     assert "3 pixels not finite" in "".join(capsys.readouterr())
@@ -265,7 +250,7 @@ def test_history_starts_anew_with_every_segment() -> None:
     pictures = [rng.integers(0, 255, (*view.hw, 3), dtype=np.uint8) for _ in range(2)]
     steps = [Step(view, 0.0, "a"), Step(view, 1.0, "b")]
     depths = [np.full(view.hw, 2000, np.uint16)] * 2
-    loose = replace(INJECTION, error_threshold=255.0)
+    loose = replace(PAPER, error_threshold=255.0)
     together = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), loose, SEARCH))
     np.testing.assert_array_equal(together[1], pictures[1])
 
@@ -277,7 +262,7 @@ def test_an_enhancer_that_brightens_is_refused_before_the_first_picture() -> Non
 
     view = ring([0], "view")[0]
     picture, depth = np.full((*view.hw, 3), 100, np.uint8), np.full(view.hw, 2000, np.uint16)
-    injection = INJECTION
+    injection = PAPER
     with pytest.raises(Refusal, match=r"1\.050"):
         next(enhanced([Step(view, 0.0, "a")], [picture], [depth], lambda step: picture, Brighter(), injection, SEARCH))
 
@@ -305,7 +290,7 @@ def test_injection_steadies_an_enhancer_that_adds_fresh_noise_to_every_picture(r
     depth = np.full(view.hw, 2000, np.uint16)
 
     def flicker(history: int) -> float:
-        injection = replace(INJECTION if reading == "paper" else settings.injection, history=history)
+        injection = replace(PAPER if reading == "paper" else settings.injection, history=history)
         steps = [Step(view, float(i), "a") for i in range(20)]
         outputs = list(enhanced(steps, [picture] * 20, [depth] * 20, lambda step: picture, Flickering(), injection, SEARCH))
         return float(np.abs(np.diff(np.stack(outputs[4:]).astype(float), axis=0)).mean())
