@@ -142,7 +142,7 @@ def run(
     body_model = BodyModel.load(body)
     if fitted.body != body_model.identity:
         raise Refusal(f"{fit} was fitted with the body model {fitted.body}, but {body} is {body_model.identity}; fit {person} again")
-    crops = _read_crops(settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames)
+    crops = read_crops(settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames)
     if not crops:
         raise Refusal(
             f"no training camera shows {settings.smallest_px} pixels of {person} in any frame with a fitted body; check the masks, or "
@@ -229,7 +229,7 @@ def _network(settings: Settings, threads: int) -> Perceptual | None:
     return read_lpips(Path(lpips.weights), threads)
 
 
-def _read_crops(
+def read_crops(
     settings: Settings,
     cameras: Sequence,
     videos: list[Path],
@@ -239,6 +239,7 @@ def _read_crops(
     label: int,
     frames: int,
 ) -> list[Crop]:
+    """Every camera's crops of the person that masks call ``label``, camera by camera."""
     vertices = body_model.vertices(fitted.poses, fitted.betas, fitted.trans)
     crops = []
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
