@@ -84,17 +84,41 @@ class Basis:
         self.shape_offsets = np.ascontiguousarray(np.swapaxes(self.offsets[..., 1:], 1, 2)).reshape(72, -1)
         self.subtree_share = np.ascontiguousarray((ancestors @ share.T).T)  # (K, 24)
         self.bone_directions = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
+        carried = (share != 0) | (self.offsets != 0).any((2, 3)).T
+        parents = np.asarray(body.parents, dtype=np.int64)
+        # What ``assembly.add_points`` reads.
+        self.skeleton = parents, np.ascontiguousarray(self.bone_directions)
+        self.compiled = (
+            np.ascontiguousarray(share), self.subtree_share, _listed(carried), _listed((carried @ ancestors.T) > 0),
+            np.ascontiguousarray(self.offsets[..., 1:]), self.carrier, corrected,
+        )  # fmt: skip
+
+    def points(self, state: State) -> np.ndarray:
+        """(F, K, 3) the points in the state's pose."""
+        return self.placed(state)[0]
+
+    def placed(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The points, world rotations (F, 24, 3, 3) and joints (F, 24, 3) as in ``Posed``, and offsets (24, K, 3)."""
+        world, joints = forward_kinematics(np.ascontiguousarray(state.local), self.body.rest_joints(state.betas), self.body.parents)
+        offsets = self._offsets(state)
+        rows = np.swapaxes(world, 1, 2).reshape(-1, 72)  # (3 F, 24 · 3): row x of all joints' rotations
+        points = (rows @ np.swapaxes(offsets, 1, 2).reshape(72, -1)).reshape(len(world), 3, -1)
+        return np.exp(state.log_scale) * (np.swapaxes(points, 1, 2) + self.share @ joints) + state.trans[:, None], world, joints, offsets
 
     def posed(self, state: State) -> Posed:
         """The points in the state's pose."""
         world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
-        offsets = self.offsets @ np.append(1.0, state.betas)  # (24, K, 3)
-        own = self.carrier[: self.corrected]
-        offsets[own, range(len(own))] += state.corrections[: len(own)]
-        parts = offsets @ np.swapaxes(world, -1, -2)
+        parts = self._offsets(state) @ np.swapaxes(world, -1, -2)
         parts += self.share.T[..., None] * joints[:, :, None]
         points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
         return Posed(points, parts, world, joints)
+
+    def _offsets(self, state: State) -> np.ndarray:
+        """(24, K, 3) what each joint's rotation acts on."""
+        offsets = self.offsets @ np.append(1.0, state.betas)
+        own = self.carrier[: self.corrected]
+        offsets[own, range(len(own))] += state.corrections[: len(own)]
+        return offsets
 
     def linear(self, state: State) -> Linear:
         """Points and derivatives."""
@@ -125,3 +149,9 @@ class Basis:
         shaped[..., :-1] *= np.exp(state.log_scale)
         shaped[..., -1] = posed.points - state.trans[:, None]
         return shaped
+
+
+def _listed(chosen: np.ndarray) -> np.ndarray:
+    """(K, 25) the numbers of the joints ``chosen`` (K, 24), ascending, then −1."""
+    ordered = np.sort(np.where(chosen, np.arange(24), 24), axis=1)
+    return np.append(np.where(ordered < 24, ordered, -1), np.full((len(chosen), 1), -1), axis=1)

@@ -24,10 +24,9 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
 
     Converged = a step of everything gains less than ``tolerance`` of the cost, or none gains anything.
     """
-    posed = problem.basis.posed(state)
-    costs, damping = problem.costs(state, posed), np.full(len(state.trans), _DAMPING)
+    costs, damping = problem.costs(state), np.full(len(state.trans), _DAMPING)
     for step in range(1, iterations + 1):
-        normal = problem.normal(state, posed)
+        normal = problem.normal(state)
         whole = costs.sum() + problem.shared_cost(state)
         for _ in range(_TRIALS):
             moved = problem.step(state, normal, damping)
@@ -47,7 +46,6 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
         if 0 < busy.sum() <= _FEW * len(busy):
             part, costs[busy], damping[busy] = alone(problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy])
             state = state.put(busy, part)
-        posed = problem.basis.posed(state)
     return state, normal, iterations, False
 
 

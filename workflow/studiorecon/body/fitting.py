@@ -142,7 +142,7 @@ def fit(
     if doubtful.any():
         state, spread = rivals.best_of(problem, state, doubtful, settings.iterations, settings.tolerance)
         normal = problem.normal(state)
-    residual = np.linalg.norm(evidence.basis.posed(state).points - evidence.targets_m, axis=-1)[:, :count]
+    residual = np.linalg.norm(evidence.basis.points(state) - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas
     joints, *sigmas, out.beta_sigma[:] = problem.posterior(state, normal)
     if spread is not None:

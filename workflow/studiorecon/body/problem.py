@@ -3,8 +3,8 @@
 
 Unknown per frame are 24 turns and a shift (75 numbers), shared by all frames the betas, a log scale and the keypoints' corrections.
 Turning joint i by ω about world axes moves point k by ω × D_ki, D_ki the sum over i's descendants j of
-G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). Rows are written in the axes of the joint that carries the point:
-there a correction moves its point along one row only, and its share of the normal equations is a copy of the rows.
+G_j(anchor_kj − share_kj J_j) + share_kj (J_j^posed − J_i^posed). A point's correction is in the axes of the joint that carries it most;
+what a point adds to the equations is in ``assembly``.
 
 The 75 × 75 blocks of the frames are factored by Cholesky; H⁻¹ C is never formed, only L⁻¹ C, whose product with itself is what the
 shared unknowns lose by the elimination (Schur complement). Turns are ordered by axis, then joint: row 24 a + j.
@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from studiorecon.body import prior
-from studiorecon.body.basis import Basis, Posed, State
+from studiorecon.body.basis import Basis, State
 from studiorecon.body.model import BodyModel
 
 # Frames handled at once: their rows (0.7 MB for 25 points) then stay in the cache.
@@ -87,10 +87,9 @@ class Problem:
         part.evidence = Evidence(self.basis, given.targets_m[frames], given.precision[frames], given.share[frames])
         return part
 
-    def costs(self, state: State, posed: Posed | None = None) -> np.ndarray:
+    def costs(self, state: State) -> np.ndarray:
         """(F,) half the sum of squares in deviations that each frame adds, points beyond the Huber bound linearly."""
-        points = (self.basis.posed(state) if posed is None else posed).points
-        residual = points - self.evidence.targets_m
+        residual = self.basis.points(state) - self.evidence.targets_m
         units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
         data = self.evidence.share * np.where(units < bound, 0.5 * units**2, bound * (units - 0.5 * bound))
@@ -102,75 +101,29 @@ class Problem:
         """What the shared unknowns cost by themselves; the whole cost is this and all ``costs``."""
         return float(0.5 * (self.shared_precision * state.shared**2).sum())
 
-    def normal(self, state: State, posed: Posed | None = None) -> Normal:
+    def normal(self, state: State) -> Normal:
         """Gauss-Newton's normal equations; a point's Huber weight follows from its distance, not per coordinate (numerics T11)."""
-        posed = self.basis.posed(state) if posed is None else posed
-        frames, size = len(state.trans), len(self.shared_precision)
-        own, rows = np.empty((frames, _OWN, _OWN)), np.empty((frames, size + 1, _OWN))
-        shared, shared_side = np.diag(self.shared_precision), self.shared_precision * state.shared
-        for start in range(0, frames, _CHUNK):
-            some = slice(start, start + _CHUNK)
-            part = State(state.local[some], state.trans[some], state.betas, state.log_scale, state.corrections)
-            at = Posed(posed.points[some], posed.parts[some], posed.world[some], posed.joints[some])
-            self._add(part, at, some, own, rows, shared, shared_side)
-        self._add_prior(state, posed.world, own, rows[:, -1])
-        return Normal(own, rows, shared, shared_side, posed.world)
+        return self._normal(state, np.diag(self.shared_precision), self.shared_precision * state.shared)
 
     def own(self, state: State) -> Normal:
         """Normal equations of what every frame has for itself, at a fraction of the cost; H, the gradient (F, 1, 75) and G."""
-        posed = self.basis.posed(state)
-        flat = self._rows(state, posed, slice(None), shared=False)[0]
-        products = np.swapaxes(flat, 1, 2) @ flat
-        own, side = np.ascontiguousarray(products[:, :_OWN, :_OWN]), products[:, _OWN:, :_OWN].copy()
-        self._add_prior(state, posed.world, own, side[:, 0])
-        return Normal(own, side, np.zeros((0, 0)), np.zeros(0), posed.world)
+        return self._normal(state, np.zeros((0, 0)), np.zeros(0))
 
-    def _rows(self, state: State, posed: Posed, some: slice, shared: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of some frames' points (betas' too if ``shared``) and residuals, times √w: (F, 3K, 75 [+ B + 1] + 1); and √w."""
-        turned = self.basis.turned(state, posed)
-        frames, count = turned.shape[:2]
-        residual = posed.points - self.evidence.targets_m[some]
-        units = np.sqrt(self.evidence.precision[some] * np.einsum("fkx,fkx->fk", residual, residual))
+    def _normal(self, state: State, shared: np.ndarray, shared_side: np.ndarray) -> Normal:
+        # Loaded here: most that reads about bodies fits none.
+        from studiorecon.body.assembly import add_points
+
+        points, world, joints, offsets = self.basis.placed(state)
+        residual = points - self.evidence.targets_m
+        units = np.sqrt(self.evidence.precision * np.einsum("fkx,fkx->fk", residual, residual))
         bound = self.pulls.huber_units
-        weight = self.evidence.share[some] * self.evidence.precision[some]
-        root = np.sqrt(weight * np.where(units < bound, 1.0, bound / np.maximum(units, bound)))
-        # (F, K, x, y): row x is axis x of the carrying joint in the world, times √w.
-        axes = np.swapaxes(posed.world[:, self.basis.carrier], -1, -2) * root[..., None, None]
-        behind = residual[..., None]
-        if shared:
-            behind = np.concatenate([self.basis.shaped(state, posed), behind], axis=-1)
-        rows = np.empty((frames, count, 3, _OWN + behind.shape[-1]))
-        d = np.swapaxes(turned, 2, 3)[:, :, :, None]  # (F, K, 3, 1, 24)
-        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axis · (ω × D) = ω · (D × axis)
-            block = rows[..., 24 * a : 24 * a + 24]
-            np.multiply(d[:, :, b], axes[..., c, None], out=block)
-            block -= d[:, :, c] * axes[..., b, None]
-        rows[..., 72:75] = axes
-        np.matmul(axes, behind, out=rows[..., _OWN:])
-        return rows.reshape(frames, 3 * count, -1), root
-
-    def _add(
-        self, state: State, posed: Posed, some: slice, own: np.ndarray, rows: np.ndarray, shared: np.ndarray, shared_side: np.ndarray
-    ) -> None:
-        flat, root = self._rows(state, posed, some, shared=True)
-        frames, shapes = len(flat), flat.shape[-1] - _OWN - 1
-        products = np.swapaxes(flat, 1, 2) @ flat
-        own[some] = products[:, :_OWN, :_OWN]
-        rows[some, :shapes] = products[:, _OWN:-1, :_OWN]
-        rows[some, -1] = products[:, -1, :_OWN]
-        shared[:shapes, :shapes] += products[:, _OWN:-1, _OWN:-1].sum(0)
-        shared_side[:shapes] += products[:, -1, _OWN:-1].sum(0)
-        # A correction moves its point along one row, by the scale.
-        corrected = self.basis.corrected
-        gain = np.exp(state.log_scale) * root[:, :corrected, None, None]
-        crossed = flat[:, : 3 * corrected].reshape(frames, corrected, 3, -1) * gain
-        rows[some, shapes:-1] = crossed[..., :_OWN].reshape(frames, -1, _OWN)
-        summed = crossed[..., _OWN:].sum(0).reshape(-1, shapes + 1)
-        shared[shapes:, :shapes] += summed[:, :-1]
-        shared[:shapes, shapes:] += summed[:, :-1].T
-        shared_side[shapes:] += summed[:, -1]
-        diagonal = range(shapes, len(shared))
-        shared[diagonal, diagonal] += np.repeat((gain**2).sum(0).reshape(-1), 3)
+        weight = self.evidence.share * self.evidence.precision * np.where(units < bound, 1.0, bound / np.maximum(units, bound))
+        own, rows = np.zeros((len(world), _OWN, _OWN)), np.zeros((len(world), len(shared) + 1, _OWN))
+        both = np.stack([residual, points - state.trans[:, None]])
+        placed = world, joints, offsets, float(np.exp(state.log_scale))
+        add_points(self.basis.skeleton, self.basis.compiled, placed, weight, both, own, rows, shared, shared_side)
+        self._add_prior(state, world, own, rows[:, -1])
+        return Normal(own, rows, shared, shared_side, world)
 
     def _add_prior(self, state: State, world: np.ndarray, own: np.ndarray, side: np.ndarray) -> None:
         bend = prior.bend(state.local)
@@ -186,15 +139,19 @@ class Problem:
                 own[:, 24 * a + joints, 24 * b + joints] += block[:, :, a, b]
 
     def step(self, state: State, normal: Normal, damping: np.ndarray) -> State | None:
-        """The Gauss-Newton step, frames damped by ``damping`` (F,), or None where the equations are not positive definite."""
-        factors = self._factored(normal, damping, 1.0)
+        """The Gauss-Newton step, frames damped by ``damping`` (F,), or None where the equations are not positive definite.
+
+        In single precision where that suffices: a step of 1e-4 of its length beside the best is as good, and the cost decides.
+        """
+        factors = self._factored(normal, damping, 1.0, np.float32) or self._factored(normal, damping, 1.0, np.float64)
         if factors is None:
             return None
         lower, solved, product = factors
         reduced = normal.shared * (1 + np.median(damping) * np.eye(len(normal.shared))) - product[:-1, :-1]
         shared = -np.linalg.solve(reduced, normal.shared_side - product[:-1, -1])
         half = -(solved[:, -1] + np.einsum("fsp,s->fp", solved[:, :-1], shared))
-        change = np.stack([scipy.linalg.blas.dtrsv(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half)])
+        solve = scipy.linalg.blas.strsv if lower.dtype == np.float32 else scipy.linalg.blas.dtrsv
+        change = np.stack([solve(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half.astype(lower.dtype))])
         return self._moved(state, normal, change, shared)
 
     def own_step(self, state: State, normal: Normal, damping: np.ndarray) -> State:
@@ -202,7 +159,8 @@ class Problem:
         blocks = normal.own.copy()
         diagonal = np.einsum("fii->fi", blocks)
         diagonal += damping[:, None] * (diagonal + 1.0)
-        change = -np.linalg.solve(blocks, normal.rows[:, -1, :, None])[..., 0]
+        sides = zip(blocks, normal.rows[:, -1])
+        change = -np.stack([scipy.linalg.lapack.dposv(block.T, side, lower=1, overwrite_a=1)[1] for block, side in sides])
         return self._moved(state, normal, change, np.zeros(len(self.shared_precision)))
 
     @staticmethod
@@ -212,19 +170,26 @@ class Problem:
         return state.moved(turn, change[:, 72:], shared)
 
     @staticmethod
-    def _factored(normal: Normal, damping: np.ndarray | float, floor: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    def _factored(
+        normal: Normal, damping: np.ndarray | float, floor: float, dtype: type
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Factors L of H, transposed (F, 75, 75), rows of L⁻¹[C g] (F, S + 1, 75), and Σ [C g]ᵀ H⁻¹ [C g] (S + 1, S + 1)."""
-        lower, solved = normal.own.copy(), normal.rows.copy()
+        lower, solved = normal.own.astype(dtype), normal.rows.astype(dtype)
         diagonal = np.einsum("fii->fi", lower)
         diagonal += np.reshape(damping, (-1, 1)) * (diagonal + floor)
-        product = np.zeros((solved.shape[1],) * 2, order="F")
-        for f in range(len(lower)):
-            # LAPACK reads columns: a transposed row-major array passes without a copy and is overwritten.
-            _, info = scipy.linalg.lapack.dpotrf(lower[f].T, lower=1, clean=0, overwrite_a=1)
-            if info != 0:
-                return None
-            scipy.linalg.blas.dtrsm(1.0, lower[f].T, solved[f].T, lower=1, overwrite_b=1)
-            scipy.linalg.blas.dsyrk(1.0, solved[f].T, beta=1.0, c=product, trans=1, lower=1, overwrite_c=1)
+        lapack, blas = scipy.linalg.lapack, scipy.linalg.blas
+        factor, divide, square = (lapack.spotrf, blas.strsm, blas.ssyrk) if dtype is np.float32 else (lapack.dpotrf, blas.dtrsm, blas.dsyrk)
+        product = np.zeros((solved.shape[1],) * 2)
+        for start in range(0, len(lower), _CHUNK):
+            part = np.zeros(product.shape, dtype, order="F")
+            for f in range(start, min(start + _CHUNK, len(lower))):
+                # LAPACK reads columns: a transposed row-major array passes without a copy and is overwritten.
+                _, info = factor(lower[f].T, lower=1, clean=0, overwrite_a=1)
+                if info != 0:
+                    return None
+                divide(1.0, lower[f].T, solved[f].T, lower=1, overwrite_b=1)
+                square(1.0, solved[f].T, beta=1.0, c=part, trans=1, lower=1, overwrite_c=1)
+            product += part
         return lower, solved, np.tril(product) + np.tril(product, -1).T
 
     def posterior(self, state: State, normal: Normal) -> tuple[np.ndarray, ...]:
@@ -235,9 +200,9 @@ class Problem:
         orientation in the world (all turns above it and their correlation), both for the shape found. Raises FloatingPointError when
         even a little added weight does not make the equations definite: numbers that are not finite came in.
         """
-        factors = self._factored(normal, 0.0, 0.0)
+        factors = self._factored(normal, 0.0, 0.0, np.float64)
         if factors is None:  # no prior and an unobserved joint: the least that makes it definite makes its deviation enormous
-            factors = self._factored(normal, 1e-9, 1.0)
+            factors = self._factored(normal, 1e-9, 1.0, np.float64)
         if factors is None:
             raise FloatingPointError("the normal equations of the fit are not positive definite")
         lower, solved, product = factors

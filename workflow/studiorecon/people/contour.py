@@ -123,11 +123,11 @@ class Silhouette:
 
     def joints(self, state: State) -> np.ndarray:
         """(24, 3) joints in the world, metres."""
-        return self.basis.posed(state).joints[0] + state.trans[0]
+        return self.basis.placed(state)[2][0] + state.trans[0]
 
     def regions(self, state: State) -> list[np.ndarray]:
         """(H, W) bool per camera: where the body is seen."""
-        points = self.basis.posed(state).points[0]
+        points = self.basis.points(state)[0]
         return [mesh_depth(points, self.body.proxy_faces, c) > 0 for c in self.cameras]
 
     def agreement(self, state: State, targets: Targets) -> float:
