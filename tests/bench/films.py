@@ -28,9 +28,10 @@ from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import DisFlow
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.recursion import enhanced, for_path
-from studiorecon.enhance.residual import ResidualTransfer, Source, carried_over
+from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.images import metrics
 from studiorecon.images.flow import consistent, dis_flow, grey_levels, one_thread
+from studiorecon.images.transfer import Source, carried_over
 from studiorecon.images.video import read_frames, write_lossless
 from studiorecon.models.protocols import Enhancer
 from studiorecon.scene.camera import Lens

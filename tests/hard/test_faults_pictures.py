@@ -16,13 +16,13 @@ from studiorecon.background.seeding import seeds_from_depth
 from studiorecon.capture.presence import people_regions
 from studiorecon.capture.sync import lags
 from studiorecon.depth import given
-from studiorecon.enhance.residual import Transfer, carried_over, source
 from studiorecon.geometry.bundle import BundleSettings, adjust
 from studiorecon.geometry.surface import depth_breaks
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.images.exposure import compare
 from studiorecon.images.exr import read_depth, write_depth
 from studiorecon.images.plate import temporal_modes
+from studiorecon.images.transfer import Transfer, carried_over, source
 from studiorecon.masks import evidence
 from studiorecon.scene.colmap import write_model
 from studiorecon.scene.gaussians_ply import read_ply, write_ply

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from studiorecon.enhance.enhancer import Unchanged
-from studiorecon.enhance.residual import ResidualTransfer, Transfer, source
+from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.geometry.rotations import to_quaternion
 from studiorecon.geometry.surface import points_and_normals
 from studiorecon.images.exposure import Overlap, solve_gains
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.transfer import Transfer, source
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians

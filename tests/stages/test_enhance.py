@@ -16,10 +16,11 @@ from studiorecon.enhance.backends import DisFlow
 from studiorecon.enhance.enhancer import Unchanged, loop_gain
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced, for_path
-from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
+from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.errors import Refusal
 from studiorecon.images.metrics import psnr
 from studiorecon.images.seeking import read_frames_from
+from studiorecon.images.transfer import Source, Transfer, best_strength, carried_over, source
 from studiorecon.images.video import read_frame, read_stack, write_lossless
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment

@@ -1,109 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The embedded enhancer: what the renders miss at the training cameras (photo - render) is carried over to the new view.
-
-Every pixel of the new view is lifted through its rendered depth and looked up in the training cameras of the same time. Where a
-camera sees the same surface, its residual is added, weighted by how similar the viewing directions are. Pixels that no training
-camera sees stay as they are; corrections fade out towards the borders of what is seen, so that they leave no seams.
-"""
+"""The embedded enhancer: what the renders miss at the training cameras is carried over to the new view (``images.transfer``)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from studiorecon.enhance.lookup import add_read, seen_from
-from studiorecon.images.blur import gaussian_blur
+from studiorecon.images.transfer import Source, Transfer, carried_over
 from studiorecon.models.protocols import Moment
-from studiorecon.scene.camera import Camera
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """Settings of the transfer.
-
-    Attributes:
-        depth_tolerance: relative depth difference up to which a training camera sees the same surface.
-        angle_power: a residual counts cos(angle between the two viewing rays) to this power.
-        feather_px: distance over which a correction fades in from the border of what its camera sees.
-        smooth_px: sigma of the blur of the residuals, pixels: detail below it is not carried over.
-    """
-
-    depth_tolerance: float
-    angle_power: float
-    feather_px: float
-    smooth_px: float
-
-
-@dataclass(frozen=True)
-class Source:
-    """One training camera at one time: residual (H, W, 3) float32, depth (H, W) metres with 0 where it must not be used."""
-
-    camera: Camera
-    residual: np.ndarray
-    depth_m: np.ndarray
-
-
-def source(camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.ndarray, transfer: Transfer) -> Source:
-    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (numerics C12).
-
-    ``render`` and ``depth_m`` may be larger than ``photo``: the camera's own picture is their top left part.
-    """
-    render, depth_m = render[: photo.shape[0], : photo.shape[1]], depth_m[: photo.shape[0], : photo.shape[1]]
-    residual = photo.astype(np.float32) / 255 - render.astype(np.float32) / 255
-    if transfer.smooth_px > 0:
-        size = 2 * int(np.ceil(3 * transfer.smooth_px)) + 1
-        residual = gaussian_blur(residual, size, transfer.smooth_px)
-    # What is no depth is unknown; it would spread through the edge test's window.
-    depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
-    window = np.ones((3, 3), np.uint8)
-    edge = cv2.dilate(depth, window) - cv2.erode(depth, window) > transfer.depth_tolerance * np.maximum(depth, 1e-6)
-    return Source(camera, residual, np.where(edge, 0, depth).astype(np.float32))
-
-
-def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source], transfer: Transfer) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (H, W, 3) that the sources predict for a view, and cover (H, W) in 0..1: how well a source sees each pixel.
-
-    Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards the borders
-    of the seen area. The residual is the cover-weighted mean over sources.
-    """
-    view = np.ascontiguousarray(depth_m, np.float32)
-    world_from_view = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.intrinsics)
-    total = np.zeros((*view.shape, 3), np.float32)
-    weights, cover = np.zeros(view.shape, np.float32), np.zeros(view.shape, np.float32)
-    for one in sources:
-        there = one.camera
-        seen, pixels, closeness = seen_from(
-            view,
-            world_from_view,
-            camera.centre_m,
-            one.depth_m,
-            np.ascontiguousarray(there.camera_from_world[:3]),
-            there.intrinsics,
-            there.centre_m,
-            transfer.depth_tolerance,
-            transfer.angle_power,
-        )
-        add_read(one.residual, pixels, _feather(seen, transfer.feather_px) * closeness, total, weights, cover)
-    return total / np.maximum(weights, 1e-9)[..., None], cover
-
-
-def best_strength(predicted: Sequence[tuple[np.ndarray, np.ndarray]], actual: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Share of the carried-over residual that is worth adding (0..1), and the share of pixels it was judged on.
-
-    Each pair is a training camera's own residual and what the *other* training cameras predict for it; the least-squares factor
-    between them, weighted by cover, is the strength that lowers the error most on views that took no part in the prediction.
-    """
-    with_actual = with_itself = covered = pixels = 0.0
-    for (residual, cover), own in zip(predicted, actual, strict=True):
-        with_actual += float((cover[..., None] * residual * own).sum(dtype=np.float64))
-        with_itself += float((cover[..., None] * residual * residual).sum(dtype=np.float64))
-        covered += float((cover > 0).sum())
-        pixels += cover.size
-    strength = with_actual / with_itself if with_itself > 0 else 0.0
-    return float(np.clip(strength, 0, 1)), covered / max(pixels, 1.0)
 
 
 class ResidualTransfer:
@@ -122,11 +27,3 @@ class ResidualTransfer:
         residual, cover = carried_over(moment.camera, moment.depth_m, self._sources_at(moment.frame), self._transfer)
         share = self._strength * cover * (1 - moment.injected)
         return np.clip(image + share[..., None] * residual, 0, 1).astype(np.float32)
-
-
-def _feather(seen: np.ndarray, feather_px: float) -> np.ndarray:
-    if feather_px <= 0:
-        return seen.astype(np.float32)
-    # The picture's own border is no seam.
-    padded = cv2.copyMakeBorder(seen.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    return np.minimum(cv2.distanceTransform(padded, cv2.DIST_L2, 3)[1:-1, 1:-1] / feather_px, 1)

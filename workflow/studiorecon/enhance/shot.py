@@ -15,9 +15,10 @@ from studiorecon.enhance.backends import Preset, flow_of, network
 from studiorecon.enhance.injection import Injection
 from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced, for_path, stands_still
-from studiorecon.enhance.residual import ResidualTransfer, Source, Transfer, best_strength, carried_over, source
+from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.errors import Refusal
 from studiorecon.images.streams import writing
+from studiorecon.images.transfer import Source, Transfer, best_strength, carried_over, source
 from studiorecon.images.video import read_frames, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer
 from studiorecon.progress import progress, say
