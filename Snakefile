@@ -27,6 +27,7 @@ include: "workflow/rules/render.smk"
 include: "workflow/rules/enhance.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/deliver.smk"
+include: "workflow/rules/sweep.smk"
 include: "workflow/rules/weights.smk"
 
 
