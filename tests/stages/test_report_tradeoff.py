@@ -43,11 +43,12 @@ def record(name: str, seconds: float | None, psnr: float | None, **more: object)
         worst={}
         if psnr is None
         else {"camera": "view2", "camera_psnr": psnr - 0.5, "frame_camera": "view2", "frame": 7, "frame_psnr": psnr - 2},
-        seconds={"from_nothing": seconds, "marginal": seconds, "ran": seconds, "wall": seconds, "scoring": 1.0},
+        seconds={"from_nothing": seconds, "marginal": seconds, "ran": seconds, "cpu": seconds, "wall": seconds, "scoring": 1.0},
         stages=stages,
         ran_stages=stages,
         peak_memory_mb=100.0,
         seeds={"humans.seed": 0},
+        others_cores=0.05,
         machine={"processor": "made", "cores": 2, "memory_gb": 8.0, "system": "Linux"},
         versions={"python": "3"},
         scored=None if psnr is None else {"code": "x"},
@@ -204,6 +205,8 @@ def test_the_page_says_what_the_csv_says_and_shows_failures(tmp_path: Path) -> N
             assert told.sentence in html
     assert "On this machine: human-100: 1 min 00 s → 19.00 dB" in html
     assert "No measurable effect here: idle" in html
+    assert "trust processor seconds" not in html
+    assert "Something else kept up to 1.5 cores busy" in section("t.tsv", [replace(r, others_cores=1.5) for r in sweep()])
     assert "+1.00" in scenes_section({"a": sweep(), "b": sweep()}), "the same order twice"
     # Nothing that a browser would fetch.
     assert not re.search(r"(src|href)=\"(?!data:)", html)

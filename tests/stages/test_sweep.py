@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from base64 import urlsafe_b64encode
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 import yaml
 from studiorecon.errors import Refusal
 from studiorecon.sweep import jobs as sweep_jobs
+from studiorecon.sweep.fingerprint import busy_s
 from studiorecon.sweep.jobs import Job, charge, cone, keys, peak_memory_mb, read_jobs, reusable, share
 from studiorecon.sweep.outcome import NOTHING_MEASURED, outcome, why_it_failed
 from studiorecon.sweep.plan import hypercube, knobs, one_at_a_time
@@ -249,3 +252,12 @@ def test_why_a_run_failed_is_its_steps_own_sentence(tmp_path: Path) -> None:
     assert why_it_failed(said, tmp_path, None) == "people_fit: people.fit: p0 is nobody"
     assert why_it_failed("first\nlast word\n", tmp_path, None) == "last word"
     assert "60 minutes" in why_it_failed("", tmp_path, 60.0)
+
+
+def test_processor_seconds_tell_own_work_from_other_peoples() -> None:
+    burn = "import time; end = time.process_time() + 0.4\nwhile time.process_time() < end: pass"
+    everything, own = busy_s()
+    subprocess.run([sys.executable, "-c", burn], check=True)
+    later = busy_s()
+    assert later[1] - own >= 0.4
+    assert later[0] - everything >= 0.39, "what was started here is part of everything"

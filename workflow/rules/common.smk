@@ -69,6 +69,8 @@ SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"]
 # Every film, and "train": the training cameras themselves, which enhancement and report compare with the photos.
 FILMS = [shot for shot in config["render"]["shots"] if shot != "heldout" or HELDOUT]
 SHOTS = ["train", *FILMS]
+# Records of the sweeps that were run on this scene.
+SWEEPS = sorted(map(str, Path(f"results/{SCENE}/sweep").glob("*/records.jsonl")))
 
 # Who is where comes from keypoint files, or from a network that estimates bodies (people.source).
 BODY_SOURCE = "" if config["people"]["source"] == "keypoints" else config["people"]["source"]

@@ -105,6 +105,9 @@ rule report_page:
         configuration=json.dumps(config, sort_keys=True),
         benchmarks="benchmarks/{scene}",
         licences=Path(workflow.basedir) / "resources/licences",
+        # Shown where a sweep was run; never asked for.
+        sweeps=SWEEPS,
+        swept=[Path(records).stat().st_mtime_ns for records in SWEEPS],
     shell:
         "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
@@ -113,4 +116,4 @@ rule report_page:
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
         " --heldout-path {input.heldout_path:q} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
-        " --licences {params.licences:q} --paper {input.paper:q} --costs {output.costs} --page {output.page}"
+        " --licences {params.licences:q} --paper {input.paper:q} --sweeps {params.sweeps:q} --costs {output.costs} --page {output.page}"

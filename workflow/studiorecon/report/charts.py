@@ -15,6 +15,8 @@ from studiorecon.report.html import text
 WIDTH = 1000
 # Okabe and Ito's colours, which colour-blind readers tell apart, then greys of the same lightness steps.
 _COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#8c8c8c", "#5a4fcf", "#b0a060", "#444444")
+# Marks of a clock's log axis, seconds.
+_TIMES = (0.1, 0.3, 1, 3, 10, 30, 60, 120, 300, 600, 1200, 3600, 7200, 18000, 36000, 86400)
 _LEFT, _RIGHT, _TOP, _BOTTOM = 70, 24, 16, 46
 
 
@@ -153,9 +155,11 @@ class _Scale:
 def _log_scale(values: Sequence[float], start: float, end: float) -> _Scale:
     # A run that failed at once took no time that was measured; a log axis begins at a tenth of a second.
     low, high = max(min(values, default=1.0), 0.1) / 1.15, max(*values, 1.0) * 1.15 if values else 10.0
-    marks = [m * 10.0**e for e in range(floor(log10(low)), ceil(log10(high)) + 1) for m in (1, 1.5, 2, 3, 5, 7)]
-    ticks = tuple(m for m in marks if low <= m <= high)
-    return _Scale(low, high, start, end, True, ticks if len(ticks) <= 12 else ticks[:: ceil(len(ticks) / 12)])
+    ticks = tuple(m for m in _TIMES if low <= m <= high)
+    if len(ticks) < 4:  # times that are close together: even steps of whole seconds or minutes
+        unit = next(u for u in (0.1, 0.5, 1, 5, 10, 30, 60, 300, 600, 1800, 3600, 18000) if (high - low) / u <= 8 or u == 18000)
+        ticks = tuple(i * unit for i in range(ceil(low / unit), floor(high / unit) + 1))
+    return _Scale(low, high, start, end, True, ticks)
 
 
 def _linear_scale(values: Sequence[float], start: float, end: float) -> _Scale:
@@ -218,6 +222,6 @@ def _rect(x: float, y: float, width: float, height: float, look: str, told: str 
 
 
 def _seconds(value: float) -> str:
-    if value < 90:
-        return f"{value:.0f} s" if value >= 10 else f"{value:.1f} s"
-    return f"{value / 60:.1f} min" if value < 5400 else f"{value / 3600:.1f} h"
+    """A time in its natural unit, with a decimal only where it says something."""
+    number, unit = (value, "s") if value < 60 else (value / 60, "min") if value < 5400 else (value / 3600, "h")
+    return f"{number:.1f}".removesuffix(".0") + f" {unit}" if number < 10 or unit != "s" else f"{number:.0f} s"

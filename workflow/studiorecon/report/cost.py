@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 # Stages in the order data flows, which is how a reader looks for them; anything else comes after them.
-_ORDER = (
+STAGES = (
     *("studio", "capture", "cameras", "people", "masks", "depth", "survey", "views", "background"),
     *("humans", "render", "enhance", "report", "deliver"),
 )
@@ -39,7 +39,7 @@ def cost(folder: Path) -> dict[str, Any]:
         jobs.setdefault(stage, {}).setdefault(step, {})["/".join(rest) or "scene"] = read_benchmark(path)
     stages = {}
     for stage, steps in sorted(
-        jobs.items(), key=lambda entry: (entry[0] not in _ORDER, _ORDER.index(entry[0]) if entry[0] in _ORDER else 0)
+        jobs.items(), key=lambda entry: (entry[0] not in STAGES, STAGES.index(entry[0]) if entry[0] in STAGES else 0)
     ):
         rules = {step: {**_total(list(entries.values())), "jobs": entries} for step, entries in steps.items()}
         stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}

@@ -15,9 +15,10 @@ import numpy as np
 from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
 from studiorecon.progress import say
-from studiorecon.report import html, sections, terms
+from studiorecon.report import html, sections, sweep_section, terms
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
+from studiorecon.report.records import read_records
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import read_json, write_json, write_text
@@ -119,10 +120,11 @@ def run(
     configuration: str,
     licences: Path,
     paper: Path,
+    sweeps: list[Path],
     costs: Path,
     page: Path,
 ) -> None:
-    """Write the page; lists of optional files may be empty, and the page then says what is missing."""
+    """Write the page; lists of optional files may be empty, and the page then says what is missing. ``sweeps`` are records of them."""
     capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
     spent["machine"] = {"system": platform.system(), "processor": platform.machine(), "python": platform.python_version()}
     write_json(costs, spent)
@@ -148,6 +150,9 @@ def run(
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
     body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
     body.append(sections.decisions(read_json(decisions)))
+    body.append(sweep_section.single(measured, spent))
+    swept = [read_records(path) for path in sweeps]
+    body += [sweep_section.section(name, records) for name, records in swept]
     body.append(sections.costs(spent))
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))

@@ -31,10 +31,13 @@ class Record:
         frames: camera → PSNR per frame, for paired differences.
         worst: worst camera and worst frame by PSNR.
         seconds: ``from_nothing`` (every job this result needs), ``marginal`` (those the base did not run), ``ran`` (those nobody
-            before ran), ``wall`` (the clock, Snakemake's planning included), ``scoring`` (not part of the others).
+            before ran), ``cpu`` (processor seconds of from_nothing, which other work on the machine disturbs less), ``wall`` (the clock,
+            Snakemake's planning included), ``scoring`` (not part of the others).
         stages, ran_stages: stage → seconds, of from_nothing and of ran.
         peak_memory_mb: of the largest job.
         seeds: dotted key → seed.
+        others_cores: cores that everything else on the machine kept busy during the run, in the mean; seconds beside much of that
+            are no measurement.
         scored: what metrics were computed with; runs that differ in it are not comparable.
     """
 
@@ -54,6 +57,7 @@ class Record:
     ran_stages: Mapping[str, float]
     peak_memory_mb: float | None
     seeds: Mapping[str, int]
+    others_cores: float
     machine: Mapping[str, Any]
     versions: Mapping[str, Any]
     scored: Mapping[str, Any] | None

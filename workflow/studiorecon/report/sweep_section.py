@@ -6,11 +6,12 @@ from __future__ import annotations
 import base64
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from studiorecon.report import html
 from studiorecon.report.charts import Effect, Point, plane, stacked, tornado
+from studiorecon.report.cost import STAGES
 from studiorecon.report.records import OK, Record
 from studiorecon.report.sections import MISSING, duration, shown
 from studiorecon.report.tradeoff import (
@@ -28,13 +29,37 @@ from studiorecon.report.tradeoff import (
 )
 
 _SHOWN_STAGES = 8
+# Below this, what else runs on the machine hardly moves seconds.
+_QUIET_CORES = 0.2
+
+
+def single(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    """What this one run cost and reached, in one sentence and three numbers."""
+    if spent["reason"]:
+        return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+    seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
+    dearest = sorted(seconds, key=seconds.__getitem__, reverse=True)[:3]
+    share = sum(seconds[stage] for stage in dearest) / (sum(seconds.values()) or 1.0)
+    final = metrics["pictures"].get("enhanced", metrics["pictures"].get("raw", {})).get("psnr", {})
+    reached = shown(final.get("value"), 2, "dB")
+    parts = ", ".join(f"{stage} {duration(seconds[stage])}" for stage in dearest)
+    sentence = f"On this machine: {duration(spent['total']['seconds'])} → {reached} at held-out cameras; {share:.0%} of it is {parts}."
+    tiles = [
+        (reached, "PSNR at held-out cameras"),
+        (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
+        (shown(spent["total"]["peak_memory_mb"], 0, "MB"), "memory of the largest job"),
+    ]
+    lead = "One run is one point. snakemake sweep runs others on the same scene and adds the front, prices and which settings matter."
+    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles)
 
 
 def section(table: str, records: Sequence[Record]) -> str:
     """Everything about one sweep of one scene."""
     good = [record for record in records if record.verdict == OK]
     if not good:
-        return html.heading("What accuracy costs", f"None of the {len(records)} configurations of {table} finished.") + _failures(records)
+        return html.heading("What other settings cost", f"None of the {len(records)} configurations of {table} finished.") + _failures(
+            records
+        )
     parts = [_head(table, records), _planes(records), _prices(records), _stages(records), _effects(records), _worst(records)]
     return "".join([*parts, _failures(records), _all(records), _colophon(records)])
 
@@ -52,14 +77,27 @@ def scenes_section(scenes: Mapping[str, Sequence[Record]]) -> str:
 
 def columns(records: Sequence[Record]) -> tuple[list[str], list[list[Any]]]:
     """Header and rows of the table of all runs, as the CSV has it."""
-    stages = list(dict.fromkeys(stage for record in records for stage in record.stages))
+    stages = _in_order(stage for record in records for stage in record.stages)
     names = measured(records)
-    header = ["name", "knob", "preset", "verdict", *names, "from_nothing_s", "marginal_s", "ran_s", "wall_s", "peak_memory_mb"]
+    header = [
+        "name",
+        "knob",
+        "preset",
+        "verdict",
+        *names,
+        "from_nothing_s",
+        "marginal_s",
+        "ran_s",
+        "cpu_s",
+        "wall_s",
+        "load",
+        "peak_memory_mb",
+    ]
     header += [f"{stage}_s" for stage in stages] + ["settings", "sentence"]
     rows = []
     for r in records:
         row: list[Any] = [r.name, r.knob, r.preset, r.verdict, *(r.metrics.get(name) for name in names)]
-        row += [*(r.seconds.get(name) for name in ("from_nothing", "marginal", "ran", "wall")), r.peak_memory_mb]
+        row += [*(r.seconds.get(name) for name in ("from_nothing", "marginal", "ran", "cpu", "wall")), r.others_cores, r.peak_memory_mb]
         row += [*(r.stages.get(stage) for stage in stages), "; ".join(f"{k}={v}" for k, v in r.settings.items()), r.sentence]
         rows.append(row)
     return header, rows
@@ -82,7 +120,7 @@ def _head(table: str, records: Sequence[Record]) -> str:
     lead = f"{len(records)} configurations of {table}, scored at the held-out cameras. Seconds are what each needs from nothing."
     said = ("cheapest", "95 % of the gain", "best") if len(three) == 3 else [""] * len(three)
     tiles = [(f"{quality(r, 'psnr'):.2f} dB", f"{s + ': ' if s else ''}{r.name}, {duration(r.total_s)}") for r, s in zip(three, said)]
-    return html.heading("What accuracy costs", lead) + f"<p><b>On this machine: {html.text(sentence)}.</b></p>" + html.tiles(tiles)
+    return html.heading("What other settings cost", lead) + f"<p><b>On this machine: {html.text(sentence)}.</b></p>" + html.tiles(tiles)
 
 
 def _plane(records: Sequence[Record], measure: str, title: str) -> str:
@@ -149,7 +187,7 @@ def _prices(records: Sequence[Record]) -> str:
 
 def _stages(records: Sequence[Record]) -> str:
     picked = [records[0], *(r for r in records if r.preset), *on_front(records, "psnr")]
-    rows = {r.name: (r.name, r.stages, r.ran_stages) for r in picked if r.verdict == OK}
+    rows = {r.name: (r.name, {s: r.stages[s] for s in _in_order(r.stages)}, r.ran_stages) for r in picked if r.verdict == OK}
     legend = "Hatched: taken over from an earlier run of this sweep, and charged all the same."
     return f'<h3>Where the time goes</h3><p class="soft">{legend}</p>' + stacked(
         "Seconds per stage", list(rows.values())[: _SHOWN_STAGES + 4]
@@ -203,15 +241,27 @@ def _failures(records: Sequence[Record]) -> str:
 def _all(records: Sequence[Record]) -> str:
     names = measured(records)
     digits = {name: digits for name, _, _, digits, _ in MEASURES}
-    header = ["configuration", *(heading for name, heading, *_ in MEASURES if name in names), "from nothing", "marginal", "largest job"]
+    header = [
+        "configuration",
+        *(heading for name, heading, *_ in MEASURES if name in names),
+        "from nothing",
+        "processor",
+        "marginal",
+        "largest job",
+    ]
     rows = []
     for r in records:
         values = [shown(r.metrics.get(n), digits[n]) if r.verdict == OK else r.verdict for n in names]
-        spent = [duration(r.seconds.get(name)) for name in ("from_nothing", "marginal")]
+        spent = [duration(r.seconds.get(name)) for name in ("from_nothing", "cpu", "marginal")]
         rows.append([r.name, *values, *spent, shown(r.peak_memory_mb, 0, "MB")])
     address = "data:text/csv;base64," + base64.b64encode(as_csv(records).encode()).decode()
     link = f'<p><a download="sweep.csv" href="{address}">All runs as CSV</a></p>'
     return "<details><summary>All runs</summary>" + html.table(header, rows, numeric=range(1, len(header))) + "</details>" + link
+
+
+def _in_order(stages: Iterable[str]) -> list[str]:
+    """Each stage once, in the order data flows."""
+    return sorted(set(stages), key=lambda stage: (STAGES.index(stage) if stage in STAGES else len(STAGES), stage))
 
 
 def _colophon(records: Sequence[Record]) -> str:
@@ -227,4 +277,7 @@ def _colophon(records: Sequence[Record]) -> str:
         f"{duration(shared[0])}, where every run on its own would have taken {duration(shared[1])}. Filming a made studio and scoring "
         f"are not charged. {len(records)} runs, {sum(r.verdict != OK for r in records)} failed, none left out."
     )
+    busiest = max(r.others_cores for r in records)
+    if busiest > _QUIET_CORES:
+        said += f" Something else kept up to {busiest:.1f} cores busy meanwhile: trust processor seconds more than the clock."
     return f'<p class="soft">{html.text(said)}</p>'

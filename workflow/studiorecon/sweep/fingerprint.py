@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import platform
+import resource
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -45,6 +46,12 @@ def seeds(configuration: Mapping[str, Any], above: str = "") -> dict[str, int]:
         elif key == "seed":
             found[f"{above}{key}"] = value
     return found
+
+
+def busy_s() -> tuple[float, float]:
+    """Processor seconds so far: of everything on the machine, and of the processes that this one started and that have ended."""
+    times, own = psutil.cpu_times(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return times.user + times.system + times.nice, own.ru_utime + own.ru_stime
 
 
 def _processor() -> str:

@@ -123,15 +123,15 @@ def share(source: Path, jobs: Iterable[Job], target: Path) -> None:
                 shutil.copy2(source / path, target / path)
 
 
-def charge(folder: Path, jobs: Iterable[Job], paid: frozenset[tuple[str, float]] = frozenset()) -> dict[str, float]:
-    """stage → wall seconds of the jobs, but for executions that are already paid for.
+def charge(folder: Path, jobs: Iterable[Job], paid: frozenset[tuple[str, float]] = frozenset(), kind: str = "seconds") -> dict[str, float]:
+    """stage → wall seconds (or ``kind`` cpu_seconds) of the jobs, but for executions that are already paid for.
 
     A job whose time Snakemake could not measure (a few hundredths of a second) counts nothing.
     """
     stages: dict[str, float] = {}
     for job in jobs:
         if job.execution not in paid:
-            stages[job.stage] = stages.get(job.stage, 0.0) + (_spent(folder, job, "seconds") or 0.0)
+            stages[job.stage] = stages.get(job.stage, 0.0) + (_spent(folder, job, kind) or 0.0)
     return stages
 
 

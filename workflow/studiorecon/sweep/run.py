@@ -23,7 +23,7 @@ from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.report.records import FAILED, OK, Record, write_records
 from studiorecon.scene.files import read_json, write_json, write_text
-from studiorecon.sweep.fingerprint import machine, seeds, versions
+from studiorecon.sweep.fingerprint import busy_s, machine, seeds, versions
 from studiorecon.sweep.jobs import Job, charge, cone, peak_memory_mb, read_jobs, reusable, share
 from studiorecon.sweep.outcome import NOTHING_MEASURED, Outcome, outcome, why_it_failed
 from studiorecon.sweep.table import Configuration, changes, full_configuration, read_configurations
@@ -56,9 +56,10 @@ def run(
         full, folder = full_configuration(given, rows[0], row, presets), work / row.name
         full |= {"scene": scene}
         _prepare(folder, full, finished)
-        began = time.monotonic()
+        began, before = time.monotonic(), busy_s()
         status, output = _snakemake(snakefile, folder, f"results/{scene}/report/metrics.json", cores, minutes)
-        wall_s = time.monotonic() - began
+        wall_s, after = time.monotonic() - began, busy_s()
+        others = max(0.0, (after[0] - before[0]) - (after[1] - before[1])) / wall_s
         made = read_jobs(folder)
         needed = cone(made, [f"results/{scene}/report/metrics.json"]) if status == 0 else made
         result = (
@@ -66,7 +67,9 @@ def run(
             if status == 0
             else Outcome(sentence=why_it_failed(output, folder, minutes if status is None else None))
         )
-        told.append(_record(scene, row, rows[0], full, folder, needed, result, wall_s, base_paid, frozenset(paid), here))
+        told.append(
+            _record(scene, row, rows[0], full, folder, needed, result, wall_s, base_paid, frozenset(paid), here | {"others_cores": others})
+        )
         # What a failed run finished before it failed is as good as anybody's.
         finished.append((folder, made, full))
         paid |= {job.execution for job in made.values()}
@@ -96,7 +99,8 @@ def _record(
     stages = charge(folder, jobs.values())
     beside_base = charge(folder, jobs.values(), base_paid or frozenset())
     ran = charge(folder, jobs.values(), paid)
-    charged = [{stage: s for stage, s in part.items() if stage not in _NOT_CHARGED} for part in (stages, beside_base, ran)]
+    processor = charge(folder, jobs.values(), kind="cpu_seconds")
+    charged = [{stage: s for stage, s in part.items() if stage not in _NOT_CHARGED} for part in (stages, beside_base, ran, processor)]
     return Record(
         scene=scene,
         name=row.name,
@@ -113,6 +117,7 @@ def _record(
             "from_nothing": sum(charged[0].values()),
             "marginal": sum(charged[1].values()),
             "ran": sum(charged[2].values()),
+            "cpu": sum(charged[3].values()),
             "scoring": stages.get("report", 0.0),
             "wall": wall_s,
         },
