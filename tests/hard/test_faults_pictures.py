@@ -13,7 +13,7 @@ import yaml
 from studiorecon import settings as settings_module
 from studiorecon.background import shell as room
 from studiorecon.background.seeding import seeds_from_depth
-from studiorecon.capture.presence import people_regions
+from studiorecon.body.presence import people_regions
 from studiorecon.capture.sync import lags
 from studiorecon.depth import given
 from studiorecon.geometry.bundle import BundleSettings, adjust
@@ -29,7 +29,6 @@ from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.shell import Shell
 from studiorecon.splatting.rasterise import rasterise
 from studiorecon.survey import coverage, exposures
-from studiorecon.survey.decide import Settings, decide_exposure
 from studiorecon.views import forward
 
 from tests.foundations.camera_ring import LIMITS, detect, ring, seen, walk
@@ -119,7 +118,6 @@ def test_views_carry_the_rest_of_a_photo(fault: float) -> None:
 
 @FAULTS
 def test_survey_judges_as_without_the_faults(fault: float) -> None:
-    settings = settings_module.load(Settings, CONFIG["survey"], "survey")
     clean = [look(v) for v in VIEWS]
     broken = [with_faults(depth, fault, seed)[0] for seed, (_, depth) in enumerate(clean)]
     points = coverage.stage_points(VIEWS, 0.5, 2.0)
@@ -128,7 +126,7 @@ def test_survey_judges_as_without_the_faults(fault: float) -> None:
     assert (right != found).mean() < SHARE
     measured = np.ones(VIEWS[0].hw, bool)
     views = [exposures.View(v, rgb, measured, depth) for v, (rgb, _), depth in zip(VIEWS, clean, broken)]
-    decision = decide_exposure(views, settings)
+    decision, _ = exposures.decide_exposure(views, tolerance=0.05, threshold=0.01)
     assert decision.verdict == "off"
     assert decision.value < 0.02
     json.dumps(decision.value)

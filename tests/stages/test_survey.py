@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +11,19 @@ import pytest
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
 from studiorecon.images.plate import write_plate
+from studiorecon.images.video import write_lossless
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.colmap import write_model
-from studiorecon.scene.decisions import Decision, forced, read_decisions, write_decisions
-from studiorecon.scene.people import write_people
+from studiorecon.scene.decisions import ORDER, Decision, forced, read_decisions, switched_on, write_decisions
+from studiorecon.scene.people import write_identities, write_people
+from studiorecon.scene.shell import Shell, write_shell
 from studiorecon.settings import load
 from studiorecon.survey import decide as step
-from studiorecon.survey.coverage import from_two_sides, largest_gap_deg, seen_by, stage, stage_points
-from studiorecon.survey.exposures import View
+from studiorecon.survey.coverage import decide_ring, decide_views, from_two_sides, largest_gap_deg, seen_by, stage, stage_points
+from studiorecon.survey.effects import decide_people
+from studiorecon.survey.exposures import View, decide_exposure
+from studiorecon.survey.films import halved, read_film, run_starts
 
 WH = (96, 64)
 
@@ -58,9 +63,9 @@ def settings(default_settings) -> step.Settings:
 
 class TestPeople:
     def test_somebody_nobody_and_an_empty_room(self) -> None:
-        assert (step.decide_people(["p0", "p1"]).verdict, step.decide_people(["p0", "p1"]).value) == ("on", 2.0)
-        assert step.decide_people([]).verdict == "off"
-        assert "dataset says" in step.decide_people(None).reason
+        assert (decide_people(["p0", "p1"]).verdict, decide_people(["p0", "p1"]).value) == ("on", 2.0)
+        assert decide_people([]).verdict == "off"
+        assert "dataset says" in decide_people(None).reason
 
 
 class TestCoverage:
@@ -88,14 +93,23 @@ class TestCoverage:
         assert from_two_sides(np.array([[0, 0, 1.0]]), cameras, np.ones((3, 1), bool), 2.0).all()
 
     def test_four_cameras_need_views_between_and_a_dense_ring_does_not(self, settings: step.Settings) -> None:
-        def decide(azimuths: list[float]) -> dict[str, Decision]:
+        def verdict(azimuths: list[float], was_on: bool = False) -> str:
             cameras = ring(azimuths, focal_px=40)
-            return {d.effect: d for d in step.decide_views(cameras, [np.zeros(c.hw, np.float32) for c in cameras], settings)}
+            return decide_views(
+                cameras, [np.zeros(c.hw, np.float32) for c in cameras], grid_m=settings.grid_m, height_m=settings.height_m,
+                tolerance=settings.depth_tolerance, gap_deg=settings.gap_deg, threshold=settings.thresholds["view_synthesis"],
+                was_on=was_on,
+            ).verdict  # fmt: skip
 
-        assert decide([0, 90, 180, 270])["view_synthesis"].verdict == "on"
-        assert decide(list(range(0, 360, 20)))["view_synthesis"].verdict == "off"
-        assert decide([0, 90, 180, 270])["closed_path"].verdict == "on"
-        assert decide([0, 45, 90])["closed_path"].verdict == "off"
+        assert verdict([0, 90, 180, 270]) == "on"
+        assert verdict(list(range(0, 360, 20))) == "off"
+        # A gap of 33 degrees lies between 0.8 times the threshold and the threshold.
+        almost = list(np.arange(0, 360, 360 / 11))
+        assert (verdict(almost), verdict(almost, was_on=True)) == ("off", "on")
+
+    @pytest.mark.parametrize(("azimuths", "verdict"), [([0, 90, 180, 270], "on"), ([0, 45, 90], "off")])
+    def test_a_ring_is_closed_and_an_arc_is_not(self, azimuths: list[float], verdict: str) -> None:
+        assert decide_ring(ring(azimuths), 150.0).verdict == verdict
 
     def test_parallel_cameras_have_a_stage(self) -> None:
         cameras = ring([0, 0.0])
@@ -104,55 +118,115 @@ class TestCoverage:
 
 
 class TestExposure:
-    def test_a_planted_gain_is_found_and_equal_cameras_are_left_alone(self, settings: step.Settings) -> None:
+    def test_a_planted_gain_is_found_and_equal_cameras_are_left_alone(self) -> None:
         cameras = ring([0, 90, 180, 270])
         right = wrong = 0
         for seed in range(20):
             views = [floor_view(c, noise=0.02, seed=10 * seed + k) for k, c in enumerate(cameras)]
-            wrong += step.decide_exposure(views, settings).verdict != "off"
+            wrong += decide_exposure(views, 0.05, 0.01)[0].verdict == "on"
             views[2] = floor_view(cameras[2], gain=1.03, noise=0.02, seed=10 * seed + 7)
-            decision = step.decide_exposure(views, settings)
+            decision = decide_exposure(views, 0.05, 0.01)[0]
             right += decision.verdict == "on" and decision.reason.startswith("c2")
         assert (right, wrong) == (20, 0)
 
-    def test_a_colour_cast_counts_as_exposure(self, settings: step.Settings) -> None:
+    def test_a_colour_cast_counts_as_exposure(self) -> None:
         views = [floor_view(c, gain=(1.0, 1.0, 1.06) if k == 1 else 1.0) for k, c in enumerate(ring([0, 90, 180]))]
-        assert step.decide_exposure(views, settings).verdict == "on"
+        assert decide_exposure(views, 0.05, 0.01)[0].verdict == "on"
 
-    def test_cameras_that_share_nothing_are_undetermined(self, settings: step.Settings) -> None:
+    def test_cameras_that_share_nothing_are_undetermined(self) -> None:
         blind = [View(v.camera, v.rgb, v.measured, 0 * v.depth_m) for v in map(floor_view, ring([0, 180]))]
-        decision = step.decide_exposure(blind, settings)
+        decision = decide_exposure(blind, 0.05, 0.01)[0]
         assert (decision.verdict, decision.value) == ("undetermined", None)
 
 
 class TestDecisions:
-    def test_they_survive_their_file(self, tmp_path: Path) -> None:
-        made = [Decision("a", "s", 1.5, (1.0, 2.0), 1.0, "on", "r"), Decision("b", "s", None, None, None, "undetermined", "r")]
-        write_decisions(tmp_path / "decisions.json", made)
-        assert list(read_decisions(tmp_path / "decisions.json").values()) == made
-
     def test_they_can_be_forced(self) -> None:
-        made = [Decision("a", "s", 1.5, None, 1.0, "on", "because")]
-        (decision,) = forced(made, {"a": "off"})
+        made = [Decision("exposure", "s", 1.5, None, 1.0, "on", "because")]
+        (decision,) = forced(made, {"exposure": "off", "injection": "on"})
         assert decision.verdict == "off"
         assert "measured on" in decision.reason
-        with pytest.raises(Refusal, match="effects are a"):
-            forced(made, {"b": "off"})
+        with pytest.raises(Refusal, match=r"effects are .*exposure"):
+            forced(made, {"weather": "off"})
+
+    def test_the_next_survey_knows_what_was_on_but_not_what_was_forced(self, tmp_path: Path) -> None:
+        assert switched_on(tmp_path / "decisions.json") == frozenset()
+        made = [Decision(e, "s", 1.5, None, 1.0, v, "r") for e, v in (("exposure", "on"), ("hands", "off"), ("face", "on"))]
+        write_decisions(tmp_path / "decisions.json", forced(made, {"face": "on"}))
+        assert switched_on(tmp_path / "decisions.json") == {"exposure"}
 
 
-def test_the_step_writes_its_decisions(tmp_path: Path, settings: step.Settings) -> None:
+@pytest.fixture
+def files(tmp_path: Path) -> dict:
+    """What the step reads: three cameras that look at a floor for twelve frames, and one person without keypoints."""
     cameras = ring([0, 120, 240])
     write_model(tmp_path / "cameras", cameras)
-    footage = tuple(Footage(c.name, False, c.wh, c.intrinsics.tolist(), 30.0, 5, 0, "v", "", c.wh, 0, 0.0, []) for c in cameras)
-    write_manifest(tmp_path / "manifest.json", Manifest("s", 30.0, 5, footage))
+    footage = tuple(Footage(c.name, False, c.wh, c.intrinsics.tolist(), 30.0, 12, 0, "v", "", c.wh, 0, 0.0, []) for c in cameras)
+    write_manifest(tmp_path / "manifest.json", Manifest("s", 30.0, 12, footage))
     write_people(tmp_path / "people.tsv", [("p0", 5, "c0,c1", 1.0, "keypoints")])
+    write_identities(tmp_path / "identities.tsv", {})
+    write_shell(tmp_path / "shell.json", Shell(0.0, np.array([-4, -4, 0.0]), np.array([4, 4, 3.0]), np.ones(6, bool), np.ones(6)))
+    rng = np.random.default_rng(0)
     for view in map(floor_view, cameras):
-        write_plate(tmp_path / f"{view.camera.name}.png", np.rint(view.rgb * 255).astype(np.uint8), view.measured)
+        picture = np.rint(view.rgb * 255)
+        write_plate(tmp_path / f"{view.camera.name}.png", picture.astype(np.uint8), view.measured)
         write_depth(tmp_path / f"{view.camera.name}.exr", view.depth_m, np.ones(view.camera.hw, np.float32))
-    plates, depths = ([tmp_path / f"{c.name}.{suffix}" for c in cameras] for suffix in ("png", "exr"))
-    model, manifest, out = tmp_path / "cameras/images.txt", tmp_path / "manifest.json", tmp_path / "decisions.json"
-    step.run(settings, manifest, model, [tmp_path / "people.tsv"], plates, depths, out)
-    found = {effect: d.verdict for effect, d in read_decisions(out).items()}
-    assert found == {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off"}
-    step.run(settings, manifest, model, [], plates, depths, out)
-    assert read_decisions(out)["people"].verdict == "off"
+        noisy = [np.clip(picture + np.rint(rng.normal(0, 1, picture.shape)), 0, 255).astype(np.uint8) for _ in range(12)]
+        write_lossless(tmp_path / f"{view.camera.name}.mkv", noisy, 30.0)
+    named = {key: [tmp_path / f"{c.name}.{end}" for c in cameras] for key, end in (("videos", "mkv"), ("plates", "png"), ("depths", "exr"))}
+    return named | {
+        "manifest": tmp_path / "manifest.json", "model": tmp_path / "cameras/images.txt", "people": [tmp_path / "people.tsv"],
+        "identities": [tmp_path / "identities.tsv"], "detections": [], "shell": tmp_path / "shell.json",
+        "decisions": tmp_path / "survey/decisions.json",
+    }  # fmt: skip
+
+
+class TestStep:
+    def test_every_effect_has_a_decision_with_its_reason(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files)
+        found = read_decisions(files["decisions"])
+        assert list(found) == list(ORDER)
+        assert all(d.reason and d.statistic and d.calibration == "uncalibrated" for d in found.values())
+        told = {"people": "on", "view_synthesis": "on", "closed_path": "on", "exposure": "off", "sync_offset": "undetermined"}
+        assert {effect: found[effect].verdict for effect in told} == told
+        assert "trained.json" in found["injection"].reason
+        assert found["view_synthesis"].obeyed_by
+        assert not found["hands"].obeyed_by
+
+    def test_every_effect_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
+        for verdict in ("on", "off"):
+            step.run(replace(settings, force=dict.fromkeys(ORDER, verdict)), **files)
+            assert {(d.verdict, d.forced) for d in read_decisions(files["decisions"]).values()} == {(verdict, True)}
+        step.run(settings, **files)
+        assert read_decisions(files["decisions"])["exposure"].verdict == "off", "a lifted force leaves no trace"
+
+    def test_same_input_same_bytes(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files)
+        once = files["decisions"].read_bytes()
+        step.run(settings, **files)
+        assert files["decisions"].read_bytes() == once
+
+    def test_a_room_that_is_known_to_be_empty(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files | {"people": [], "identities": []})
+        found = read_decisions(files["decisions"])
+        assert found["people"].verdict == "off"
+        assert found["hands"].verdict == "undetermined"
+
+    def test_a_missing_film_is_refused(self, files: dict, settings: step.Settings) -> None:
+        with pytest.raises(Refusal, match="3 training cameras, but 2 videos"):
+            step.run(settings, **files | {"videos": files["videos"][:2]})
+
+
+class TestFilms:
+    def test_runs_are_spread_over_the_clip_and_begin_with_it(self) -> None:
+        assert run_starts(1000, 60, 12) == [0, 247, 494, 741, 988]
+        assert run_starts(5, 60, 12) == [0]
+        assert run_starts(60, 60, 12) == [0, 12, 24, 36, 48]
+
+    def test_pictures_shrink_and_runs_are_found_again(self, files: dict) -> None:
+        camera = ring([0, 120, 240])[0]
+        film = read_film(files["videos"][0], camera, 12, None, pictures=6, run=2, longest_px=48)
+        assert film.times.tolist() == [0, 1, 5, 6, 10, 11]
+        assert film.runs == [slice(0, 2), slice(2, 4), slice(4, 6)]
+        assert (film.pictures.shape, film.scale, film.free.all()) == ((6, 32, 48, 3), 2.0, True)
+        small = halved(film)
+        assert (small.pictures.shape, small.scale) == ((6, 16, 24, 3), 4.0)

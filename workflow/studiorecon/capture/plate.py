@@ -17,8 +17,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from studiorecon.body.presence import people_regions
 from studiorecon.capture.lenses import lens_of
-from studiorecon.capture.presence import people_regions
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, video_from_working
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate

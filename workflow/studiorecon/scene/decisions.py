@@ -47,6 +47,7 @@ class Decision:
         cost_saved_estimate_s: seconds that leaving the effect out saves; None when nothing is left out or nobody measured it.
         calibration: what the threshold rests on.
         forced: the user's word, not the measurement's.
+        obeyed_by: which step or plan acts on the verdict; empty while none does, and the verdict only informs.
         detail: numbers for who acts on the decision.
     """
 
@@ -63,6 +64,7 @@ class Decision:
     cost_saved_estimate_s: float | None = None
     calibration: str = UNCALIBRATED
     forced: bool = False
+    obeyed_by: str = ""
     detail: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -82,6 +84,7 @@ def decide(
     unit: str = "",
     on_above: bool = True,
     was_on: bool = False,
+    obeyed_by: str = "",
     detail: Mapping[str, Any] | None = None,
 ) -> Decision:
     """On when the whole interval lies beyond ``threshold``, off when none of it does, else undetermined.
@@ -108,21 +111,28 @@ def decide(
         verdict = "on" if nearest > line else "off" if furthest <= line else "on" if was_on else "undetermined"
         if verdict == "undetermined":
             reason = f"{reason}; the threshold lies within what the measurement leaves open, so the cheaper branch is taken"
-    return Decision(effect, statistic, value, interval, threshold, verdict, reason, unit=unit, on_above=on_above, detail=dict(detail or {}))
+    return Decision(
+        effect, statistic, value, interval, threshold, verdict, reason, unit=unit, on_above=on_above, obeyed_by=obeyed_by,
+        detail=dict(detail or {}),
+    )  # fmt: skip
 
 
-def not_measured(effect: str, statistic: str, threshold: float | None, why: str, unit: str = "", on_above: bool = True) -> Decision:
+def not_measured(
+    effect: str, statistic: str, threshold: float | None, why: str, unit: str = "", on_above: bool = True, obeyed_by: str = ""
+) -> Decision:
     """The effect is listed, and why nothing here can tell."""
     reason = f"not measured here: {why}"
-    return Decision(effect, statistic, None, None, threshold, "undetermined", reason, unit=unit, on_above=on_above)
+    return Decision(effect, statistic, None, None, threshold, "undetermined", reason, unit=unit, on_above=on_above, obeyed_by=obeyed_by)
 
 
 def forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[Decision]:
-    """The decisions with the verdicts that the user wants (effect → ``on`` or ``off``); raises Refusal for an unknown effect."""
-    known = {d.effect for d in decisions}
+    """The decisions with the verdicts that the user wants (effect → ``on`` or ``off``); raises Refusal for an unknown effect.
+
+    Each step of the survey is told all of them and forces those it decides.
+    """
     for effect, verdict in verdicts.items():
-        if effect not in known or verdict not in ("on", "off"):
-            raise Refusal(f"survey.force has {effect}: {verdict}; effects are {', '.join(sorted(known))}, and each is forced on or off")
+        if effect not in ORDER or verdict not in ("on", "off"):
+            raise Refusal(f"survey.force has {effect}: {verdict}; effects are {', '.join(sorted(ORDER))}, and each is forced on or off")
     return [
         replace(d, verdict=verdicts[d.effect], reason=f"{d.reason} (measured {d.verdict}; forced by survey.force)", forced=True)
         if d.effect in verdicts
@@ -139,6 +149,16 @@ def in_order(decisions: Sequence[Decision]) -> list[Decision]:
 def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
     """Write the decisions, and the order in which they were made."""
     write_json(path, {"order": [d.effect for d in decisions], "decisions": [asdict(d) for d in decisions]})
+
+
+def switched_on(path: Path) -> frozenset[str]:
+    """Effects that an earlier survey measured to be on, for the hysteresis; none when there was no earlier one.
+
+    A forced verdict does not count: lifting the force must give what was measured.
+    """
+    if not path.is_file():
+        return frozenset()
+    return frozenset(effect for effect, d in read_decisions(path).items() if d.called_for and not d.forced)
 
 
 def read_decisions(path: Path) -> dict[str, Decision]:

@@ -9,6 +9,10 @@ import numpy as np
 
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.decisions import Decision, decide
+
+# Sides from which a surface must be seen to be placed (numerics T01).
+_PARALLAX_DEG = 2.0
 
 
 def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> np.ndarray:
@@ -80,3 +84,49 @@ def mean_pair_deg(cameras: Sequence[Camera]) -> float:
     first, second = np.triu_indices(len(cameras), 1)
     apart = np.abs(azimuths[first] - azimuths[second])
     return float(np.minimum(apart, 360 - apart).mean()) if len(first) else 0.0
+
+
+def decide_ring(cameras: Sequence[Camera], threshold_deg: float, was_on: bool = False) -> Decision:
+    """Do the cameras surround the stage? A ring has its gap between every two neighbours, an arc a wide one beyond its ends."""
+    gap = largest_gap_deg(cameras)
+    around = "surround the stage" if gap <= threshold_deg else "leave one side open"
+    reason = (
+        f"the cameras {around}: the widest gap is {gap:.0f} degrees, and any two are {mean_pair_deg(cameras):.0f} degrees apart on average"
+    )
+    statistic = "largest azimuth between neighbouring cameras"
+    return decide("closed_path", statistic, gap, (gap, gap), threshold_deg, reason, unit="degrees", on_above=False, was_on=was_on)
+
+
+def decide_views(
+    cameras: Sequence[Camera],
+    depths_m: Sequence[np.ndarray],
+    *,
+    grid_m: float,
+    height_m: float,
+    tolerance: float,
+    gap_deg: float,
+    threshold: float,
+    was_on: bool = False,
+) -> Decision:
+    """Do the photos leave so much of the stage open that views between them have to be synthesised?
+
+    Where neighbours stand further apart than ``gap_deg``, what both see still looks different from between them: the share that counts
+    as covered is lowered by the ratio of the two.
+    """
+    statistic = f"share of the stage not seen from two sides, nor from within {gap_deg:.0f} degrees"
+    points = stage_points(cameras, grid_m, height_m)
+    if not len(points):
+        reason = "the cameras stand on the spot they look at, so there is no stage between them"
+        return decide("view_synthesis", statistic, None, None, threshold, reason)
+    seen = seen_by(points, cameras, depths_m, tolerance)
+    once, twice = float(seen.any(axis=0).mean()), float(from_two_sides(points, cameras, seen, _PARALLAX_DEG).mean())
+    gap = largest_gap_deg(cameras)
+    near = min(gap_deg / gap, 1.0)
+    error = float(np.sqrt(max(twice * (1 - twice), 1e-6) / len(points)))
+    reason = (
+        f"{once:.0%} of the stage is seen by one camera or more and {twice:.0%} from two sides, with up to {gap:.0f} degrees between "
+        "neighbours"
+    )
+    value = 1 - near * twice
+    interval = max(value - 2 * near * error, 0.0), min(value + 2 * near * error, 1.0)
+    return decide("view_synthesis", statistic, value, interval, threshold, reason, was_on=was_on)

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each effect: planted it is found, alone it does not set off another, and without information nothing is claimed.
+
+Many seeds and all pairs are the benchmark's (``python -m tests.bench.effects``); here a few seeds keep the statistics honest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.decisions import Decision
+from studiorecon.settings import load
+from studiorecon.survey.effects import Material, Settings, judge
+
+from .world import FRAMES, NAMES, PLANTED, scene
+
+ROOT = Path(__file__).resolve().parents[2]
+SETTINGS = load(Settings, yaml.safe_load((ROOT / "config/config.yaml").read_text())["survey"], "survey")
+# Where the scene without anything planted stands: a ring of four cameras in a deep room, with one person far from them.
+USUAL_ON = {"people", "depth_shift", "closed_path", "view_synthesis"}
+# One picture size makes both hands and faces large; rows of cameras before a wall are no ring.
+TOGETHER = {("face", "hands"), ("depth_shift", "closed_path")}
+
+
+def judged(material: Material, was_on: tuple[str, ...] = ()) -> dict[str, Decision]:
+    return {d.effect: d for d in judge(material, SETTINGS, was_on)}
+
+
+@pytest.fixture(scope="module")
+def usual() -> Material:
+    return scene(0)
+
+
+@pytest.fixture(scope="module")
+def base(usual: Material) -> dict[str, Decision]:
+    return judged(usual)
+
+
+def test_nothing_planted_nothing_found(base: dict[str, Decision]) -> None:
+    on = {effect for effect, d in base.items() if d.verdict == "on"}
+    assert on == USUAL_ON
+    unknown = {effect for effect, d in base.items() if d.verdict == "undetermined"}
+    # A lens shows in body points only where it bends by more than their noise.
+    assert unknown <= {"vertex_term", "lens_distortion", "rolling_shutter"}
+
+
+# Fifteen cameras, and pictures of a thousand pixels, take their time.
+SLOW = {"view_synthesis", "face"}
+
+
+@pytest.mark.parametrize("effect", [pytest.param(e, marks=[pytest.mark.slow] if e in SLOW else []) for e in PLANTED])
+def test_a_planted_effect_is_found_and_no_other_one(effect: str) -> None:
+    found = judged(scene(1, **PLANTED[effect]))
+    assert found[effect].verdict == ("off" if effect in USUAL_ON else "on"), found[effect]
+    for other, decision in found.items():
+        if other != effect and (effect, other) not in TOGETHER:
+            assert decision.verdict in ("undetermined", "on" if other in USUAL_ON else "off"), decision
+
+
+class TestNoInformation:
+    def test_a_blank_room_does_not_say_whether_cameras_move(self) -> None:
+        assert judged(scene(2, texture=0.0))["moving_cameras"].verdict == "undetermined"
+
+    def test_without_depth_cameras_share_nothing(self) -> None:
+        found = judged(scene(2, known_depth=False))
+        assert {found[e].verdict for e in ("exposure", "view_dependent_colour", "depth_shift", "moving_shadows")} == {"undetermined"}
+
+    @pytest.mark.parametrize("effect", ["sync_offset", "rolling_shutter"])
+    def test_who_stands_still_does_not_tell_clocks(self, effect: str) -> None:
+        still = judged(scene(2, speed_m_s=0.02, lag_frames=0.5))
+        assert still[effect].verdict == "undetermined"
+        assert "px per frame" in still[effect].reason
+
+    def test_without_people_nothing_is_said_of_clocks_hands_and_shadows(self) -> None:
+        found = judged(scene(2, people=0))
+        of_people = ("lens_distortion", "sync_offset", "rolling_shutter", "hands", "face", "vertex_term", "moving_shadows")
+        assert {found[e].verdict for e in of_people} == {"undetermined"}
+        assert found["people"].verdict == "off"
+
+    def test_where_people_hide_the_room_nothing_is_said_of_light_and_things(self, usual: Material) -> None:
+        hidden = replace(usual, films=[replace(f, free=np.zeros_like(f.free)) for f in usual.films])
+        found = judged(hidden)
+        assert {found[e].verdict for e in ("changing_light", "dynamic_objects", "moving_shadows", "moving_cameras")} == {"undetermined"}
+
+    def test_keypoints_without_wrists_say_nothing_of_hands(self, usual: Material) -> None:
+        kept = [i for i, name in enumerate(NAMES) if "wrist" not in name]
+        few = replace(usual.tracks, pixels=usual.tracks.pixels[..., kept, :], confidence=usual.tracks.confidence[..., kept],
+                      names=tuple(NAMES[i] for i in kept))  # fmt: skip
+        found = judged(replace(usual, tracks=few))["hands"]
+        assert found.verdict == "undetermined"
+        assert "no keypoints named left_wrist" in found.reason
+
+
+class TestLookalikes:
+    """What resembles an effect and is none of it."""
+
+    def test_a_lamp_that_flickers_in_place_is_no_thing_that_moves(self, usual: Material) -> None:
+        def flickers(pictures: np.ndarray) -> np.ndarray:
+            lit = pictures.copy()
+            lit[::2, 20:34, 30:44] = np.clip(lit[::2, 20:34, 30:44].astype(int) + 60, 0, 255)
+            return lit
+
+        found = judged(_filmed(usual, flickers))
+        assert found["dynamic_objects"].verdict == "off"
+
+    def test_people_who_cover_half_of_the_room_do_not_change_its_light(self, usual: Material) -> None:
+        def covered(pictures: np.ndarray) -> np.ndarray:
+            dark = pictures.copy()
+            dark[10:, :, : dark.shape[2] // 2] //= 3
+            return dark
+
+        films = [replace(f, pictures=covered(f.pictures), free=_left_taken(f.free)) for f in usual.films]
+        assert judged(replace(usual, films=films))["changing_light"].verdict == "off"
+
+    def test_a_change_of_light_is_no_movement_shadow_or_gloss(self) -> None:
+        found = judged(scene(3, light=0.15))
+        assert found["changing_light"].verdict == "on"
+        assert {found[e].verdict for e in ("moving_cameras", "view_dependent_colour", "dynamic_objects")} == {"off"}
+        assert found["moving_shadows"].verdict != "on"
+
+    def test_a_lost_keypoint_leaves_a_leg_that_is_no_thing(self, usual: Material) -> None:
+        films = []
+        for film in usual.films:
+            pictures = film.pictures.copy()
+            for t, free in enumerate(film.free):
+                rows, columns = np.nonzero(~free)
+                if len(rows):
+                    at = columns[rows.argmax()]
+                    pictures[t, rows.max() + 1 : rows.max() + 12, max(at - 4, 0) : at + 4] = (20, 30, 160)
+            films.append(replace(film, pictures=pictures))
+        assert judged(replace(usual, films=films))["dynamic_objects"].verdict == "off"
+
+
+class TestPairs:
+    """Two effects at once are both found (evaluation §3.21)."""
+
+    @pytest.mark.parametrize(
+        "pair",
+        [("exposure", "view_dependent_colour"), ("sync_offset", "rolling_shutter"), ("moving_shadows", "dynamic_objects"),
+         ("lens_distortion", "sync_offset")],
+        ids="+".join,
+    )  # fmt: skip
+    def test_both_are_found(self, pair: tuple[str, str]) -> None:
+        found = judged(scene(4, **PLANTED[pair[0]], **PLANTED[pair[1]]))
+        assert [found[e].verdict for e in pair] == ["on", "on"]
+
+
+def test_a_moving_camera_voids_what_rests_on_the_calibration() -> None:
+    found = judged(scene(5, **PLANTED["moving_cameras"], **PLANTED["exposure"]))
+    assert found["exposure"].verdict == "undetermined"
+    assert "cameras move" in found["exposure"].reason
+    assert found["people"].verdict == "on"
+
+
+def test_the_planted_size_is_what_is_measured() -> None:
+    found = judged(scene(6, lag_frames=0.5, readout=0.9, gain=1.04))
+    # Lags are against the mean of the others, which the late camera's own does not move.
+    assert found["sync_offset"].detail["lag_frames"]["c3"] == pytest.approx(0.5, abs=0.06)
+    assert found["rolling_shutter"].detail["readout"]["c3"] == pytest.approx(0.9, abs=0.3)
+    # Gains have a geometric mean of 1, so the one that differs shows three quarters of it.
+    assert found["exposure"].detail["gains"]["c1"][0] == pytest.approx(1.04**0.75, abs=0.004)
+    found = judged(scene(6, k1=0.06, shift_px=0.8))
+    assert found["moving_cameras"].value == pytest.approx(0.8, abs=0.1)
+
+
+def test_hysteresis_keeps_what_was_on_and_is_lost_further_down() -> None:
+    weak = scene(7, light=0.0185)
+    assert judged(weak)["changing_light"].verdict == "off"
+    assert judged(weak, ("changing_light",))["changing_light"].verdict == "on"
+    assert judged(weak, ("dynamic_objects",))["dynamic_objects"].verdict == "off"
+
+
+def _filmed(material: Material, change: Callable[[np.ndarray], np.ndarray]) -> Material:
+    return replace(material, films=[replace(f, pictures=change(f.pictures)) for f in material.films])
+
+
+def _left_taken(free: np.ndarray) -> np.ndarray:
+    taken = free.copy()
+    taken[10:, :, : taken.shape[2] // 2 - 10] = False
+    return taken
+
+
+def test_the_made_scene_is_what_it_says() -> None:
+    material = scene(0)
+    assert material.tracks.pixels.shape == (4, 1, FRAMES, len(NAMES), 2)
+    for view in material.views:
+        camera: Camera = view.camera
+        points = camera.unproject(camera.pixel_centres(), view.depth_m)
+        assert np.abs(points).max() == pytest.approx(4.0, abs=1e-3)
