@@ -29,6 +29,7 @@ include: "workflow/rules/report.smk"
 include: "workflow/rules/deliver.smk"
 include: "workflow/rules/sweep.smk"
 include: "workflow/rules/weights.smk"
+include: "workflow/rules/images.smk"
 
 
 report: "workflow/report/workflow.rst"

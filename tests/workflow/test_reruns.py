@@ -35,6 +35,13 @@ def test_a_render_setting_renders_again_and_trains_nothing(finished: House) -> N
     assert set(plan) == AFTER_HUMANS
 
 
+def test_a_replaced_person_renders_again_and_trains_nothing(finished: House) -> None:
+    stranger = finished.folder / "stranger.ply"
+    stranger.touch()
+    overlay = finished.overlay(render={"shots": {"orbit": {"replace": {"p0": str(stranger), "p1": "p0"}}}})
+    assert set(finished.plan("--configfile", overlay)) == AFTER_HUMANS
+
+
 def test_a_human_setting_trains_the_humans_and_leaves_the_room(finished: House) -> None:
     plan = finished.plan("--configfile", finished.overlay(humans={"iterations": 7}))
     assert plan["humans_train"] == 2

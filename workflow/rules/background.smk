@@ -34,10 +34,11 @@ rule background_train:
     benchmark:
         "benchmarks/{scene}/background/train.tsv"
     container:
-        image("core")
+        image(DRAWN_BY)
     threads: 2
     resources:
         mem_mb=3000,
+        gpu=DRAWING_GPUS,
     params:
         settings=settings("background"),
         code=code("background.train"),

@@ -144,14 +144,28 @@ def code(step):
 
 
 def image(name):
-    """Address of a container image, from envs/images.yaml."""
-    return f"docker://{IMAGES[name]['image']}:{IMAGES[name]['version']}"
+    """A container image: the file that snakemake images made with apptainer, else its address from envs/images.yaml."""
+    entry = IMAGES[name]
+    built = Path(config["images"]) / f"{name}-{entry['version']}.sif"
+    if built.is_file():
+        return str(built)
+    return f"docker://{entry['image']}@{entry['digest']}" if entry["digest"] else f"docker://{entry['image']}:{entry['version']}"
+
+
+def no_container(wildcards):
+    """For a rule that must run outside of images whatever --sdm says; the linter wants every rule to say something."""
+    return None
 
 
 def model_image(name):
-    """Address of the image an upstream network runs in: its own where envs/images.yaml has one."""
-    own = MODELS[name].runtime.image
-    return image(own if own in IMAGES else "core")
+    """The image an upstream network runs in."""
+    return image(MODELS[name].runtime.image)
+
+
+# What draws Gaussians on a GPU and what LPIPS needs is in an image of its own, because torch is large.
+DRAWN_BY = "vision" if config["device"] == "cuda" or "lpips" in SELECTED else "core"
+DRAWING_GPUS = 1 if config["device"] == "cuda" else 0
+IMAGES_USED = sorted({"core", DRAWN_BY} | {MODELS[name].runtime.image for name in SELECTED})
 
 
 def gpus(name):

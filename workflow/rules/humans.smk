@@ -26,10 +26,11 @@ rule humans_train:
     benchmark:
         "benchmarks/{scene}/humans/train/{person}.tsv"
     container:
-        image("core")
+        image(DRAWN_BY)
     threads: 1
     resources:
         mem_mb=3000,
+        gpu=DRAWING_GPUS,
     params:
         settings=settings("humans"),
         code=code("humans.train"),

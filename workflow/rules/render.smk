@@ -26,10 +26,11 @@ rule render_shot:
     benchmark:
         "benchmarks/{scene}/render/shot/{shot}.tsv"
     container:
-        image("core")
+        image(DRAWN_BY)
     threads: 2
     resources:
         mem_mb=2000,
+        gpu=DRAWING_GPUS,
     params:
         settings=settings("render"),
         code=code("render.shot"),
@@ -60,10 +61,11 @@ rule render_layers:
     benchmark:
         "benchmarks/{scene}/render/layers/{shot}.tsv"
     container:
-        image("core")
+        image(DRAWN_BY)
     threads: 2
     resources:
         mem_mb=2000,
+        gpu=DRAWING_GPUS,
     params:
         settings=settings("render"),
         code=code("render.layers"),

@@ -29,7 +29,7 @@ rule report_evaluate:
     benchmark:
         "benchmarks/{scene}/report/evaluate.tsv"
     container:
-        image("core")
+        image(DRAWN_BY)
     threads: 2
     resources:
         mem_mb=1500,

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every image has its folder, every rule and network its image, and pins agree with what is declared elsewhere."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import tomllib
+import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+from studiorecon import code
+from studiorecon.models.containers import definition
+from studiorecon.models.registry import MODELS
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGES = yaml.safe_load((ROOT / "envs/images.yaml").read_text())
+RULES = sorted((ROOT / "workflow/rules").glob("*.smk"))
+# What a package is imported as.
+PACKAGES = {"cv2": ("opencv-python-headless", "opencv-contrib-python-headless"), "yaml": ("pyyaml",), "OpenEXR": ("openexr",)}
+# Steps of networks, by the settings' names of the networks; everything else runs in core or vision.
+STEPS = {
+    "cameras.network": ("pi3", "pi3x", "mapanything"),
+    "people.bodies": ("comotion",),
+    "masks.network": ("sam3",),
+    "depth.network": ("moge", "moge3", "pi3", "mapanything"),
+    "views.generate": ("gen3c",),
+    "enhance.shot": ("difix", "fixer", "raft"),
+    "humans.canonical": ("lhm",),
+}
+
+
+def pins(name: str) -> dict[str, Requirement]:
+    lines = (line.partition("#")[0].strip() for line in (ROOT / "envs" / name / "requirements.txt").read_text().splitlines())
+    found = [Requirement(line) for line in lines if line]
+    return {canonicalize_name(r.name): r for r in found}
+
+
+def test_images_and_folders_are_the_same() -> None:
+    assert {p.name for p in (ROOT / "envs").iterdir() if p.is_dir()} == set(IMAGES)
+    for name, entry in IMAGES.items():
+        assert set(entry) == {"image", "version", "digest"}, name
+        assert entry["digest"] == "" or re.fullmatch(r"sha256:[0-9a-f]{64}", entry["digest"])
+        assert "." not in entry["image"].split("/")[0], "an address holds no registry"
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_an_image_is_pinned_and_can_be_said_to_every_engine(name: str) -> None:
+    for package, requirement in pins(name).items():
+        assert requirement.url or [s.operator for s in requirement.specifier] == ["=="], f"envs/{name}: {package} is not pinned"
+    text = (ROOT / "envs" / name / "Containerfile").read_text()
+    recipe = definition(text)
+    assert "From: docker.io/" in recipe
+    for source, target in re.findall(r"^COPY (\S+) (\S+)$", text, re.MULTILINE):
+        assert (ROOT / source).exists(), f"envs/{name} copies {source}, which is not there"
+        assert target.startswith("/opt/studiorecon/")
+    assert "COPY workflow/studiorecon /opt/studiorecon/workflow/studiorecon" in text
+    assert "PYTHONPATH=/opt/studiorecon/workflow" in text
+
+
+def test_versions_agree_with_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert {entry["version"] for entry in IMAGES.values()} == {project["version"]}
+    core = pins("core")
+    declared = [Requirement(d) for d in project["dependencies"]]
+    for wanted in [*declared, *(Requirement(d) for d in project["optional-dependencies"]["full"] if d.startswith("open3d"))]:
+        assert next(iter(core[canonicalize_name(wanted.name)].specifier)).version in wanted.specifier, f"core pins another {wanted.name}"
+    vision = pins("vision")
+    assert {name: str(r) for name, r in core.items()}.items() <= {name: str(r) for name, r in vision.items()}.items()
+    for wanted in (Requirement(d) for d in project["optional-dependencies"]["gpu"]):
+        assert next(iter(vision[canonicalize_name(wanted.name)].specifier)).version in wanted.specifier
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_networks_image_has_what_its_table_says(name: str) -> None:
+    runtime = MODELS[name].runtime
+    has = pins(runtime.image)
+    text = (ROOT / "envs" / runtime.image / "Containerfile").read_text() + (ROOT / "envs" / runtime.image / "requirements.txt").read_text()
+    torch = Requirement(f"torch{runtime.torch if runtime.torch[0] in '<>=' else '==' + runtime.torch}")
+    assert next(iter(has["torch"].specifier)).version in torch.specifier
+    for pin in runtime.pins:
+        if re.fullmatch(r"[\w.-]+([<>=]=?[\w.,<>=]+)?", pin):
+            wanted = Requirement(pin)
+            found = has.get(canonicalize_name(wanted.name))
+            if found is not None:
+                assert found.url or next(iter(found.specifier)).version in wanted.specifier, f"{runtime.image} pins another {wanted.name}"
+            else:
+                assert pin in text, f"envs/{runtime.image} says nothing about {pin}"
+        else:
+            assert pin.split()[0] in text, f"envs/{runtime.image} says nothing about {pin}"
+    if re.fullmatch(r"[0-9a-f]{7,}", runtime.commit):
+        assert f"checkout {runtime.commit}" in text
+    if runtime.python == "3.10":
+        assert re.search(r"python:3\.10-slim|ubuntu22\.04", text)
+
+
+@pytest.mark.parametrize(("step", "network"), [(step, network) for step, networks in STEPS.items() for network in networks])
+def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> None:
+    has = pins(MODELS[network].runtime.image)
+    for module in reachable(step):
+        if module.startswith("models."):
+            continue
+        for node in ast.parse(code.module_path(module).read_text()).body:
+            names = (
+                [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module] if isinstance(node, ast.ImportFrom) else []
+            )
+            for top in {str(n).split(".")[0] for n in names} - set(sys.stdlib_module_names) - {"studiorecon", "__future__"}:
+                packages = PACKAGES.get(top, (top,))
+                assert any(canonicalize_name(p) in has for p in packages), f"{module} imports {top}, which image {network} lacks"
+
+
+def reachable(step: str) -> set[str]:
+    seen: set[str] = set()
+    waiting = [step]
+    while waiting:
+        module = waiting.pop()
+        if module not in seen:
+            seen.add(module)
+            waiting += code.imports(ast.parse(code.module_path(module).read_text()))
+    return seen
+
+
+def test_every_rules_container_exists() -> None:
+    for path in RULES:
+        for block in re.split(r"\n(?= *(?:rule|checkpoint) )", path.read_text()):
+            if "shell:" not in block:
+                continue
+            container = re.search(r"container:\n((?: +.*\n)+?) +threads:", block)
+            assert container, f"a rule of {path.name} names no container"
+            for name in re.findall(r'(?<!_)image\("(\w+)"\)', container.group(1)):
+                assert name in IMAGES
+            assert re.search(r"image\(|no_container|None", container.group(1))
+    assert {model.runtime.image for model in MODELS.values()} <= set(IMAGES)
+
+
+def test_numpy_two_only_where_upstream_bears_it() -> None:
+    for name in IMAGES:
+        numpy = Version(next(iter(pins(name)["numpy"].specifier)).version)
+        assert (numpy.major == 2) == (name in ("core", "vision"))
