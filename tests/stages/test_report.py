@@ -266,7 +266,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
         heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
         heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"], benchmarks=folder / "none",
         configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences",
-        paper=root / "resources/paper/results.tsv", sweeps=[], costs=folder / "report/cost.json",
+        paper=root / "resources/paper/results.tsv", solvers=root / "resources/solvers.tsv", sweeps=[], costs=folder / "report/cost.json",
         page=folder / "report/index.html",
     )  # fmt: skip
     return folder

@@ -18,8 +18,12 @@ from studiorecon.errors import Refusal
 from studiorecon.report import sweep as sweep_page
 from studiorecon.report.frontier import best_within, cheapest_reaching, front, kendall_tau
 from studiorecon.report.records import FAILED, OK, Record, read_records, write_records
+from studiorecon.report.solvers import COLUMNS
+from studiorecon.report.solvers import section as solvers_section
 from studiorecon.report.sweep_section import as_csv, scenes_section, section
 from studiorecon.report.tradeoff import budgets, changes, idle_knobs, on_front, spread_over_seeds, steps, times_to_gain
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def record(name: str, seconds: float | None, psnr: float | None, **more: object) -> Record:
@@ -192,7 +196,7 @@ def test_the_page_says_what_the_csv_says_and_shows_failures(tmp_path: Path) -> N
     write_records(paths[0], "one_at_a_time.tsv", sweep())
     write_records(paths[1], "one_at_a_time.tsv", [replace(r, scene="other") for r in sweep()])
     page, table = tmp_path / "index.html", tmp_path / "sweep.csv"
-    sweep_page.run(paths, page, table)
+    sweep_page.run(paths, ROOT / "resources/solvers.tsv", page, table)
     html, rows = page.read_text(), list(csv.DictReader(io.StringIO(table.read_text())))
     assert [row["name"] for row in rows] == [r.name for r in sweep()]
     for row, told in zip(rows, sweep()):
@@ -222,3 +226,15 @@ def test_a_sweep_in_which_everything_failed_says_so() -> None:
 def test_the_csv_has_no_zero_for_what_was_not_measured() -> None:
     row = list(csv.DictReader(io.StringIO(as_csv(sweep()))))[-1]
     assert (row["psnr"], row["ssim"], row["verdict"]) == ("", "", "failed")
+
+
+def test_a_solver_that_another_form_beats_in_both_is_on_no_front(tmp_path: Path) -> None:
+    path = tmp_path / "solvers.tsv"
+    rows = [
+        ("warp", "cheap", "in the code", "1", "ms", "5", "px", ""),
+        ("warp", "worse", "", "2", "ms", "6", "px", ""),
+        ("warp", "exact", "", "3", "ms", "0", "px", "yes"),
+    ]
+    path.write_text("\n".join("\t".join(row) for row in [COLUMNS, *rows]) + "\n")
+    shown = re.findall(r"<tr>(<td.*?)</tr>", solvers_section(path))
+    assert [("yes" in row, "(used)" in row) for row in shown] == [(True, False), (False, False), (True, True)]

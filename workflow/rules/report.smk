@@ -81,6 +81,7 @@ rule report_page:
             allow_missing=True,
         ),
         paper=Path(workflow.basedir) / "resources/paper/results.tsv",
+        solvers=Path(workflow.basedir) / "resources/solvers.tsv",
         # Last, so that the page counts what they cost.
         delivered="results/{scene}/deliver/manifest.json",
     output:
@@ -116,4 +117,4 @@ rule report_page:
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
         " --heldout-path {input.heldout_path:q} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
-        " --licences {params.licences:q} --paper {input.paper:q} --sweeps {params.sweeps:q} --costs {output.costs} --page {output.page}"
+        " --licences {params.licences:q} --paper {input.paper:q} --solvers {input.solvers:q} --sweeps {params.sweeps:q} --costs {output.costs} --page {output.page}"

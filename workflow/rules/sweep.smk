@@ -36,6 +36,7 @@ rule sweep_run:
 rule sweep_page:
     input:
         records="results/{scene}/sweep/{table}/records.jsonl",
+        solvers=Path(workflow.basedir) / "resources/solvers.tsv",
     output:
         page=report(
             "results/{scene}/sweep/{table}/index.html",
@@ -55,7 +56,8 @@ rule sweep_page:
     params:
         code=code("report.sweep"),
     shell:
-        "python -m studiorecon report.sweep --log {log} --records {input.records:q} --page {output.page:q} --table {output.table:q}"
+        "python -m studiorecon report.sweep --log {log}"
+        " --records {input.records:q} --solvers {input.solvers:q} --page {output.page:q} --table {output.table:q}"
 
 
 rule sweep:

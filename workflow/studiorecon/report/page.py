@@ -19,6 +19,7 @@ from studiorecon.report import html, sections, sweep_section, terms
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.report.records import read_records
+from studiorecon.report.solvers import section as solvers_section
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import read_json, write_json, write_text
@@ -120,6 +121,7 @@ def run(
     configuration: str,
     licences: Path,
     paper: Path,
+    solvers: Path,
     sweeps: list[Path],
     costs: Path,
     page: Path,
@@ -154,6 +156,7 @@ def run(
     swept = [read_records(path) for path in sweeps]
     body += [sweep_section.section(name, records) for name, records in swept]
     body.append(sections.costs(spent))
+    body.append(solvers_section(solvers))
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
     write_text(page, html.page(f"{scene}: 4D scene", body))

@@ -9,12 +9,14 @@ from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.report import html
 from studiorecon.report.records import read_records
+from studiorecon.report.solvers import section as solvers_section
 from studiorecon.report.sweep_section import as_csv, scenes_section, section
 from studiorecon.scene.files import write_text
 
 
-def run(records: list[Path], page: Path, table: Path) -> None:
-    """Write the page, and ``table`` with all runs of the first file; several files show how much hangs on the scene.
+def run(records: list[Path], solvers: Path, page: Path, table: Path) -> None:
+    """Write the page, and ``table`` with all runs of the first file; several files show how much hangs on the scene. ``solvers`` is
+    the table of exact and cheap solvers.
 
     Files of different machines are refused: their seconds do not belong into one picture.
     """
@@ -28,6 +30,7 @@ def run(records: list[Path], page: Path, table: Path) -> None:
     for _, name, found in sweeps:
         body.append(section(name, found))
     body.append(scenes_section({found[0].scene: found for _, _, found in sweeps}))
+    body.append(solvers_section(solvers))
     write_text(page, html.page("What accuracy costs", body))
     write_text(table, as_csv(sweeps[0][2]))
     say(f"the page needs no network: {page}")
