@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.gpu import claim
 from studiorecon.models.checksums import read_pins, verified
 from studiorecon.models.offline import stay_offline
 from studiorecon.models.registry import model
@@ -70,6 +71,8 @@ def device(name: str, wanted: str, lower: str) -> Any:
     "auto" takes a GPU, and the CPU only for networks that need none. Raises Refusal when there is no such GPU, or less memory is free
     than the model needs; ``lower`` says which setting would help.
     """
+    if wanted != "cpu":
+        claim()
     import torch
 
     entry = model(name)

@@ -7,6 +7,7 @@ import importlib.util
 from typing import TYPE_CHECKING, Literal
 
 from studiorecon.errors import Refusal
+from studiorecon.gpu import claim
 from studiorecon.progress import say
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def _missing_for_cuda() -> str:
     for name in ("gsplat", "torch"):
         if importlib.util.find_spec(name) is None:
             return f"the package {name}, which is not installed (pip install 'studiorecon[gpu]')"
+    claim()
     import torch
 
     return "" if torch.cuda.is_available() else "an NVIDIA GPU and its driver, and torch finds none (nvidia-smi tells)"

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several GPUs in one machine: every job takes one that no other job holds.
+
+Snakemake counts GPUs (``--resources gpu=4``) but does not say which one is whose. A cluster's scheduler does, and its word stands.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
+
+from studiorecon.progress import say
+
+_VISIBLE = "CUDA_VISIBLE_DEVICES"
+# Open for as long as the process lives; the lock goes with it, however it ends.
+_HELD: list[TextIO] = []
+
+
+def claim() -> None:
+    """Make one GPU the only one this process sees, where there are several to choose from; to be called before CUDA is first asked.
+
+    Where the environment names one GPU, or none, somebody has chosen already.
+    """
+    devices = visible()
+    if len(devices) < 2 or _HELD:
+        return
+    folder = Path(tempfile.gettempdir()) / f"studiorecon-gpus-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    device, held = first_free(devices, folder)
+    if held is None:
+        device = devices[os.getpid() % len(devices)]
+        say(f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}")
+    else:
+        _HELD.append(held)
+        say(f"this job has GPU {device} of {', '.join(devices)}")
+    os.environ[_VISIBLE] = device
+
+
+def visible() -> list[str]:
+    """Names of the GPUs that this process may use, as CUDA_VISIBLE_DEVICES has them: indices or UUIDs."""
+    given = os.environ.get(_VISIBLE)
+    if given is not None:
+        return [name.strip() for name in given.split(",") if name.strip()]
+    if shutil.which("nvidia-smi") is None:
+        return []
+    asked = subprocess.run(["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"], text=True, stdout=subprocess.PIPE)
+    return asked.stdout.split() if asked.returncode == 0 else []
+
+
+def first_free(devices: Sequence[str], folder: Path) -> tuple[str, TextIO | None]:
+    """The first of ``devices`` whose lock in ``folder`` nobody holds, with the lock; ("", None) when all are held."""
+    for device in devices:
+        lock = open(folder / f"{device.replace('/', '_')}.lock", "w")  # noqa: SIM115
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+        else:
+            return device, lock
+    return "", None
