@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from studiorecon import code
 from studiorecon.background import shell as room
+from studiorecon.background.refinement import Refinement, refined_targets, refinement_cameras
 from studiorecon.background.seeding import random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
 from studiorecon.errors import Refusal
@@ -38,7 +40,7 @@ from studiorecon.splatting.device import rasteriser, resolve
 from studiorecon.splatting.harmonics import degree_supported
 from studiorecon.splatting.perceptual import Perceptual
 from studiorecon.splatting.targets import Target, scene_extent
-from studiorecon.splatting.training import TrainingSettings, train
+from studiorecon.splatting.training import TrainedGaussians, TrainingSettings, train
 
 _FLATNESS = 0.15  # of a wall's discs
 _WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
@@ -67,6 +69,7 @@ class Settings:
     plate_boost: float
     sh_cap: bool
     seed: int
+    refinement: Refinement
     training: TrainingSettings
 
 
@@ -186,6 +189,36 @@ def _plate_scores(gaussians: Gaussians, photos: Sequence[Photo], settings: Setti
     return [psnr(drawing.forward(gaussians, p.camera).rgb, p.rgb, p.known) or 0.0 for p in photos]
 
 
+def _refined(
+    room_now: Gaussians, photos: Sequence[Photo], cameras: Sequence[Camera], settings: Settings, threads: int, device: str
+) -> list[Target]:
+    """Enhanced views of the half-trained room."""
+    looks = refinement_cameras(cameras, settings.refinement)
+    known = [(p.camera, p.rgb, p.known) for p in photos]
+    drawing = rasteriser(device, near_m=settings.training.near_m, threads=threads)
+    targets, counted = refined_targets(looks, known, settings.refinement, lambda camera: drawing.forward(room_now, camera))
+    say(f"refinement: {len(targets)} views of the room as it is now; the photos correct {counted:.0%} of their pixels")
+    return targets
+
+
+def _fitted(
+    settings: Settings, rng: np.random.Generator, cameras: Sequence[Camera], threads: int, device: str, previews: Path | None,
+    start: Gaussians, real: list[Target], synthesized: list[Target], checkpoint: Checkpoint, span: tuple[int, int],
+) -> TrainedGaussians:  # fmt: skip
+    """The iterations of ``span`` on plates and views, drawn as ``views_share`` says."""
+    shares = draw_shares(len(real), len(synthesized), settings.views_share)
+    targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
+    common = {
+        "extent_m": scene_extent(cameras), "span": span, "label": "background", "network": _network(settings, threads),
+        "checkpoint": checkpoint, "previews": previews,
+    }  # fmt: skip
+    if device == "cuda":
+        from studiorecon.splatting.cuda_training import train as train_on_cuda
+
+        return train_on_cuda(start, targets, settings.training, rng, **common)
+    return train(start, targets, settings.training, rng, threads=threads, **common)
+
+
 def _network(settings: Settings, threads: int) -> Perceptual | None:
     """The network of the perceptual term; None when its weight is 0."""
     lpips = settings.training.lpips
@@ -233,26 +266,23 @@ def run(
     real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
-    shares = draw_shares(len(real), len(synthesized), settings.views_share)
-    targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
     inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports]
     mark = fingerprint(settings, inputs, code.digest("background.train"), threads, device)
-    checkpoint = Checkpoint(background.parent / ".checkpoint" / f"{background.stem}.npz", mark, settings.training.checkpoint_every_s)
-    if device == "cuda":
-        from studiorecon.splatting.cuda_training import train as train_on_cuda
-
-        trained = train_on_cuda(
-            start, targets, settings.training, rng, extent_m=scene_extent(cameras), label="background",
-            network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
-        )  # fmt: skip
-    else:
-        trained = train(
-            start, targets, settings.training, rng, extent_m=scene_extent(cameras), threads=threads, label="background",
-            network=_network(settings, threads), checkpoint=checkpoint, previews=previews,
-        )  # fmt: skip
+    half, whole = (
+        Checkpoint(background.parent / ".checkpoint" / name, mark, settings.training.checkpoint_every_s)
+        for name in (f"{background.stem}.half.npz", f"{background.stem}.npz")
+    )
+    fit = partial(_fitted, settings, rng, cameras, threads, device, previews)
+    split = round(settings.refinement.at * settings.training.iterations) if settings.refinement.views else 0
+    if split:
+        first = fit(start, real, synthesized, half, (0, split))
+        start, marks = first.gaussians, marks[first.source]
+        synthesized += _refined(start, photos, cameras, settings, threads, device)
+    trained = fit(start, real, synthesized, whole, (split, settings.training.iterations))
     marks = marks[trained.source]
     scores = _plate_scores(trained.gaussians, photos, settings, threads, device)
     say(f"{trained.gaussians.count} Gaussians after training; plates at {np.mean(scores):.2f} dB on average, {min(scores):.2f} at worst")
     write_ply(background, trained.gaussians)
     write_npz(provenance, {"provenance": marks})
-    checkpoint.remove()
+    half.remove()
+    whole.remove()

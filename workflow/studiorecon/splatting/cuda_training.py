@@ -33,8 +33,8 @@ from studiorecon.splatting.training import NOISE_OF_RATE, RESET_OPACITY, Trained
 
 def train(
     initial: Gaussians, targets: Sequence[Target], settings: TrainingSettings, rng: np.random.Generator, *, extent_m: float,
-    label: str = "training", network: Perceptual | None = None, checkpoint: Checkpoint | None = None, previews: Path | None = None,
-    place: str = "cuda", function: Rasterization | None = None,
+    span: tuple[int, int] | None = None, label: str = "training", network: Perceptual | None = None,
+    checkpoint: Checkpoint | None = None, previews: Path | None = None, place: str = "cuda", function: Rasterization | None = None,
 ) -> TrainedGaussians:  # fmt: skip
     """Gaussians fitted to the targets; arguments, result and refusals as for ``training.train``.
 
@@ -46,13 +46,14 @@ def train(
     left_out, initial = initial.count - len(given), initial.take(given).with_sh_degree(settings.sh_degree)
     targets, masked = zip(*(target.sound() for target in targets))
     run = _Run(initial, targets, settings, rng, extent_m, network, place, function or gsplat_function())
-    feedback, order = Feedback(label, 0, settings.iterations, previews), DrawOrder([target.share for target in targets], rng)
-    say(f"{label}: {initial.count} Gaussians on {len(targets)} images, {settings.iterations} iterations on {place}")
-    begin = 0
+    first, last = span or (0, settings.iterations)
+    feedback, order = Feedback(label, first, last, previews), DrawOrder([target.share for target in targets], rng)
+    say(f"{label}: {initial.count} Gaussians on {len(targets)} images, iterations {first} to {last} on {place}")
+    begin = first
     if checkpoint is not None and (stored := checkpoint.load()) is not None:
         begin = run.resume(*stored, feedback, order)
         say(f"{label}: goes on at iteration {begin}, where it was interrupted")
-    for iteration in progress(range(begin, settings.iterations), label, settings.iterations - begin):
+    for iteration in progress(range(begin, last), label, last - begin):
         if feedback.add(*run.step(iteration, order.draw())):
             feedback.tell(len(run.source), targets[0].camera.name, *run.look())
         if checkpoint is not None and checkpoint.due():

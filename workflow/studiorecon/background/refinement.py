@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Iterative refinement (paper, appendix C): half-way, views of the room as it is now are enhanced and become targets themselves.
+
+The camera goes round the room twice as high and twice as low as it goes up and down, which shows what none of the synthesized views
+shows: floors and ceilings at other angles. The room is drawn without people, so nothing has to be masked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.geometry.path import azimuths_rad, look_at, order_around, scene_centre, with_pose
+from studiorecon.images.transfer import Source, Transfer, carried_over, source
+from studiorecon.scene.camera import Camera
+from studiorecon.splatting.rendering import Rendering
+from studiorecon.splatting.targets import Target
+
+_PERIODS = 2
+# A pixel that is less than this covered shows a hole, and a hole is nothing to learn from.
+_SOLID = 0.95
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How the room is looked at half-way; see config.yaml.
+
+    Attributes:
+        views: number of views, 0 = no refinement.
+        at: share of the iterations after which they are drawn.
+        height: how far the camera rises and falls, as a share of its distance from the middle of the scene.
+        weight: of these views' pixels beside the photos'.
+        ring_deg: the real cameras form a ring when no gap between neighbours is wider.
+        transfer: how the photos' residuals are carried over.
+    """
+
+    views: int
+    at: float
+    height: float
+    weight: float
+    ring_deg: float
+    transfer: Transfer
+
+
+def refinement_cameras(cameras: Sequence[Camera], settings: Refinement) -> list[Camera]:
+    """Cameras along the ring of the real ones, at their median distance, rising and falling twice (numerics U53).
+
+    Looking at the middle from everywhere is what compensates the pitch: −atan(h / r). Where the real cameras are no ring, the views stay
+    on their arc.
+    """
+    centre_m = scene_centre(cameras)
+    offsets = np.stack([c.centre_m - centre_m for c in cameras])
+    radius_m = float(np.median(np.linalg.norm(offsets[:, :2], axis=1)))
+    level_m = float(np.median(offsets[:, 2]))
+    order, gap = order_around(cameras, centre_m, closed=False)
+    azimuth = azimuths_rad(cameras, centre_m)
+    begin, reach = azimuth[order[0]], 2 * np.pi - gap
+    ring = gap <= np.radians(settings.ring_deg)
+    done = np.arange(settings.views) / settings.views if ring else np.linspace(0, 1, settings.views)
+    around = begin + done * (2 * np.pi if ring else reach)
+    rise_m = settings.height * radius_m * np.sin(2 * np.pi * _PERIODS * done)
+    nearest = [int(np.argmin(np.abs(np.angle(np.exp(1j * (azimuth - a)))))) for a in around]
+    made = []
+    for angle, up_m, near in zip(around, rise_m, nearest):
+        eye_m = centre_m + np.array([radius_m * np.cos(angle), radius_m * np.sin(angle), level_m + up_m])
+        made.append(with_pose(cameras[near], look_at(eye_m, centre_m), eye_m))
+    return made
+
+
+def refined_targets(
+    cameras: Sequence[Camera], photos: Sequence[tuple[Camera, np.ndarray, np.ndarray]], settings: Refinement,
+    draw: Callable[[Camera], Rendering],
+) -> tuple[list[Target], float]:  # fmt: skip
+    """A target per camera: the room as ``draw`` shows it, plus what it misses at the ``photos`` (camera, rgb, known) that see it too.
+
+    Pixels that no photo sees, and holes, weigh nothing: there the picture could only teach what it already shows. Also the share of
+    pixels that do weigh.
+    """
+    sources: list[Source] = []
+    for camera, rgb, known in photos:
+        shown = draw(camera)
+        render = np.clip(shown.rgb, 0, 1) * np.float32(255)
+        # As the picture shows itself where nothing is known: a residual of nothing, and no surface to carry it from.
+        photo = np.where(known[..., None], rgb * np.float32(255), render)
+        sources.append(source(camera, photo, render, np.where(known, shown.depth_m, 0), settings.transfer))
+    targets, counted = [], 0.0
+    for camera in cameras:
+        shown = draw(camera)
+        residual, cover = carried_over(camera, shown.depth_m, sources, settings.transfer)
+        weight = np.where(shown.alpha >= _SOLID, settings.weight * np.minimum(cover, 1), 0).astype(np.float32)
+        counted += float((weight > 0).mean())
+        targets.append(Target(camera, np.clip(shown.rgb + np.minimum(cover, 1)[..., None] * residual, 0, 1).astype(np.float32), weight))
+    return targets, counted / max(len(targets), 1)
