@@ -204,8 +204,10 @@ def _labels(wanted: Sequence[tuple[float, float, str]]) -> list[str]:
 
 
 def _svg(title: str, height: float, parts: Sequence[str]) -> str:
-    look = 'style="width:100%;height:auto;display:block;font:13px system-ui,sans-serif"'
-    return f'<figure><svg viewBox="0 0 {WIDTH} {height:.0f}" role="img" {look}><title>{text(title)}</title>{"".join(parts)}</svg></figure>'
+    # On a phone the chart is scrolled rather than shrunk until nobody can read it.
+    look = 'style="width:100%;min-width:680px;height:auto;display:block;font:13px system-ui,sans-serif"'
+    svg = f'<svg viewBox="0 0 {WIDTH} {height:.0f}" role="img" {look}><title>{text(title)}</title>{"".join(parts)}</svg>'
+    return f'<figure class="scroll" style="min-width:0">{svg}</figure>'
 
 
 def _text(x: float, y: float, content: str, anchor: str, look: str = "fill:var(--soft)") -> str:
