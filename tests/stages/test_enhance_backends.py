@@ -20,7 +20,7 @@ from studiorecon.models.raft import post, pre
 from studiorecon.scene.path import Step
 
 from tests.foundations.test_flow import textured
-from tests.stages.test_enhance import INJECTION
+from tests.hard.test_enhancement import PAPER
 from tests.stages.test_enhance_folder import VIEW, panning
 from tests.stages.test_enhance_folder import write_pictures as write
 
@@ -62,7 +62,7 @@ def test_pictures_too_small_for_the_network_are_enlarged_and_steadied() -> None:
     pictures, search = panning(6), Network(1.5)
     steps = [Step(VIEW, float(k), "a") for k in range(6)]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * 6
-    reading = replace(INJECTION, history=1, check=False, strength=0.8, error_threshold=60.0)
+    reading = replace(PAPER, history=1, check=False, strength=0.8, error_threshold=60.0)
     outputs = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, search))
     assert all(min(size) >= 128 for size in search.sizes)
     still = list(enhanced(steps, pictures, depths, lambda step: pictures[0], Unchanged(), reading, Network(-1.5)))

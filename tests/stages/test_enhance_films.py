@@ -17,8 +17,8 @@ from studiorecon.errors import Refusal
 from studiorecon.images.video import read_stack, write_lossless
 from studiorecon.scene.path import Step, write_path
 
+from tests.hard.test_enhancement import PAPER
 from tests.stages.made_scene import ring
-from tests.stages.test_enhance import INJECTION
 from tests.stages.test_enhance_folder import VIEW, Warmer, panning, played
 
 
@@ -36,7 +36,7 @@ def film(tmp_path: Path) -> tuple[Path, list[np.ndarray]]:
 def test_the_sheet_shows_what_happened(film: tuple[Path, list[np.ndarray]], default_settings: Callable) -> None:
     folder, made = film
     settings = settings_module.load(enhance_sheet.Settings, default_settings("enhance"), "enhance")
-    settings = replace(settings, injection=INJECTION)
+    settings = replace(settings, injection=PAPER)
     options = {"render": folder / "orbit.mkv", "render_path": folder / "orbit.json", "video": folder / "enhanced.mkv"}
     for picture, rows in ((0, 1), (1, 2), (5, 2)):
         image = folder / f"orbit.{picture}.steps.png"

@@ -20,8 +20,9 @@ from studiorecon.images.video import write_lossless
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.path import Step
 
+from tests.hard.test_enhancement import PAPER
 from tests.stages.made_scene import ring
-from tests.stages.test_enhance import INJECTION, SEARCH
+from tests.stages.test_enhance import SEARCH
 
 VIEW = ring([0], "view", wh=(96, 64))[0]
 
@@ -43,7 +44,7 @@ class Warmer:
         return np.clip(image + np.float32([0.02, 0.0, -0.01]), 0, 1)
 
 
-def played(pictures: list[np.ndarray], enhancer: object, before: tuple = (), injection: object = INJECTION) -> list[np.ndarray]:
+def played(pictures: list[np.ndarray], enhancer: object, before: tuple = (), injection: object = PAPER) -> list[np.ndarray]:
     steps = [Step(VIEW, float(k), "a") for k in range(len(pictures))]
     depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
     return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH, before))
@@ -52,7 +53,7 @@ def played(pictures: list[np.ndarray], enhancer: object, before: tuple = (), inj
 @pytest.mark.parametrize("flow", ["direct", "chained"])
 @pytest.mark.parametrize("cut", [1, 2, 3, 7])
 def test_a_clip_in_two_parts_has_the_bytes_of_one_pass(flow: str, cut: int) -> None:
-    pictures, reading = panning(10), replace(INJECTION, flow=flow)
+    pictures, reading = panning(10), replace(PAPER, flow=flow)
     whole = played(pictures, Warmer(), injection=reading)
     overlap = list(zip(pictures[:cut], whole[:cut]))[-reading.history :]
     rest = played(pictures[cut:], Warmer(), tuple(overlap), reading)
