@@ -44,7 +44,7 @@ if ! podman pull --quiet "$base" > "$work/said" 2>&1; then
   echo "== $base cannot be pulled; a Debian of the same Python stands in for it"
   debootstrap --variant=minbase --include=python3-minimal,python3-pip,python-is-python3,ca-certificates bookworm "$work/rootfs" > "$work/said" 2>&1 \
     || skip "debootstrap failed ($(tail -n 1 "$work/said"))"
-  python3 -m pip download --quiet -d "$work/rootfs/opt/wheels" -r "$root/envs/core/requirements.txt" --python-version 3.11 --only-binary=:all: \
+  pip download --quiet -d "$work/rootfs/opt/wheels" -r "$root/envs/core/requirements.txt" --python-version 3.11 --only-binary=:all: \
     > "$work/said" 2>&1 || skip "the wheels cannot be fetched ($(tail -n 1 "$work/said"))"
   printf '[global]\nno-index = true\nfind-links = /opt/wheels\nbreak-system-packages = true\n' > "$work/rootfs/etc/pip.conf"
   tar -C "$work/rootfs" -c . | podman import --quiet - "$base" > /dev/null

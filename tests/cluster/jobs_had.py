@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks after ``slurm.sh``: ``python jobs_had.py NOTES JOBS FILM…``; prints a line per job and fails with a sentence."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+
+from studiorecon.images.video import read_frame
+
+
+def main(notes: Path, jobs: Path, films: list[Path]) -> None:
+    """NOTES is the stand-in's folder, JOBS what ``scontrol show jobs`` said afterwards."""
+    had = {path.name.removesuffix(".json"): json.loads(path.read_text()) for path in sorted(notes.iterdir())}
+    for name, share in had.items():
+        print(name, *(f"{key}={value}" for key, value in share.items()))
+    assert set(had) == {"00.1", "01.1", "01.2", "02.1", "03.1"}, "every segment once, and the failed one again"
+    first = [share for name, share in had.items() if name.endswith(".1")]
+    assert len({share["SLURM_ARRAY_JOB_ID"] for share in first}) == 1, "the segments are not one array"
+    assert len({share["SLURM_ARRAY_TASK_ID"] for share in first}) == 4
+    for share in had.values():
+        assert share["CUDA_VISIBLE_DEVICES"] in ("0", "1"), "a job sees other GPUs than its own"
+    memory = {name: int(share["SLURM_MEM_PER_NODE"]) for name, share in had.items()}
+    assert memory["01.2"] >= 2 * memory["01.1"] - 1, "the second attempt has no more memory than the first"
+    said = [dict(re.findall(r"(\w+)=(\S*)", block)) for block in jobs.read_text().split("\n\n") if "JobId=" in block]
+    asked = [re.search(r"gres[/:]gpu[:=](\d+)", json.dumps(job)) for job in said]
+    assert asked, "Slurm knows no job"
+    assert all(found and found.group(1) == "1" for found in asked), "a job did not ask for one GPU"
+    # At any time at most two jobs ran, and never two on one GPU.
+    spans = [(job["StartTime"], job["EndTime"]) for job in said if job["StartTime"] != "Unknown"]
+    assert max(sum(start <= at < end for start, end in spans) for at, _ in spans) <= 2
+    for film in films:
+        shape = read_frame(film, 0).shape
+        assert shape == (704, 1280, 3), f"{film} is not of GEN3C's size"
+    print(f"{len(films)} films, {len(had)} jobs, each with one GPU")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), [Path(name) for name in sys.argv[3:]])
