@@ -92,7 +92,7 @@ cp -r "$root"/{Snakefile,workflow,envs,config,profiles,resources} "$house"
 cd "$house"
 export PYTHONPATH=$house/workflow
 cat > quick.yaml << 'END'
-views: {synthesizer: gen3c}
+views: {synthesizer: gen3c, views_per_segment: 120}
 depth: {solids: 0}
 END
 films=() requests=()

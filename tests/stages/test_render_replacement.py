@@ -10,15 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from studiorecon import settings as settings_module
 from studiorecon.body.avatar import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.temporal import TemporalNetwork
 from studiorecon.errors import Refusal
+from studiorecon.humans import plain as humans_plain
 from studiorecon.images.video import read_stack
 from studiorecon.render import shot as render_shot
 from studiorecon.render.replacement import donor_of, performing, replaced
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.people import Person, write_person
 
 from tests.stages.made_scene import avatar, render_options, ring, write_scene
 
@@ -157,3 +160,20 @@ def test_a_file_without_its_motion_is_bound_like_any_other(scene: Path, body: Bo
     beside = replaced(people[:1], {"p0": str(scene / "humans/p0.ply")}, "swap")[0]
     off_mm = 1000 * np.linalg.norm(alone.posed(3).means_m - beside.posed(3).means_m, axis=1)
     assert np.median(off_mm) < 15
+
+
+def test_the_bare_body_of_a_persons_build_stands_in_for_them(body: BodyModel, root: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    filmed = avatar(body, rng, "p0")
+    betas = np.array([0.8, -0.5, 0, 0, 0, 0, 0, 0, 0, 0])
+    joints = body.joints(filmed.poses, betas, filmed.trans)
+    sigma = np.zeros(joints.shape[:2])
+    fitted = Person("p0", body.identity, filmed.fps, filmed.poses, filmed.trans, betas, joints, filmed.valid, sigma, True)
+    write_person(tmp_path / "p0.npz", fitted)
+    humans_plain.run(humans_plain.Settings(3000, 0), root / "resources/body.npz", tmp_path / "p0.npz", tmp_path / "p0.plain.ply")
+    stand_in = replaced([replace(filmed, betas=betas)], {"p0": str(tmp_path / "p0.plain.ply")}, "plain")[0]
+    surface = body.vertices(filmed.poses[3:4], betas, filmed.trans[3:4])[0]
+    off_mm = 1000 * scipy.spatial.cKDTree(surface).query(stand_in.posed(3).means_m)[0]
+    assert np.median(off_mm) < 12
+    shades = np.unique(np.round(stand_in.gaussians.sh[:, 0], 3), axis=0)
+    assert len(shades) >= 8, "two shades of every part"

@@ -69,3 +69,27 @@ rule humans_canonical:
         "python -m studiorecon humans.canonical --log {log} --person {wildcards.person} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --weights {params.weights:q}"
         " --gaussians {output.gaussians} --photo {output.photo}"
+
+
+# On request, or where a film's replace names it: the bare body of a person's build, chequered.
+rule humans_plain:
+    input:
+        fit="results/{scene}/people/{person}.npz",
+        body=BODY,
+    output:
+        gaussians="results/{scene}/humans/{person}.plain.ply",
+    log:
+        "logs/{scene}/humans/plain/{person}.log",
+    benchmark:
+        "benchmarks/{scene}/humans/plain/{person}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=500,
+    params:
+        settings=settings("humans"),
+        code=code("humans.plain"),
+    shell:
+        "python -m studiorecon humans.plain --settings {params.settings:q} --log {log}"
+        " --body {input.body:q} --fit {input.fit:q} --gaussians {output.gaussians:q}"
