@@ -19,6 +19,7 @@ from studiorecon.sweep.fingerprint import busy_s
 from studiorecon.sweep.jobs import Job, charge, cone, keys, peak_memory_mb, read_jobs, reusable, share
 from studiorecon.sweep.outcome import NOTHING_MEASURED, outcome, why_it_failed
 from studiorecon.sweep.plan import hypercube, knobs, one_at_a_time
+from studiorecon.sweep.run import clock, with_absolute_paths
 from studiorecon.sweep.table import BASE, COLUMNS, format_settings, full_configuration, parse_settings, read_configurations
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -261,3 +262,20 @@ def test_processor_seconds_tell_own_work_from_other_peoples() -> None:
     later = busy_s()
     assert later[1] - own >= 0.4
     assert later[0] - everything >= 0.39, "what was started here is part of everything"
+
+
+def test_only_what_is_a_path_becomes_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("depth", "way.json", "sub/file"):
+        (tmp_path / name).mkdir(parents=True)
+    given = {"start": "depth", "shots": {"a": {"file": "way.json"}}, "many": ["sub/file", "sub/none"], "rate": 0.5, "empty": ""}
+    told = {"start": "depth", "shots": {"a": {"file": str(tmp_path / "way.json")}}, "many": [str(tmp_path / "sub/file"), "sub/none"]}
+    assert with_absolute_paths(given) == {**told, "rate": 0.5, "empty": ""}
+
+
+def test_a_sweep_that_is_started_again_keeps_what_its_runs_took(base: Path) -> None:
+    made = read_jobs(base)
+    assert clock(base, made, 100.0, 3.0) == (100.0, 3.0)
+    assert clock(base, made, 5.0, 1.0) == (100.0, 3.0), "nothing was left to do"
+    planted(base, job("logs/s/report/more.log", started=9.0), 1.0)
+    assert clock(base, read_jobs(base), 20.0, 2.0) == (120.0, 5.0), "the rest of an interrupted run"

@@ -44,7 +44,8 @@ def run(
     work: Path,
 ) -> None:
     """Run the table's configurations over ``configuration`` (JSON); ``work`` keeps one folder per run, ``minutes`` is each one's limit."""
-    given = _with_absolute_paths(json.loads(configuration))
+    given = with_absolute_paths(json.loads(configuration))
+    given["dataset"] = str(Path(given["dataset"]).resolve()) if Path(given["dataset"]).exists() else given["dataset"]
     rows = read_configurations(table, given, presets)
     here = {"machine": machine(), "versions": versions()}
     _check_same_machine(work, here)
@@ -59,8 +60,9 @@ def run(
         began, before = time.monotonic(), busy_s()
         status, output = _snakemake(snakefile, folder, f"results/{scene}/report/metrics.json", cores, minutes)
         wall_s, after = time.monotonic() - began, busy_s()
-        others = max(0.0, (after[0] - before[0]) - (after[1] - before[1])) / wall_s
+        others_s = max(0.0, (after[0] - before[0]) - (after[1] - before[1]))
         made = read_jobs(folder)
+        wall_s, others_s = clock(folder, made, wall_s, others_s)
         needed = cone(made, [f"results/{scene}/report/metrics.json"]) if status == 0 else made
         result = (
             outcome(folder / f"results/{scene}/report/metrics.json")
@@ -68,7 +70,19 @@ def run(
             else Outcome(sentence=why_it_failed(output, folder, minutes if status is None else None))
         )
         told.append(
-            _record(scene, row, rows[0], full, folder, needed, result, wall_s, base_paid, frozenset(paid), here | {"others_cores": others})
+            _record(
+                scene,
+                row,
+                rows[0],
+                full,
+                folder,
+                needed,
+                result,
+                wall_s,
+                base_paid,
+                frozenset(paid),
+                here | {"others_cores": others_s / wall_s},
+            )
         )
         # What a failed run finished before it failed is as good as anybody's.
         finished.append((folder, made, full))
@@ -144,6 +158,19 @@ def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, M
         byte_code.symlink_to(kept.resolve(), target_is_directory=True)
 
 
+def clock(folder: Path, made: Mapping[str, Job], wall_s: float, others_s: float) -> tuple[float, float]:
+    """Clock seconds of a run, and processor seconds of everything else meanwhile, over all times it was started; a start that had
+    nothing left to do does not count."""
+    path, jobs = folder / "clock.json", sorted([log, started] for log, started in (job.execution for job in made.values()))
+    if path.is_file():
+        earlier = read_json(path)
+        if earlier["jobs"] == jobs:
+            return earlier["wall_s"], earlier["others_s"]
+        wall_s, others_s = wall_s + earlier["wall_s"], others_s + earlier["others_s"]
+    write_json(path, {"wall_s": wall_s, "others_s": others_s, "jobs": jobs})
+    return wall_s, others_s
+
+
 def _snakemake(snakefile: Path, folder: Path, target: str, cores: int, minutes: float) -> tuple[int | None, str]:
     """Exit status (None: stopped at the limit) and everything Snakemake said, which is also kept in the run's folder."""
     command = [sys.executable, "-m", "snakemake", target, "--snakefile", str(snakefile.resolve()), "--directory", str(folder.resolve())]
@@ -174,15 +201,17 @@ def _stop(running: subprocess.Popen) -> None:
         running.wait()
 
 
-def _with_absolute_paths(configuration: dict[str, Any]) -> dict[str, Any]:
-    """The user's files by absolute names, since every run has a folder of its own."""
-    for key in ("dataset", "capture_yaml", "body"):
-        if configuration[key] and Path(configuration[key]).exists():
-            configuration[key] = str(Path(configuration[key]).resolve())
-    people = configuration["people"]
-    if people["identities"] and Path(people["identities"]).is_file():
-        people["identities"] = str(Path(people["identities"]).resolve())
-    return configuration
+def with_absolute_paths(value: Any) -> Any:
+    """A configuration whose files and folders that exist from here have absolute names, since every run has a folder of its own.
+
+    A word without a slash or a dot, such as ``depth``, is a choice and no path, whatever folders lie around.
+    """
+    if isinstance(value, Mapping):
+        return {key: with_absolute_paths(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [with_absolute_paths(inner) for inner in value]
+    is_path = isinstance(value, str) and ("/" in value or "." in value) and Path(value).exists()
+    return str(Path(value).resolve()) if is_path else value
 
 
 def _check_same_machine(work: Path, here: Mapping[str, Any]) -> None:
