@@ -369,3 +369,40 @@ def test_the_reference_is_the_training_photo_with_the_smallest_angle() -> None:
     training = enhance_shot.Training(cameras, [Photo(i) for i in range(4)], [], [], 10)
     assert training.reference(ring([60], "view")[0], training.nearest_frame(3.4)).tolist() == [1, 3]
     assert training.reference(ring([350], "view")[0], training.nearest_frame(99.0)).tolist() == [0, 9]
+
+
+def test_a_stand_in_is_not_corrected_by_photos_of_the_person_replaced(scene: Path, settings: enhance_shot.Settings, tmp_path: Path) -> None:
+    """Where the truth film says invented, the picture stays the render; elsewhere photos correct it as ever."""
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam")) | {"video": tmp_path / "a.mkv", "film": tmp_path / "a.mp4"}
+    renders, measured = read_stack(options["render"]), read_stack(scene / "render/heldout.truth.mkv")
+    person = np.zeros(measured.shape[1:], bool)
+    person[20:60, 40:90] = True
+    write_lossless(tmp_path / "truth.mkv", np.where(person, 0, 255)[None].repeat(len(measured), 0).astype(np.uint8), 15.0)
+    still = replace(settings, strength=1.0, injection=replace(settings.injection, history=0))
+    enhance_shot.run(still, **options)
+    plain = read_stack(tmp_path / "a.mkv").astype(int)
+    enhance_shot.run(still, **options, truth=[tmp_path / "truth.mkv"])
+    kept = read_stack(tmp_path / "a.mkv").astype(int)
+    assert np.abs(plain - renders)[:, person].max() > 3, "photos would have changed the person"
+    assert np.abs(kept - renders)[:, person].max() <= 1
+    assert np.abs(kept - renders)[:, ~person].max() > 3
+
+
+def test_an_edited_picture_is_the_reference_of_the_whole_film(
+    scene: Path, settings: enhance_shot.Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    class Looking(Unchanged):
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            seen.append(reference)
+            return image
+
+    monkeypatch.setattr(enhance_shot, "network", lambda *_: Looking())
+    cv2.imwrite(str(tmp_path / "edited.png"), np.full((80, 128, 3), (10, 20, 200), np.uint8))
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam")) | {"video": tmp_path / "a.mkv", "film": tmp_path / "a.mp4"}
+    enhance_shot.run(replace(settings, enhancer="none"), **options, edited=[tmp_path / "edited.png"])
+    assert seen
+    assert all(np.allclose(one, np.array([200, 20, 10]) / 255, atol=1e-3) for one in seen)
+    with pytest.raises(Refusal, match=r"nowhere\.png is missing"):
+        enhance_shot.run(replace(settings, enhancer="none"), **options, edited=[tmp_path / "nowhere.png"])

@@ -307,6 +307,18 @@ def stand_ins(wildcards):
     return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
 
 
+def truth_of_replaced(wildcards):
+    """The truth film of a shot in which somebody stands in for a person: photos of that person correct nothing there."""
+    replaced = config["render"]["shots"].get(wildcards.shot, {}).get("replace")
+    return [f"results/{wildcards.scene}/render/{wildcards.shot}.truth.mkv"] if replaced else []
+
+
+def edited_reference(wildcards):
+    """The edited picture that a network takes as its reference for a shot, if one is named."""
+    file = config["render"]["shots"].get(wildcards.shot, {}).get("reference")
+    return [file] if file else []
+
+
 def scene_products():
     """Every stage's product that needs no knowledge of who is in the scene."""
     scene = f"results/{SCENE}"

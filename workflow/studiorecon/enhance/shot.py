@@ -17,9 +17,10 @@ from studiorecon.enhance.playback import Playback
 from studiorecon.enhance.recursion import enhanced, for_path, stands_still
 from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.errors import Refusal
+from studiorecon.images.stills import read_plate
 from studiorecon.images.streams import writing
 from studiorecon.images.transfer import Source, Transfer, best_strength, carried_over, source
-from studiorecon.images.video import read_frames, write_lossless, write_watchable
+from studiorecon.images.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
@@ -104,10 +105,16 @@ def run(
     videos: list[Path],
     video: Path,
     film: Path,
+    truth: list[Path] | None = None,
+    edited: list[Path] | None = None,
     weights: Path = Path("resources/weights"),
     device: str = "cpu",
 ) -> None:
-    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders."""
+    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders.
+
+    A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never photographed, so no photo
+    corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of the photos (paper: one edited reference).
+    """
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
     training = training_of(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
@@ -126,10 +133,14 @@ def run(
         injection = replace(injection, history=0)
     say(f"shot {shot}: the {injection.history} latest outputs are injected with strength {injection.strength} at full confidence")
 
+    instead = to_bytes(read_plate(edited[0])[0]) if edited else None
+
     def reference(step: Step) -> np.ndarray:
-        return training.reference(step.camera, training.nearest_frame(step.frame))
+        return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
     depths = read_frames(render_depth, 0, len(steps))
+    if truth:
+        depths = (np.where(level > 0, depth, 0) for depth, level in zip(depths, read_frames(truth[0], 0, len(steps)), strict=True))
     pictures = read_frames(render, 0, len(steps))
     outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, search)
     writers = (lambda frames: write_lossless(video, frames, fps), lambda frames: write_watchable(film, frames, fps, settings.crf))

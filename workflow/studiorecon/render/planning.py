@@ -54,7 +54,7 @@ def plan(
     if kind not in _KINDS:
         raise Refusal(f"shot {shot} is of kind {kind!r}; known kinds are heldout, {', '.join(_KINDS)}")
     # Who is in the picture is none of the path's business (``render/replacement.py``).
-    moves = {name: value for name, value in described.items() if name != "replace"}
+    moves = {name: value for name, value in described.items() if name not in ("replace", "reference")}
     settings: Any = settings_module.load(_KINDS[kind], moves, f"render.shots.{shot}")
     wh = picture_size(training, width)
     if isinstance(settings, Spline):
