@@ -14,7 +14,9 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon.errors import Refusal
+from studiorecon.report.records import read_records
 from studiorecon.sweep import jobs as sweep_jobs
+from studiorecon.sweep import run as sweep_run
 from studiorecon.sweep.fingerprint import busy_s
 from studiorecon.sweep.jobs import Job, charge, cone, keys, peak_memory_mb, read_jobs, reusable, share
 from studiorecon.sweep.outcome import NOTHING_MEASURED, outcome, why_it_failed
@@ -279,3 +281,75 @@ def test_a_sweep_that_is_started_again_keeps_what_its_runs_took(base: Path) -> N
     assert clock(base, made, 5.0, 1.0) == (100.0, 3.0), "nothing was left to do"
     planted(base, job("logs/s/report/more.log", started=9.0), 1.0)
     assert clock(base, read_jobs(base), 20.0, 2.0) == (120.0, 5.0), "the rest of an interrupted run"
+
+
+class PlantedSnakemake:
+    """Stands in for the runs' own Snakemake: makes what is missing of a capture, a person and a film, or fails where it is told to."""
+
+    def __init__(self) -> None:
+        self.started = 10.0
+        self.ran: list[str] = []
+
+    def __call__(self, _snakefile: Path, folder: Path, target: str, _cores: int, _minutes: float) -> tuple[int | None, str]:
+        config = yaml.safe_load((folder / "config.yaml").read_text())
+        have = read_jobs(folder)
+        capture, person = job("logs/s/capture/frames.log"), job("logs/s/humans/train.log", CAPTURE.outputs)
+        score = Job("report_evaluate", "logs/s/report/evaluate.log", (target,), person.outputs, 1.0, ())
+        for made, seconds in ((capture, 10.0), (person, 0.1 * config["humans"]["iterations"]), (score, 3.0)):
+            if made.log in have:
+                continue
+            self.ran.append(made.log)
+            if made is person and config["humans"]["iterations"] == 666:
+                (folder / made.log).parent.mkdir(parents=True, exist_ok=True)
+                (folder / made.log).write_text("humans.train: planted refusal\n")
+                return 1, f"Error in rule humans_train:\n    log: {made.log} (check log)\n"
+            if made is person and config["humans"]["iterations"] == 777:
+                return None, ""
+            self.started += 1.0
+            planted(folder, Job(made.rule, made.log, made.outputs, made.inputs, self.started, ()), seconds)
+        psnr = 20.0 + config["humans"]["iterations"] / 1000
+        (folder / target).write_text(json.dumps(metrics(psnr, {"view1": [psnr] * 30})))
+        return 0, ""
+
+
+def test_a_sweep_goes_on_after_failures_and_charges_what_it_shares(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [
+        ("base", "", "", "humans.iterations=300"),
+        ("more", "steps", "", "humans.iterations=900"),
+        ("bad", "steps", "", "humans.iterations=666"),
+    ]
+    rows += [("slow", "steps", "", "humans.iterations=777"), ("again", "seed", "", "enhance.seed=1")]
+    table, records = write_table(tmp_path / "t.tsv", rows), tmp_path / "sweep/records.jsonl"
+    stand_in = PlantedSnakemake()
+    monkeypatch.setattr(sweep_run, "_snakemake", stand_in)
+    told = (json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, records, tmp_path / "sweep/runs")
+    sweep_run.run(*told)
+    base, more, bad, slow, again = found = read_records(records)[1]
+    assert [r.verdict for r in found] == ["ok", "ok", "failed", "failed", "ok"]
+    assert bad.sentence == "humans_train: humans.train: planted refusal"
+    assert slow.sentence == "stopped after 5 minutes (sweep_minutes)"
+    # Scoring is not charged; the capture is charged to everybody and run once.
+    assert [r.seconds["from_nothing"] for r in (base, more, again)] == pytest.approx([40.0, 100.0, 40.0])
+    assert [r.seconds["marginal"] for r in (more, again)] == pytest.approx([90.0, 0.0])
+    assert [r.seconds["ran"] for r in found] == pytest.approx([40.0, 90.0, 0.0, 0.0, 0.0])
+    assert more.metrics["psnr"] == pytest.approx(20.9)
+    assert bad.metrics == {}
+    assert again.seeds["enhance.seed"] == 1
+    assert stand_in.ran.count("logs/s/capture/frames.log") == 1
+    # Started again it runs only what failed, and says the same.
+    stand_in.ran.clear()
+    sweep_run.run(*told)
+    assert set(stand_in.ran) == {"logs/s/humans/train.log"}
+    assert [(r.name, r.verdict, r.seconds["ran"]) for r in read_records(records)[1]] == [
+        (r.name, r.verdict, r.seconds["ran"]) for r in found
+    ]
+
+
+def test_a_sweep_is_not_continued_on_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sweep_run, "_snakemake", PlantedSnakemake())
+    table = write_table(tmp_path / "t.tsv", [("base", "", "", "")])
+    told = (json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, tmp_path / "records.jsonl", tmp_path / "runs")
+    sweep_run.run(*told)
+    monkeypatch.setattr(sweep_run, "machine", lambda: {"processor": "another"})
+    with pytest.raises(Refusal, match="another machine"):
+        sweep_run.run(*told)

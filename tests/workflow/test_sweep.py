@@ -25,6 +25,7 @@ def test_a_sweep_is_two_jobs_of_this_workflow_and_everything_else_of_its_own(hou
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_runs_share_jobs_and_a_failed_one_is_a_record(tmp_path: Path) -> None:
     house = make_house(tmp_path / "swept", "resources/studio/tiny.yaml")
     (house.folder / "few.tsv").write_text(TABLE)
