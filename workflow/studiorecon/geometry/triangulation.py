@@ -87,7 +87,8 @@ def triangulate(
     ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a ring of 4 m
     with 0, 1 and 2 of 4 views 200 px off (tests/bench/geometry.py):
 
-    - "robust": all pairs propose, truncated cost picks, only agreeing views refine. ≤ 10 µs; 0.38 / 0.71, 0.45 / 0.88, 0.64 / 3.0.
+    - "robust": all pairs propose, truncated cost picks, only agreeing views refine, under the Huber norm. ≤ 10 µs;
+      0.38 / 0.71, 0.45 / 0.88, 0.64 / 3.0.
     - "huber": the paper's confidence-weighted Huber refinement from DLT (delta one unit, U34), outliers kept. Bounds their pull, does not
       end it, and cannot start where DLT lies behind a camera. ≤ 22 µs;
       0.38 / 0.71, 1.7 / 8.4, 20 / 77.

@@ -12,10 +12,10 @@ from numba import njit
 
 from studiorecon.geometry.triangulation_dlt import dlt
 
-# What _normal minimises: squares, the Huber norm, or unweighted squared pixels (for covariances).
-_SQUARES, _HUBER, _PIXELS = 0, 1, 2
+# What _normal minimises: the Huber norm, or unweighted squared pixels (for covariances).
+_HUBER, _PIXELS = 1, 2
 _ROUNDS = 3
-_STEPS = 6
+_STEPS = 10
 _HUBER_STEPS = 60
 
 
@@ -24,7 +24,7 @@ def robust(rig, seen, weights, gates, filled):
     """Write ``filled``, the tuple (points (N, 3), covariance (N, 3, 3), error_px (V, N), inliers (V, N), state (N,)).
 
     State 0 is undetermined, 1 a point, 2 a verified one; undetermined points keep what the arrays held.
-    All-pairs midpoints, truncated cost, damped Gauss-Newton on the agreeing views only. ``seen`` (V, N, 2) has no NaN;
+    All-pairs midpoints, truncated cost, damped Gauss-Newton under the Huber norm on the agreeing views only. ``seen`` (V, N, 2) has no NaN;
     ``weights`` (V, N) are 0 where a view has no pixel. ``gates``: outliers in error units, near plane in metres, sine of the
     smallest angle, noise in pixels.
     """
@@ -63,7 +63,7 @@ def robust(rig, seen, weights, gates, filled):
                 agreed[v] = agrees
             if not changed:
                 break
-            _refine(rig, seen, weights, n, used[:usable], agreed, _SQUARES, _STEPS, near, best, room)
+            _refine(rig, seen, weights, n, used[:usable], agreed, _HUBER, _STEPS, near, best, room)
         support = 0
         for k in range(usable):
             v = used[k]
