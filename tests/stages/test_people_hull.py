@@ -6,13 +6,16 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
 from studiorecon import settings as settings_module
+from studiorecon.body.basis import State
 from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.geometry import rotations
 from studiorecon.images.silhouette import mesh_depth
-from studiorecon.people import fit, hull, upright
+from studiorecon.people import fit, following, hull, own_silhouettes, upright
 from studiorecon.people.contour import Silhouette
 from studiorecon.people.foreground import FOREGROUND, UNKNOWN
 from studiorecon.people.label_film import FilmTargets, LabelFilm
@@ -83,7 +86,7 @@ class TestHull:
         rows = np.flatnonzero(blind.any(1))
         blind[rows[len(rows) // 4] : rows[len(rows) // 4] + 8] = 0
         (found,) = self.people(cameras, [*pictured[:2], blind, pictured[3]], options)
-        (label,) = hull.silhouettes([found], [found.place_m], 2, cameras[2], blind, VOXEL_M)
+        (label,) = own_silhouettes.silhouettes([found], [found.place_m], 2, cameras[2], blind, VOXEL_M)
         assert (label[blind > 0] == FOREGROUND).mean() > 0.85  # fingers are thinner than a cell
         assert (label[(pictured[2] > 0) & (blind == 0)] == UNKNOWN).mean() > 0.7
 
@@ -98,9 +101,9 @@ class TestHull:
         whole = [hull.whole_person(*hull.cells_around(p.place_m, VOXEL_M / 2), cameras, both, VOXEL_M / 2, p.place_m, 0.5) for p in found]
         stolen, kept, worn = 0, 0, 0
         for v, camera in enumerate(cameras):
-            pictured = hull.silhouettes(whole, [p.place_m for p in found], v, camera, both[v], VOXEL_M / 2)
+            pictured = own_silhouettes.silhouettes(whole, [p.place_m for p in found], v, camera, both[v], VOXEL_M / 2)
             for k in (0, 1):
-                (by_itself,) = hull.silhouettes([whole[k]], [found[k].place_m], v, camera, both[v], VOXEL_M / 2)
+                (by_itself,) = own_silhouettes.silhouettes([whole[k]], [found[k].place_m], v, camera, both[v], VOXEL_M / 2)
                 others = (alone[k][v] == 0) & (alone[1 - k][v] > 0)
                 worn += int(((by_itself == FOREGROUND) & others).sum())
                 stolen += int(((pictured[k] == FOREGROUND) & others).sum())
@@ -147,6 +150,62 @@ def test_a_body_follows_its_silhouettes_and_survives_its_file(body: BodyModel, c
     assert fitted.valid.all()
     # Not surer than it is right, by more than a factor of two.
     assert error_mm.mean() < 2 * 1000 * np.sqrt(3) * fitted.sigma.mean()
+
+
+def _arm_taken_away(body: BodyModel, cameras: list[Camera], picture: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Silhouettes of somebody with the left arm to the side, which ``picture`` does not show; (H, W) bool the arm in camera 0."""
+    poses, trans = poses_of(body, 1)
+    poses[0, 48:54] = 0.0
+    poses[0, 54:57] = 0.0
+    pictured = silhouettes(body, cameras, poses[0], trans[0])
+    joints = body.joints(poses, np.zeros(10), trans)[0]
+    arms = []
+    for camera, label in zip(cameras, pictured):
+        drawn = np.zeros(label.shape, np.uint8)
+        shoulder, hand = camera.project(joints[[18, 22]])[0]
+        cv2.line(drawn, tuple(int(x) for x in shoulder), tuple(int(x) for x in 1.3 * hand - 0.3 * shoulder), 1, 16)
+        arms.append((drawn > 0) & (label > 0))
+    pictured[picture] = np.where(arms[picture], np.uint8(0), pictured[picture])
+    return pictured, arms[0]
+
+
+def test_an_arm_that_cameras_miss_is_no_background_to_the_others(body: BodyModel, cameras, options) -> None:
+    pictured, arm = _arm_taken_away(body, cameras, picture=1)
+    other, _ = _arm_taken_away(body, cameras, picture=2)
+    pictured[2] = other[2]
+    cells_m, shape = hull.watched_cells(cameras, VOXEL_M, 3)
+    (part,) = [p for p in hull.parts(cells_m, shape, cameras, pictured, VOXEL_M) if hull.is_person(p, VOXEL_M, options.hull.limits)]
+    # A shadow on the floor beside the feet hangs together with the silhouette as well.
+    foot = cameras[0].project(np.array([part.place_m[0], part.place_m[1], 0.0]))[0].astype(int)
+    rows, columns = np.flatnonzero(pictured[0].any(1)), np.flatnonzero(pictured[0][foot[1] - 2])
+    shadow = np.zeros(pictured[0].shape, bool)
+    shadow[rows.max() - 3 : rows.max() + 1, columns.max() : columns.max() + 25] = True
+    pictured[0][shadow] = FOREGROUND
+    (label,) = own_silhouettes.silhouettes([part], [part.place_m], 0, cameras[0], pictured[0], VOXEL_M)
+    # Without what is beside the hull the forearm would be background here: it is not inside it.
+    carved = np.isfinite(own_silhouettes._reach_m(part, part.place_m, cameras[0], VOXEL_M))
+    assert carved[arm].mean() < 0.6, "the case has an arm outside the hull"
+    assert (label[arm] == FOREGROUND).mean() > 0.9
+    assert (label[shadow & ~carved] != FOREGROUND).all()
+
+
+def test_legs_that_start_exchanged_come_out_right(body: BodyModel, cameras, options) -> None:
+    frames = 6
+    poses, trans = poses_of(body, 4 * frames)
+    poses, trans = poses[2::4], trans[2::4]
+    film = LabelFilm(np.array([c.wh for c in cameras]), enumerate(silhouettes(body, cameras, p, t) for p, t in zip(poses, trans)))
+    walk = upright.Walk(FilmTargets(film), dict(enumerate(trans[:, :2])), FPS / 4)
+    surface = Silhouette(body, cameras, options.hull.contour)
+    true = State(rotations.exp(poses.reshape(-1, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((0, 3)))
+    first = following.legs_exchanged(true.at(np.arange(frames) == 2))
+
+    def knees_off_mm(found: dict) -> np.ndarray:
+        joints = np.stack([surface.joints(found[t][0]) for t in range(frames)])
+        return 1000 * np.linalg.norm((joints - body.joints(poses, np.zeros(10), trans))[:, [4, 5, 7, 8]], axis=-1).mean(1)
+
+    # Each frame by itself fits either way; one way alone keeps the start's.
+    assert knees_off_mm(following.follow(surface, walk, 2, first, both_legs=False)).max() > 100
+    assert knees_off_mm(following.follow(surface, walk, 2, first)).max() < 100
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ def labels(rgb: np.ndarray, view: View, known: np.ndarray, settings: ForegroundS
     factor = np.clip((picture * plate).sum(2) / np.maximum((plate * plate).sum(2), 1e-4), settings.shadow, 1.0)
     lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate * factor[..., None], cv2.COLOR_RGB2Lab)
     difference = np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
-    foreground = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 5)
+    foreground = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 3)
     # Clothes of the wall's colour leave gaps inside an outline that otherwise stands out: closed, and filled where enclosed.
     size = 2 * round(_GAP_SHARE * max(foreground.shape)) + 1
     foreground = cv2.morphologyEx(foreground, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))

@@ -16,17 +16,13 @@ import numba
 import numpy as np
 import scipy
 
-from studiorecon.people.foreground import BACKGROUND, FOREGROUND, UNKNOWN
+from studiorecon.people.foreground import BACKGROUND, FOREGROUND
 from studiorecon.scene.camera import Camera
 
 # How far around the middle of the cameras' views people are looked for, how high, and how deep the floor may lie; metres.
 _REACH_M, _TOP_M, _BELOW_M = 6.0, 2.4, 0.3
 # A column of less than this is no part of a person's ground plan: shadows, cables, the edge of a mat.
 _COLUMN_M = 0.4
-# How far apart the edges of a hole in a silhouette may lie, as a share of the longer side.
-_HOLE_SHARE = 0.03
-# A pixel that two people's hulls cover shows the one whose middle it is nearer to by so much, metres; else nobody knows.
-_NEARER_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -192,51 +188,6 @@ def tracks(found: Sequence[tuple[int, list[Part]]], fps: float, limits: HullLimi
         )
         for t in lasting
     ]
-
-
-def silhouettes(
-    people: Sequence[Part], places_m: Sequence[np.ndarray], view: int, camera: Camera, label: np.ndarray, voxel_m: float
-) -> list[np.ndarray]:
-    """(H, W) uint8 labels of camera number ``view`` for everybody, who stand at ``places_m`` (2,): foreground where the person is.
-
-    Foreground beside the person is background; what is unknown stays so. A hole that only this camera sees in a part becomes unknown: it
-    may be a shirt of the wall's colour. So does what may be somebody else: where two people's hulls cover a pixel, it is foreground only
-    for whom it lies nearer to by ``_NEARER_M``. Several people's silhouettes leave ghosts in the hull, arms of nobody that end beside them.
-    """
-    reaches = [_reach_m(part, place, camera, voxel_m) for part, place in zip(people, places_m)]
-    size = 2 * round(_HOLE_SHARE * max(label.shape)) + 1
-    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    out = []
-    for k, (part, reach) in enumerate(zip(people, reaches)):
-        own = (label == FOREGROUND) & np.isfinite(reach)
-        closed = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, around) > 0
-        denied = part.denied[:, view]
-        hole = (label == BACKGROUND) & closed & np.isfinite(_drawn(part.cells_m[denied], np.zeros(int(denied.sum())), camera, voxel_m))
-        others = np.min([r for j, r in enumerate(reaches) if j != k] or [np.full(label.shape, np.inf)], axis=0)
-        shared = own & (others < reach + _NEARER_M)
-        unknown = (label == UNKNOWN) | hole | shared
-        out.append(np.where(unknown, np.uint8(UNKNOWN), np.where(own, np.uint8(FOREGROUND), np.uint8(BACKGROUND))))
-    return out
-
-
-def _reach_m(part: Part, place_m: np.ndarray, camera: Camera, voxel_m: float) -> np.ndarray:
-    """(H, W) how far beside ``place_m`` (2,) the nearest of the part's cells is that a pixel shows, metres; inf where it shows none."""
-    return _drawn(part.cells_m, np.linalg.norm(part.cells_m[:, :2] - place_m, axis=1), camera, voxel_m)
-
-
-def _drawn(cells_m: np.ndarray, values: np.ndarray, camera: Camera, voxel_m: float) -> np.ndarray:
-    """(H, W) float32 least of ``values`` (N,) of the cells that cover a pixel; inf where none does."""
-    drawn = np.full(camera.hw, np.inf, np.float32)
-    pixels, depth_m = camera.project(cells_m)
-    ahead = depth_m > 0.1
-    if ahead.any():
-        columns, rows = np.floor(pixels[ahead]).astype(int).T
-        inside = (columns >= 0) & (rows >= 0) & (columns < camera.wh[0]) & (rows < camera.wh[1])
-        np.minimum.at(drawn, (rows[inside], columns[inside]), values[ahead][inside].astype(np.float32))
-        # A cell's diagonal at its distance, and a little: the hull was carved at the cells' centres.
-        radius = int(np.ceil(0.9 * voxel_m * camera.focal_px[0] / float(np.median(depth_m[ahead])))) + 1
-        drawn = cv2.erode(drawn, np.ones((2 * radius + 1, 2 * radius + 1), np.uint8))
-    return drawn
 
 
 def _middle(cameras: Sequence[Camera]) -> np.ndarray:

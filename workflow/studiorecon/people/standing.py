@@ -18,9 +18,11 @@ from studiorecon.body.model import BodyModel
 from studiorecon.people import hull, upright
 from studiorecon.people.contour import ContourSettings, Silhouette
 from studiorecon.people.facing import Facing
+from studiorecon.people.following import follow
 from studiorecon.people.foreground import ForegroundSettings, View, labels, outline_of, pictures
 from studiorecon.people.hull import HullLimits, Track
 from studiorecon.people.label_film import FilmTargets, LabelFilm
+from studiorecon.people.own_silhouettes import silhouettes
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
@@ -133,7 +135,7 @@ def _silhouettes(
         parts = [hull.whole_person(*hull.cells_around(place, voxel_m), cameras, pictured, voxel_m, place, _APART_M) for place in places]
         there = [k for k, part in enumerate(parts) if part is not None and part.seen_by.sum() >= 2]
         drawn = [
-            hull.silhouettes([parts[k] for k in there], [places[k] for k in there], v, camera, label, voxel_m)
+            silhouettes([parts[k] for k in there], [places[k] for k in there], v, camera, label, voxel_m)
             for v, (camera, label) in enumerate(zip(cameras, pictured))
         ]
         for i, k in enumerate(there):
@@ -164,7 +166,7 @@ def follow_standing(
     by_name = {c.name: c for c in cameras}
     sized = [by_name[name].resized(tuple(int(n) for n in wh)) for name, wh in zip(person.cameras, person.labels.wh)]
     walk = _walk(person.labels, person.places_m, fps)
-    return upright.follow(Silhouette(body, sized, settings.contour), walk, person.start.frame, person.start.state)
+    return follow(Silhouette(body, sized, settings.contour), walk, person.start.frame, person.start.state)
 
 
 def write_standing(path: Path, people: Sequence[Standing]) -> None:

@@ -16,8 +16,9 @@ from studiorecon.body import prior
 from studiorecon.body.basis import State
 from studiorecon.body.model import JOINT_NAMES, OTHER_SIDE, upright_global_orientation
 from studiorecon.geometry import rotations
-from studiorecon.people.contour import Before, Silhouette, Targets
+from studiorecon.people.contour import Silhouette, Targets
 from studiorecon.people.facing import Facing, compare, witness
+from studiorecon.people.following import follow
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.
@@ -29,9 +30,7 @@ _STARTS, _HALF_WINDOW, _STEP_S = 3, 5, 0.08
 _WALKED_M, _AS_GOOD = 0.5, 0.02
 # Starts whose facings differ by less are the same rival.
 _SAME_FACING_RAD = np.deg2rad(45)
-# Another guess replaces what was followed only when it agrees better by this much.
-_CLEARLY = 0.003
-_ROOT_STEPS, _POSE_STEPS, _FOLLOW_STEPS, _SHAPE_STEPS = 5, 14, 5, 8
+_ROOT_STEPS, _POSE_STEPS, _SHAPE_STEPS = 5, 14, 8
 
 
 @dataclass(frozen=True)
@@ -143,40 +142,10 @@ def find(surface: Silhouette, walk: Walk, floor_m: float, height_m: float) -> Fo
     scored = []
     for state in rivals:
         state = surface.refine(state, walk.targets[frame], _POSE_STEPS, free="shape", reach_px=surface.settings.reach_px)
-        scored.append((witness(surface, window.targets, follow(surface, window, frame, state)), state))
+        scored.append((witness(surface, window.targets, follow(surface, window, frame, state, both_legs=False)), state))
     seen, winner = max(scored, key=lambda pair: pair[0].nats)
     opposite = [w for w, state in scored if rotations.angle(state.local[0, 0], winner.local[0, 0]) > np.deg2rad(90)]
     return Found(frame, winner, seen.outline, compare(seen, max(opposite, key=lambda w: w.nats, default=None)))
-
-
-def follow(surface: Silhouette, walk: Walk, frame: int, state: State) -> dict[int, tuple[State, float]]:
-    """State and agreement at every frame of ``walk``, from ``state`` at ``frame`` forwards and backwards, shape held."""
-    out = {frame: (state, surface.agreement(state, walk.targets[frame]))}
-    ordered = sorted(walk.targets)
-    at = ordered.index(frame)
-    reach = surface.settings.reach_px
-    for order in (ordered[at + 1 :], ordered[:at][::-1]):
-        now, then = state, frame
-        for t in order:
-            moved = np.append(walk.place_m(t) - walk.place_m(then), 0.0)
-            now = State(now.local, now.trans + moved, now.betas, 0.0, now.corrections)
-            before = Before(now, abs(t - then) / walk.fps)
-            # An arm that was lost finds its outline again from the relaxed pose, if that explains the silhouettes better.
-            tried = []
-            for guess in (now, _arms_relaxed(now)):
-                tight = (reach[0] / 2, reach[1])
-                carried = surface.refine(guess, walk.targets[t], _FOLLOW_STEPS, free="pose", reach_px=tight, before=before)
-                tried.append((surface.agreement(carried, walk.targets[t]), carried))
-            share, now = tried[int(tried[1][0] > tried[0][0] + _CLEARLY)]
-            out[t], then = (now, share), t
-    return out
-
-
-def _arms_relaxed(state: State) -> State:
-    arms = [JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("shoulder", "elbow")]
-    local = state.local.copy()
-    local[0, arms] = prior.middle()[arms]
-    return State(local, state.trans, state.betas, 0.0, state.corrections)
 
 
 def shaped(surface: Silhouette, walk: Walk, found: Found) -> Found:
@@ -184,7 +153,7 @@ def shaped(surface: Silhouette, walk: Walk, found: Found) -> Found:
     window = walk.around(found.frame)
     reach = surface.settings.reach_px
     betas = []
-    for t, (state, _) in sorted(follow(surface, window, found.frame, found.state).items()):
+    for t, (state, _) in sorted(follow(surface, window, found.frame, found.state, both_legs=False).items()):
         fitted = surface.refine(state, walk.targets[t], _SHAPE_STEPS, free="shape", reach_px=(reach[0] / 3, reach[1]))
         betas.append(fitted.betas)
     state = State(found.state.local, found.state.trans, np.median(betas, axis=0), 0.0, found.state.corrections)
