@@ -43,7 +43,7 @@ def single(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     final = metrics["pictures"].get("enhanced", metrics["pictures"].get("raw", {})).get("psnr", {})
     reached = shown(final.get("value"), 2, "dB")
     parts = ", ".join(f"{stage} {duration(seconds[stage])}" for stage in dearest)
-    sentence = f"On this machine: {duration(spent['total']['seconds'])} → {reached} at held-out cameras; {share:.0%} of it is {parts}."
+    sentence = f"On this machine: {duration(spent['total']['seconds'])} → {reached} at held-out cameras; {100 * share:.0f} % of it is {parts}."
     tiles = [
         (reached, "PSNR at held-out cameras"),
         (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
