@@ -43,7 +43,8 @@ def single(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     final = metrics["pictures"].get("enhanced", metrics["pictures"].get("raw", {})).get("psnr", {})
     reached = shown(final.get("value"), 2, "dB")
     parts = ", ".join(f"{stage} {duration(seconds[stage])}" for stage in dearest)
-    sentence = f"On this machine: {duration(spent['total']['seconds'])} → {reached} at held-out cameras; {100 * share:.0f} % of it is {parts}."
+    took = duration(spent["total"]["seconds"])
+    sentence = f"On this machine: {took} → {reached} at held-out cameras; {100 * share:.0f} % of it is {parts}."
     tiles = [
         (reached, "PSNR at held-out cameras"),
         (duration(spent["total"]["seconds"]), "all jobs, one after the other"),
@@ -168,7 +169,7 @@ def _prices(records: Sequence[Record]) -> str:
     else:
         parts.append("<p>One run is the cheapest and the best: nothing more can be bought with these knobs.</p>")
     reached = [
-        [f"{share:.0%} of the gain", run.name if run else "–", duration(run.total_s) if run else "–"]
+        [f"{100 * share:.0f} % of the gain", run.name if run else "–", duration(run.total_s) if run else "–"]
         for share, run in times_to_gain(records, "psnr")
     ]
     parts.append(html.table(["to reach", "take", "time"], reached, numeric=(2,)))
