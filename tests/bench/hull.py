@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """People from clean plates alone, without a single keypoint: ``python -m tests.bench.hull``.
 
-Made takes of 24 frames at 320×180, twelve a second, with plates: one person and three cameras, two people and four, three and
-four, of whom one never leaves the spot. Front end, association by the visual hull and fit as the workflow runs them, against the exact
-truth: joints, facing with what it rests on, and where the time goes (processor seconds of one thread). Writes ``tests/bench/results/hull.json``. A few minutes of an idle core.
+Made takes of 24 frames at 320×180, twelve a second, with plates: one person and three cameras, two people and four, three and four, of
+whom one never leaves the spot. Front end, association by the visual hull and fit as the workflow runs them, against the exact truth:
+joints, facing with what it rests on, and where the time goes (processor seconds of one thread). Writes ``tests/bench/results/hull.json``.
+A few minutes of an idle core.
 """
 
 from __future__ import annotations
