@@ -50,5 +50,5 @@ rule all:
     default_target: True
     input:
         scene_products(),
-        people_products,
+        decided_products,
     localrule: True

@@ -25,6 +25,7 @@ from studiorecon.report.pictures import depth_picture, difference, mask_picture,
 from studiorecon.report.truth import View, regions
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.decisions import Decision, not_measured, write_decisions
 from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import Step, write_path
 from studiorecon.scene.people import Person, read_person, write_person
@@ -245,7 +246,11 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
         write_depth(folder / f"depth/{camera.name}.exr", np.full((WH[1], WH[0]), 3.0), np.ones((WH[1], WH[0])))
         plate = np.dstack([read_frame(folder / f"capture/{camera.name}.mkv", 0)[..., ::-1], np.full((WH[1], WH[0]), 255, np.uint8)])
         cv2.imwrite(str(folder / f"capture/{camera.name}.plate.png"), plate)
-    write_json(folder / "survey/decisions.json", {"people": {"verdict": "off", "value": 0, "threshold": 1, "reason": "an <empty> room"}})
+    early = [Decision("people", "s", 0.0, (0.0, 0.0), 0.5, "off", "an <empty> room"), not_measured("injection", "s", 0.2, "too early")]
+    write_decisions(folder / "survey/decisions.json", early)
+    write_decisions(
+        folder / "survey/trained.json", [Decision("injection", "s", 0.3, (0.28, 0.32), 0.2, "on", "it flickers", obeyed_by="X")]
+    )
     write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
     cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
     section = default_settings("report")
@@ -259,7 +264,8 @@ def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_setti
     )  # fmt: skip
     page.run(
         settings_module.load(page.Settings, section, "report"), **common, metrics=folder / "report/metrics.json",
-        decisions=folder / "survey/decisions.json", refinement=folder / "cameras/refinement.json", sheet=folder / "cameras/refinement.png",
+        decisions=[folder / f"survey/{n}.json" for n in ("decisions", "trained")],
+        refinement=folder / "cameras/refinement.json", sheet=folder / "cameras/refinement.png",
         plates=[folder / f"capture/{c.name}.plate.png" for c in training], depths=[folder / f"depth/{c.name}.exr" for c in training],
         training_videos=[folder / f"capture/{c.name}.mkv" for c in training], masks=[], films=[folder / "enhance/heldout.mp4"],
         renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],
@@ -298,6 +304,9 @@ def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None
     assert f"{metrics['pictures']['raw']['psnr']['value']:.2f} dB" in text
     assert MISSING in text
     assert "data:video/mp4;base64," in text
+    assert "an &lt;empty&gt; room" in text
+    assert "it flickers" in text
+    assert "too early" not in text, "what a later survey decided counts"
     assert "an &lt;empty&gt; room" in text
     assert "100 % inferred" in text
 

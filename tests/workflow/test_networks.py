@@ -21,6 +21,7 @@ def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: P
         "people": {"source": "comotion"},
         "depth": {"source": "moge"},
         "views": {"synthesizer": "gen3c"},
+        "survey": {"force": {"view_synthesis": "on"}},
     }
     plan = on(house, dataset).plan("--configfile", house.overlay(**sections))
     assert {"cameras_network": 1, "cameras_calibration": 1, "people_sightings": 3, "people_bodies": 3}.items() <= plan.items()

@@ -32,7 +32,7 @@ def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset
     plan = on(house, dataset).plan()
     assert plan["capture_frames"] == 3
     assert plan["depth_sweep"] == 3
-    assert plan["views_synthesize"] == 3
+    assert plan["survey_decide"] == 1
     assert "studio_capture" not in plan
     assert "render_layers" not in plan, "on request only"
 
@@ -99,6 +99,26 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
     assert done.returncode != 0
     assert "plains" in done.stdout
+
+
+def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
+    there = on(house, dataset)
+    target = f"results/{dataset.name}/background/scene.ply"
+    plans = {
+        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": {"view_synthesis": verdict} if verdict else {}}))
+        for verdict in ("", "on", "off")
+    }
+    assert plans["on"]["views_synthesize"] == 3
+    assert "views_synthesize" not in plans["off"] | plans[""]
+    assert plans[""]["survey_decide"] == 1
+    assert "survey_decide" not in plans["off"] | plans["on"], "nothing is asked that is known"
+
+
+def test_people_who_are_forced_away_cost_nothing(house: House, dataset: Path) -> None:
+    there = on(house, dataset)
+    plan = there.plan("--configfile", there.overlay(survey={"force": {"people": "off"}}))
+    assert plan["background_train"] == 1
+    assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
 
 
 def test_films_are_taken_apart_into_exr_when_asked(house: House, dataset: Path) -> None:

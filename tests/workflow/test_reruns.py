@@ -13,7 +13,7 @@ import pytest
 
 from .conftest import House, make_house
 
-AFTER_HUMANS = {"render_shot", "enhance_shot", "enhance_comparison", "report_evaluate", "report_page", "deliver_export"}
+AFTER_HUMANS = {"render_shot", "enhance_shot", "enhance_comparison", "survey_trained", "report_evaluate", "report_page", "deliver_export"}
 
 
 def results(house: House) -> Path:

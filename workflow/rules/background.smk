@@ -16,16 +16,8 @@ rule background_train:
         ),
         shell="results/{scene}/depth/shell.json",
         path="results/{scene}/views/path.json",
-        views=collect(
-            "results/{scene}/views/{segment}.mkv",
-            segment=SEGMENTS,
-            allow_missing=True,
-        ),
-        supports=collect(
-            "results/{scene}/views/{segment}.mask.mkv",
-            segment=SEGMENTS,
-            allow_missing=True,
-        ),
+        views=synthesized("mkv"),
+        supports=synthesized("mask.mkv"),
     output:
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",

@@ -1,6 +1,7 @@
 # The only functions of the workflow. Rules are data: what they need to know about the dataset, the people that were found
 # and the settings, they ask here.
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -51,6 +52,10 @@ def find_dataset():
 
 
 DATASET, STUDIO, DESCRIPTION = find_dataset()
+# Decisions made beforehand: effect → on or off.
+FORCED = config["survey"]["force"]
+if FORCED.get("people") == "off":
+    DATASET = dataclasses.replace(DATASET, people=False)
 GIVEN_BODY = beside_workflow(config["body"])
 # SMPL's own pickle becomes plain arrays first.
 BODY = f"results/body/{Path(GIVEN_BODY).stem}.npz" if GIVEN_BODY.endswith(".pkl") else GIVEN_BODY
@@ -134,8 +139,18 @@ ENHANCE_NETWORK = next((n for n in (config["enhance"]["enhancer"], config["enhan
 
 
 def settings(section):
-    """One stage's section of the configuration as JSON: the whole of what its steps are told, but for the names of the user's files."""
-    return json.dumps({k: v for k, v in config[section].items() if (section, k) != ("people", "identities")}, sort_keys=True)
+    """One stage's section of the configuration as JSON: the whole of what its steps are told, but for the names of the user's files.
+
+    Where survey.force decides on what the section has a setting for, the setting follows.
+    """
+    told = {k: v for k, v in config[section].items() if (section, k) != ("people", "identities")}
+    if section == "humans" and "temporal_appearance" in FORCED:
+        told["temporal"] = told["temporal"] | {"use": "always" if FORCED["temporal_appearance"] == "on" else "never"}
+    if section == "enhance" and FORCED.get("enhancement") == "off":
+        told["enhancer"] = "none"
+    if section == "enhance" and FORCED.get("injection") == "off":
+        told["injection"] = told["injection"] | {"history": 0}
+    return json.dumps(told, sort_keys=True)
 
 
 def code(step):
@@ -231,6 +246,24 @@ def human_gaussians(wildcards):
 def human_avatars(wildcards):
     """Skinning and motion of every person."""
     return [f"results/{wildcards.scene}/humans/{p}.npz" for p in people(wildcards)]
+
+
+def verdict(effect, wildcards):
+    """What the survey says of one effect: on, off or undetermined; without asking it where survey.force has said so."""
+    if effect in FORCED:
+        return FORCED[effect]
+    decided = json.loads(Path(checkpoints.survey_decide.get(scene=wildcards.scene).output.decisions).read_text())
+    return next(d["verdict"] for d in decided["decisions"] if d["effect"] == effect)
+
+
+def synthesized(ending):
+    """Function that names the views of every segment (mkv) or their masks (mask.mkv); none unless the survey calls for views."""
+
+    def paths(wildcards):
+        wanted = SEGMENTS if verdict("view_synthesis", wildcards) == "on" else []
+        return [f"results/{wildcards.scene}/views/{s}.{ending}" for s in wanted]
+
+    return paths
 
 
 def masks(wildcards):
@@ -332,9 +365,8 @@ def scene_products():
         *(f"{scene}/people/detections/{c}.npz" for c in TRAINING if DATASET.people and SIGHTED),
         *(f"{scene}/people/{name}" for name in ("people.tsv", "desk.html") if DATASET.people),
         *(f"{scene}/depth/{c}.exr" for c in TRAINING),
-        f"{scene}/survey/decisions.json",
+        *(f"{scene}/survey/{name}.json" for name in ("decisions", "trained")),
         f"{scene}/views/path.json",
-        *(f"{scene}/views/{s}.mkv" for s in SEGMENTS),
         f"{scene}/background/scene.ply",
         *(f"{scene}/render/{s}.mkv" for s in SHOTS),
         *(f"{scene}/render/{s}.layers" for s in FILMS if config["render"]["exr"]),
@@ -346,8 +378,8 @@ def scene_products():
     ]
 
 
-def people_products(wildcards):
-    """Products of every person who was found; known once association has run."""
+def decided_products(wildcards):
+    """Products that hang on who was found and on what the survey decided; known once association and survey have run."""
     found = type("Scene", (), {"scene": SCENE})()
     overlays = [f"results/{SCENE}/people/overlay/{c}.mp4" for c in TRAINING if people(found)]
-    return [*fits(found), *overlays, *masks(found), *human_gaussians(found), *human_avatars(found)]
+    return [*synthesized("mkv")(found), *fits(found), *overlays, *masks(found), *human_gaussians(found), *human_avatars(found)]

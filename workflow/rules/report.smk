@@ -50,7 +50,7 @@ rule report_page:
         manifest="results/{scene}/capture/manifest.json",
         model="results/{scene}/cameras/images.txt",
         metrics="results/{scene}/report/metrics.json",
-        decisions="results/{scene}/survey/decisions.json",
+        decisions=collect("results/{scene}/survey/{decided}.json", decided=["decisions", "trained"], allow_missing=True),
         refinement="results/{scene}/cameras/refinement.json",
         sheet="results/{scene}/cameras/refinement.png",
         plates=collect(
@@ -112,7 +112,7 @@ rule report_page:
     shell:
         "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
-        " --decisions {input.decisions} --refinement {input.refinement} --sheet {input.sheet} --plates {input.plates:q}"
+        " --decisions {input.decisions:q} --refinement {input.refinement} --sheet {input.sheet} --plates {input.plates:q}"
         " --depths {input.depths:q} --training-videos {input.training_videos:q} --masks {input.masks:q} --films {input.films:q}"
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"

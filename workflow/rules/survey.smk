@@ -1,7 +1,7 @@
-# Which effects this scene calls for, each with a statistic and a reason.
+# Which effects this scene calls for, each with a statistic and a reason: before training (a checkpoint, because jobs hang on it) and after.
 
 
-rule survey_decide:
+checkpoint survey_decide:
     input:
         manifest="results/{scene}/capture/manifest.json",
         model="results/{scene}/cameras/images.txt",
@@ -31,3 +31,36 @@ rule survey_decide:
         " --manifest {input.manifest:q} --model {input.model:q} --people {input.people:q}"
         " --identities {input.identities:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --decisions {output.decisions:q}"
+
+
+rule survey_trained:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        background="results/{scene}/background/scene.ply",
+        avatars=human_avatars,
+        ledgers=collect("results/{scene}/render/{shot}.tsv", shot=FILMS, allow_missing=True),
+        renders=collect("results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True),
+        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=FILMS, allow_missing=True),
+        paths=collect("results/{scene}/render/{shot}.json", shot=FILMS, allow_missing=True),
+    output:
+        decisions="results/{scene}/survey/trained.json",
+    log:
+        "logs/{scene}/survey/trained.log",
+    benchmark:
+        "benchmarks/{scene}/survey/trained.tsv"
+    container:
+        image(DRAWN_BY)
+    threads: 1
+    resources:
+        mem_mb=1500,
+        gpu=DRAWING_GPUS,
+    params:
+        settings=settings("survey"),
+        code=code("survey.trained"),
+        history=json.loads(settings("enhance"))["injection"]["history"],
+        device=config["device"],
+    shell:
+        "python -m studiorecon survey.trained --settings {params.settings:q} --log {log:q} --device {params.device}"
+        " --model {input.model:q} --background {input.background:q} --avatars {input.avatars:q} --ledgers {input.ledgers:q}"
+        " --renders {input.renders:q} --enhanced {input.enhanced:q} --paths {input.paths:q} --history {params.history}"
+        " --decisions {output.decisions:q}"

@@ -15,13 +15,14 @@ import numpy as np
 from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
 from studiorecon.progress import say
-from studiorecon.report import html, sections, sweep_section, terms
+from studiorecon.report import html, sections, sweep_section, terms, verdicts
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.report.records import read_records
 from studiorecon.report.solvers import section as solvers_section
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.path import read_path
 
@@ -103,7 +104,7 @@ def run(
     manifest: Path,
     model: Path,
     metrics: Path,
-    decisions: Path,
+    decisions: list[Path],
     refinement: Path,
     sheet: Path,
     plates: list[Path],
@@ -151,7 +152,7 @@ def run(
     body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
     body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
-    body.append(sections.decisions(read_json(decisions)))
+    body.append(verdicts.decisions([read_decisions(path) for path in decisions], spent))
     body.append(sweep_section.single(measured, spent))
     swept = [read_records(path) for path in sweeps]
     body += [sweep_section.section(name, records) for name, records in swept]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's sections made of numbers: head, measures, people, cameras, decisions, cost, settings."""
+"""The page's sections made of numbers: head, measures, people, cameras, cost, settings."""
 
 from __future__ import annotations
 
@@ -133,20 +133,6 @@ def cameras(doctor: Any, sheet: str) -> str:
     )
 
 
-def decisions(survey: Any) -> str:
-    """Which effects this scene calls for, the statistic against its threshold, and why."""
-    entries = survey.get("decisions", survey) if isinstance(survey, Mapping) else survey
-    listed = [{"effect": k, **v} for k, v in entries.items() if isinstance(v, Mapping)] if isinstance(entries, Mapping) else list(entries)
-    rows = []
-    for entry in listed:
-        verdict = str(entry.get("verdict", ""))
-        value, threshold = entry.get("value"), entry.get("threshold")
-        cell = f'<span class="{html.text(verdict)}">{html.text(verdict)}</span>'
-        rows.append([str(entry["effect"]), cell, _brief(value), _brief(threshold), str(entry.get("reason", ""))])
-    lead = "Only effects that this scene calls for are simulated. Any decision can be forced in the configuration."
-    return html.heading("Decisions", lead) + html.table(["effect", "verdict", "value", "threshold", "why"], rows, numeric=(2, 3), raw=(1,))
-
-
 def costs(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
     lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."
@@ -188,9 +174,3 @@ def settings(configuration: str) -> str:
 
 def _camera(pictures: Mapping[str, Any], version: str, measure: str, camera: str) -> float | None:
     return pictures.get(version, {}).get(measure, {}).get("cameras", {}).get(camera, {}).get("value")
-
-
-def _brief(value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return "" if value is None else str(value)
-    return f"{value:.3g}"

@@ -2,7 +2,7 @@
 """Which effects does this scene call for? Each decision has a statistic, a threshold and a sentence, and can be forced.
 
 Only what a decision is about is simulated later; "undetermined" takes the cheaper branch and says so. What shows only in a trained scene
-is listed here, as not measured yet.
+is listed here, and decided by ``survey.trained``.
 """
 
 from __future__ import annotations
