@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which effect sets off which statistic, on made scenes: ``python -m tests.bench.effects [--seeds N]``.
+
+Every effect is planted alone in a scene that has none (``tests/effects/world.py``), several times with other textures, walks and noise, and
+all effects are decided. The diagonal is the share of seeds in which the planted effect's verdict turns as it must; every other entry is
+the share in which another effect's verdict turns though nothing of it was planted ("undetermined" turns nothing). The first row plants
+nothing. Asked: at least 0.95 on the diagonal and at most 0.05 beside it, but for the pairs in ``BY_NATURE``.
+
+Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/stages alone. Prints
+the matrix and writes tests/bench/results/effects.json. 50 seconds of processor time a seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import time
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import yaml
+from studiorecon.scene.decisions import ORDER
+from studiorecon.scene.files import write_json
+from studiorecon.settings import load
+from studiorecon.survey.effects import Settings, judge
+
+from tests.effects.world import PLANTED, scene
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULT = Path(__file__).resolve().parent / "results" / "effects.json"
+LEAST, MOST = 0.95, 0.05
+# What one planting changes by its nature, and why.
+BY_NATURE = {
+    ("face", "hands"): "pictures in which faces are large show large hands",
+    ("depth_shift", "closed_path"): "cameras in a row before a wall are no ring",
+}
+
+
+def verdicts(seed: int, settings: Settings, **planted: object) -> tuple[dict[str, str], float]:
+    """Effect → verdict, and the processor seconds of the survey."""
+    material = scene(seed, **planted)
+    begun = time.process_time()
+    made = judge(material, settings)
+    return {d.effect: d.verdict for d in made}, time.process_time() - begun
+
+
+def turned(before: str, after: str) -> bool:
+    """A verdict that says the opposite; what cannot be told says nothing."""
+    return after != "undetermined" and after != before and not (before == "undetermined" and after == "off")
+
+
+def main(seeds: int) -> int:
+    settings = load(Settings, yaml.safe_load((ROOT / "config/config.yaml").read_text())["survey"], "survey")
+    judged = [e for e in ORDER if e in verdicts(0, settings)[0]]
+    plain = [verdicts(seed, settings) for seed in range(seeds)]
+    usual = {e: max(("on", "off", "undetermined"), key=[v[e] for v, _ in plain].count) for e in judged}
+    rows = {"nothing": {e: float(np.mean([turned(usual[e], v[e]) for v, _ in plain])) for e in judged}}
+    seconds = [s for _, s in plain]
+    for effect, planted in PLANTED.items():
+        found = [verdicts(1000 + seed, settings, **planted)[0] for seed in range(seeds)]
+        rows[effect] = {e: float(np.mean([turned(usual[e], v[e]) for v in found])) for e in judged}
+        print(f"{effect:22s} " + " ".join(f"{rows[effect][e]:4.2f}" for e in judged), flush=True)
+    missed = {e: rows[e][e] for e in PLANTED if rows[e][e] < LEAST}
+    false = {
+        f"{planted} → {e}": share
+        for planted, row in rows.items()
+        for e, share in row.items()
+        if e != planted and share > MOST and (planted, e) not in BY_NATURE
+    }
+    result = {
+        "date": date.today().isoformat(), "machine": platform.processor() or platform.machine(), "load": os.getloadavg()[0],
+        "seeds": seeds, "planted": {k: {n: list(v) if isinstance(v, tuple) else v for n, v in p.items()} for k, p in PLANTED.items()},
+        "usual": usual, "matrix": rows, "missed": missed, "false": false,
+        "by_nature": {f"{a} → {b}": why for (a, b), why in BY_NATURE.items()},
+        "never_planted": sorted(set(judged) - set(PLANTED)),
+        "survey_processor_s": {"least": min(seconds), "median": float(np.median(seconds))},
+    }  # fmt: skip
+    write_json(RESULT, result)
+    print(f"usual verdicts: {usual}")
+    print(f"diagonal below {LEAST}: {missed or 'none'}; beside it above {MOST}: {false or 'none'}")
+    return 0 if not missed and not false else 1
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    raise SystemExit(main(parser.parse_args().seeds))
