@@ -58,7 +58,7 @@ if CAMERA_NETWORK:
 
     rule cameras_network:
         input:
-            sources=[str(DATASET.footage[c]) for c in CAMERAS],
+            sources=[in_dataset(DATASET.footage[c]) for c in CAMERAS],
             sightings=collect(
                 "results/{scene}/people/sightings/{camera}.npz",
                 camera=CAMERAS if set(CAMERAS) <= set(DATASET.keypoints) else [],

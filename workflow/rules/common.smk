@@ -32,8 +32,8 @@ check_settings()
 
 
 def beside_workflow(path):
-    """A path of the configuration: as given when it exists from here, else beside the Snakefile."""
-    return str(path) if Path(path).is_file() else str(Path(workflow.basedir) / path)
+    """A path of the configuration: as given when it exists from here, else beside the Snakefile; never in a bucket."""
+    return local(str(path) if Path(path).is_file() else str(Path(workflow.basedir) / path))
 
 
 def find_dataset():
@@ -44,7 +44,7 @@ def find_dataset():
             description = Path(beside_workflow(given))
             folder = Path("results/studio") / description.stem
             planned = planned_dataset(read_description(description), folder / "dataset", folder / "truth")
-            return planned, description.stem, str(description)
+            return planned, description.stem, local(str(description))
         capture_yaml = Path(config["capture_yaml"]) if config["capture_yaml"] else None
         return open_dataset(given, capture_yaml), "", ""
     except Refusal as refusal:
@@ -68,7 +68,9 @@ HELDOUT = list(DATASET.held_out)
 PLATED = [c for c in TRAINING if c in DATASET.plates] if config["people"]["hull"]["use"] == "auto" else []
 # The user's own say on who is who: a file named in the configuration counts before the dataset's.
 CORRECTED = (
-    [str(config["people"]["identities"])] if config["people"]["identities"] else [str(DATASET.identities)] if DATASET.identities else []
+    [local(str(config["people"]["identities"]))]
+    if config["people"]["identities"]
+    else [str(DATASET.identities) if STUDIO else local(str(DATASET.identities))] if DATASET.identities else []
 )
 SEGMENTS = [f"{i:02d}" for i in range(len(TRAINING) if config["views"]["closed"] else len(TRAINING) - 1)]
 # Every film, and "train": the training cameras themselves, which enhancement and report compare with the photos.
@@ -91,7 +93,7 @@ CAMERA_NETWORK = config["cameras"]["source"] if config["cameras"]["source"] in M
 CALIBRATION = (
     [f"results/{SCENE}/cameras/network/{name}.txt" for name in ("cameras", "images")]
     if CAMERA_NETWORK
-    else list(map(str, DATASET.calibration))
+    else [str(file) if STUDIO else local(str(file)) for file in DATASET.calibration]
 )
 
 if CAMERA_NETWORK and DATASET.pixel_maps:
@@ -158,6 +160,11 @@ def code(step):
     return package_code.digest(step)
 
 
+def in_dataset(path):
+    """A file of the dataset: a made studio's is a result like others, a user's own lies where it lies, whatever storage results go to."""
+    return str(path) if STUDIO else local(str(path))
+
+
 def image(name):
     """A container image: the file that snakemake images made with apptainer, else its address from envs/images.yaml."""
     entry = IMAGES[name]
@@ -193,7 +200,7 @@ def brought(folder, stem, suffixes, setting):
     found = [path for suffix in suffixes if (path := Path(folder) / f"{stem}{suffix}").exists()]
     if not found:
         raise WorkflowError(f"{setting} is {folder!r}, which has no {stem} with one of the endings {', '.join(suffixes)}")
-    return str(found[0])
+    return local(str(found[0]))
 
 
 def estimated_depth(wildcards):
@@ -287,12 +294,12 @@ def people_table(wildcards):
 
 def footage_source(wildcards):
     """Video file or folder of pictures of one camera."""
-    return str(DATASET.footage[wildcards.camera])
+    return in_dataset(DATASET.footage[wildcards.camera])
 
 
 def keypoint_source(wildcards):
     """Recorded keypoints of one camera."""
-    return str(DATASET.keypoints[wildcards.camera])
+    return in_dataset(DATASET.keypoints[wildcards.camera])
 
 
 def given_bodies(wildcards):
@@ -304,13 +311,13 @@ def given_bodies(wildcards):
 
 def given_plate(wildcards):
     """The user's clean plate of one camera, if there is one."""
-    return [str(DATASET.plates[wildcards.camera])] if wildcards.camera in DATASET.plates else []
+    return [in_dataset(DATASET.plates[wildcards.camera])] if wildcards.camera in DATASET.plates else []
 
 
 def given_masks(wildcards):
     """The user's person masks of one camera, if there are any."""
     if wildcards.camera in DATASET.masks:
-        return [str(DATASET.masks[wildcards.camera])]
+        return [in_dataset(DATASET.masks[wildcards.camera])]
     if config["masks"]["source"] == "precomputed":
         return [brought(config["masks"]["precomputed"], wildcards.camera, (".mkv", ".mp4", ""), "masks.precomputed")]
     return []
@@ -324,13 +331,13 @@ def tracked_masks(wildcards):
 
 def given_depth(wildcards):
     """The user's depth map of one camera."""
-    return str(DATASET.depth[wildcards.camera])
+    return in_dataset(DATASET.depth[wildcards.camera])
 
 
 def shot_path(wildcards):
     """The camera path file that a shot follows, if it is of that kind."""
     file = config["render"]["shots"].get(wildcards.shot, {}).get("file")
-    return [file] if file else []
+    return [local(file)] if file else []
 
 
 def stand_ins(wildcards):
@@ -349,7 +356,7 @@ def truth_of_replaced(wildcards):
 def edited_reference(wildcards):
     """The edited picture that a network takes as its reference for a shot, if one is named."""
     file = config["render"]["shots"].get(wildcards.shot, {}).get("reference")
-    return [file] if file else []
+    return [local(file)] if file else []
 
 
 def scene_products():

@@ -36,7 +36,7 @@ rule people_sightings:
 rule cameras_doctor:
     input:
         calibration="results/{scene}/cameras/calibration.json",
-        sources=[str(DATASET.footage[c]) for c in CAMERAS],
+        sources=[in_dataset(DATASET.footage[c]) for c in CAMERAS],
         sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=list(DATASET.keypoints), allow_missing=True),
         sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=list(DATASET.keypoints), allow_missing=True),
     output:

@@ -80,8 +80,8 @@ rule report_page:
             shot=[s for s in FILMS if s == "heldout"],
             allow_missing=True,
         ),
-        paper=Path(workflow.basedir) / "resources/paper/results.tsv",
-        solvers=Path(workflow.basedir) / "resources/solvers.tsv",
+        paper=local(str(Path(workflow.basedir) / "resources/paper/results.tsv")),
+        solvers=local(str(Path(workflow.basedir) / "resources/solvers.tsv")),
         # Last, so that the page counts what they cost.
         delivered="results/{scene}/deliver/manifest.json",
     output:

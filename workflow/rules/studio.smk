@@ -5,8 +5,8 @@ if STUDIO:
     rule studio_capture:
         input:
             description=DESCRIPTION,
-            defaults=str(Path(workflow.basedir) / "resources/studio/defaults.yaml"),
-            body=str(Path(workflow.basedir) / "resources/body.npz"),
+            defaults=local(str(Path(workflow.basedir) / "resources/studio/defaults.yaml")),
+            body=local(str(Path(workflow.basedir) / "resources/body.npz")),
         output:
             videos=[str(f) for f in DATASET.footage.values()],
             calibration=[str(f) for f in DATASET.calibration],
