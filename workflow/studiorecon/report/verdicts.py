@@ -28,23 +28,20 @@ def decisions(found: Sequence[Mapping[str, Decision]], spent: Mapping[str, Any])
     for decision in in_order(list(merged.values())):
         word = f'<span class="{decision.verdict}">{decision.verdict}{" (forced)" if decision.forced else ""}</span>'
         took = [spent.get("stages", {}).get(stage, {}).get("seconds") for stage in _STAGES.get(decision.effect, ())]
-        cost = f"{sum(t for t in took if t):.0f} s" if any(took) else ""
-        value, threshold = (_brief(v, decision.unit) for v in (decision.value, decision.threshold))
-        acts = decision.obeyed_by or "nobody: it informs"
-        name = decision.effect.replace("_", " ")
-        rows.append([name, word, value, gauge(decision), threshold, cost, decision.reason, acts])
+        acts = (decision.obeyed_by or "nobody: it informs") + (f" ({sum(t for t in took if t):.0f} s in this run)" if any(took) else "")
+        rows.append([decision.effect.replace("_", " "), word, gauge(decision), decision.reason, acts])
     lead = (
         "Only effects that this scene calls for are simulated. The bar shows the measurement with its interval; the tick in its middle is "
         "the threshold. Thresholds are uncalibrated: they come from made scenes. Any decision can be forced in the configuration."
     )
-    header = ["effect", "verdict", "value", "", "threshold", "its jobs took", "why", "acted on by"]
-    return html.heading("Decisions", lead) + html.table(header, rows, numeric=(2, 4, 5), raw=(1, 3))
+    header = ["effect", "verdict", "measured, threshold", "why", "acted on by"]
+    return html.heading("Decisions", lead) + html.table(header, rows, raw=(1, 2))
 
 
 def gauge(decision: Decision) -> str:
-    """A small picture: interval and value on a scale from 0 to twice the threshold; empty when nothing was measured."""
+    """A small picture with its numbers: interval and value on a scale from 0 to twice the threshold; words when nothing was measured."""
     if decision.value is None or decision.interval is None or not decision.threshold:
-        return ""
+        return "not measured"
     measured = (decision.interval[0], decision.value, decision.interval[1])
     low, at, high = (_WIDTH * float(np.clip(v / decision.threshold / 2, 0, 1)) for v in measured)
     middle = _HEIGHT / 2
@@ -54,7 +51,7 @@ def gauge(decision: Decision) -> str:
         f'<line x1="0" x2="{_WIDTH}" y1="{middle}" y2="{middle}" stroke="var(--line)"/>'
         f'<line x1="{low:.1f}" x2="{high:.1f}" y1="{middle}" y2="{middle}" stroke="var(--mark)" stroke-width="5"/>'
         f'<line x1="{_WIDTH / 2}" x2="{_WIDTH / 2}" y1="0" y2="{_HEIGHT}" stroke="currentColor"/>'
-        f'<circle cx="{at:.1f}" cy="{middle}" r="4" fill="var(--mark)" stroke="var(--paper)"/></svg>'
+        f'<circle cx="{at:.1f}" cy="{middle}" r="4" fill="var(--mark)" stroke="var(--paper)"/></svg><br><span class="soft">{words}</span>'
     )
 
 

@@ -66,10 +66,10 @@ def excess_flicker(raw: np.ndarray, enhanced: np.ndarray, static: np.ndarray) ->
 
 
 def decide_refinement(estimate: Estimate, threshold: float, was_on: bool = False) -> Decision:
-    """Do views from other heights show holes, so that a round of refinement would be worth its views?"""
+    """Do views from other heights show holes, so that a round of refinement may be worth its views?"""
     reason = "no views from other heights were rendered"
     if estimate.value is not None:
-        reason = f"{estimate.value:.1%} of views from 15 % higher and lower are thin or empty; training here has no refinement rounds"
+        reason = f"{estimate.value:.1%} of views from 15 % higher and lower are thin or empty; background.refinement.views adds such views"
     return decide("refinement", REFINEMENT, estimate.value, estimate.interval, threshold, reason, was_on=was_on)
 
 
