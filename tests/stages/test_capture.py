@@ -9,10 +9,10 @@ import av
 import cv2
 import numpy as np
 import pytest
+from studiorecon.body.presence import people_regions
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.capture import plate as plate_step
-from studiorecon.body.presence import people_regions
 from studiorecon.capture.source import decode, digest, open_source
 from studiorecon.capture.sync import lags, motion_energy
 from studiorecon.errors import Refusal
