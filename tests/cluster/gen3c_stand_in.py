@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.images.video import write_lossless
 from studiorecon.models.gen3c_request import check_form, read_request
 
-_NOTED = ("CUDA_VISIBLE_DEVICES", "SLURM_ARRAY_JOB_ID", "SLURM_ARRAY_TASK_ID", "SLURM_JOB_ID", "SLURM_MEM_PER_NODE", "SLURM_CPUS_PER_TASK")
+_NOTED = ("CUDA_VISIBLE_DEVICES", "SLURM_ARRAY_JOB_ID", "SLURM_ARRAY_TASK_ID", "SLURM_JOB_ID")
 
 
 def main() -> int:

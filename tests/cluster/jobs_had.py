@@ -22,9 +22,10 @@ def main(notes: Path, jobs: Path, films: list[Path]) -> None:
     assert len({share["SLURM_ARRAY_TASK_ID"] for share in first}) == 4
     for share in had.values():
         assert share["CUDA_VISIBLE_DEVICES"] in ("0", "1"), "a job sees other GPUs than its own"
-    memory = {name: int(share["SLURM_MEM_PER_NODE"]) for name, share in had.items()}
-    assert memory["01.2"] >= 2 * memory["01.1"] - 1, "the second attempt has no more memory than the first"
     said = [dict(re.findall(r"(\w+)=(\S*)", block)) for block in jobs.read_text().split("\n\n") if "JobId=" in block]
+    asked_mb = {job["JobId"]: megabytes(job["MinMemoryNode"]) for job in said}
+    memory = {name: asked_mb[share["SLURM_JOB_ID"]] for name, share in had.items()}
+    assert memory["01.2"] >= 2 * memory["01.1"] - 1, "the second attempt has no more memory than the first"
     asked = [re.search(r"gres[/:]gpu[:=](\d+)", json.dumps(job)) for job in said]
     assert asked, "Slurm knows no job"
     assert all(found and found.group(1) == "1" for found in asked), "a job did not ask for one GPU"
@@ -35,6 +36,11 @@ def main(notes: Path, jobs: Path, films: list[Path]) -> None:
         shape = read_frame(film, 0).shape
         assert shape == (704, 1280, 3), f"{film} is not of GEN3C's size"
     print(f"{len(films)} films, {len(had)} jobs, each with one GPU")
+
+
+def megabytes(text: str) -> float:
+    """``64001M`` or ``125G`` as Slurm writes it, in megabytes."""
+    return float(text[:-1]) * {"M": 1, "G": 1024}[text[-1]]
 
 
 if __name__ == "__main__":

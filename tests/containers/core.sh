@@ -57,9 +57,12 @@ export PYTHONPATH=$root/workflow
 python -m studiorecon models.containers --images "core=studiorecon/core:$version" --root "$root" --folder "$work/images"
 
 echo "== rules in it"
+# In a copy: a container sees the folder it is started in, and the workflow has to lie there.
 mkdir "$work/house"
+cp -r "$root"/{Snakefile,workflow,envs,config,profiles,resources} "$work/house"
 cd "$work/house"
-PATH=$here:$PATH python -m snakemake --snakefile "$root/Snakefile" --sdm apptainer --cores 2 --config dataset=resources/studio/tiny.yaml \
+export PYTHONPATH=$work/house/workflow
+PATH=$here:$PATH python -m snakemake --sdm apptainer --cores 2 --config dataset=resources/studio/tiny.yaml \
   "images=$work/images" -- "${targets[@]}" > "$work/log" 2>&1 || { tail -n 60 "$work/log"; exit 1; }
 grep -c "Activating singularity image" "$work/log" | sed 's/$/ jobs ran in the image/'
 for target in "${targets[@]}"; do test -s "$target"; done
