@@ -19,7 +19,7 @@ from studiorecon.body.weight_grid import strongest
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
-from studiorecon.humans.footage import IGNORED, OUTSIDE, PERSON, box_around, cut, judge, silhouette
+from studiorecon.humans.footage import IGNORED, OUTSIDE, PERSON, Look, box_around, cut, judge, judged, mask_inset_px, silhouette
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
 from studiorecon.images.metrics import psnr
@@ -298,3 +298,24 @@ def test_a_turning_body_shows_four_cameras_more_sides_than_one_that_stands_still
         motion = Motion(poses, np.zeros((frames, 3)), np.zeros((24, 3)), np.r_[-1, np.arange(23)])
         assert train.supported_degree(asked, motion, crops) == degree
         assert train.supported_degree(replace(asked, sh_cap=False), motion, crops) == 2
+
+
+@pytest.mark.parametrize(("cut_px", "expected"), [(-2, (0, 0)), (0, (0, 0)), (1, (0, 2)), (2, (2, 3)), (5, (5, 6))])
+def test_masks_cut_too_small_are_measured_and_teach_no_hole(cut_px: int, expected: tuple[int, int]) -> None:
+    """Ten looks at a disc; two of them half hidden by furniture, which bends an outline but is no cut."""
+    rows, columns = np.mgrid[:80, :80]
+    away = np.hypot(rows - 40, columns - 40)
+    looks = []
+    for frame in range(10):
+        labels = (away < 25 - cut_px).astype(np.uint8)
+        if frame < 2:
+            labels[45:] = 0
+        looks.append(Look(frame, 0, Camera("c", (80, 80), np.eye(3), np.eye(4)), np.zeros((80, 80, 3), np.uint8), labels, away < 25))
+    inset = mask_inset_px(looks, 1)
+    assert expected[0] <= inset <= expected[1]
+    crop = judged(looks, 1, 1, 12, inset)[-1]
+    hidden = (away < 25) & (away >= 25 - cut_px)
+    if inset:
+        assert (crop.verdict[hidden] == IGNORED).all()  # taken for background it would be carved away
+        assert (crop.verdict[away < 25 - cut_px] == PERSON).all()
+    assert (crop.verdict[away > 30] == OUTSIDE).all()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.humans.footage import IGNORED, Crop, crops_of
+from studiorecon.humans.footage import IGNORED, Crop, judged, looks_of
 from studiorecon.humans.unchanged import keep, mark_of, still_stands
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -42,7 +42,8 @@ def crops(body: BodyModel, neighbour_at: int) -> list[Crop]:
     labels[low[1] : high[1], low[0] : high[0]] = 1
     labels[:, neighbour_at : neighbour_at + 4] = 2
     picture = np.full((*CAMERA.hw, 3), 90, np.uint8)
-    return crops_of(0, CAMERA, iter([picture]), iter([labels]), vertices, np.array([True]), 1, 4, 1, 3, 5)
+    looks = looks_of(0, CAMERA, iter([picture]), iter([labels]), vertices, np.array([True]), 1, 4, 5)
+    return judged(looks, 1, 1, 3, 0)
 
 
 def test_only_what_happens_within_the_crop_counts(body: BodyModel, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,6 +14,7 @@ from studiorecon.scene.camera import Camera
 IGNORED, OUTSIDE, PERSON = 0, 1, 2
 
 UNASSIGNED = 255  # foreground of nobody in particular, in mask videos
+_LEAST_INSET_PX = 1.5  # less is the fitted shape's own error
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,18 @@ class Crop:
     camera: Camera
     rgb: np.ndarray
     verdict: np.ndarray
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a ``Crop`` is made of: its picture, with mask labels (h, w) uint8 and the fitted body's silhouette (h, w) bool."""
+
+    frame: int
+    view: int
+    camera: Camera
+    rgb: np.ndarray
+    labels: np.ndarray
+    body: np.ndarray
 
 
 def box_around(pixels: np.ndarray, mask: np.ndarray, wh: tuple[int, int], margin_px: int) -> tuple[int, int, int, int] | None:
@@ -62,21 +75,27 @@ def cut(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
     return replace(camera, wh=(right - left, bottom - top), intrinsics=intrinsics)
 
 
-def judge(labels: np.ndarray, body: np.ndarray, label: int, edge_px: int, occluder_px: int) -> np.ndarray:
+def judge(labels: np.ndarray, body: np.ndarray, label: int, edge_px: int, occluder_px: int, inset_px: int = 0) -> np.ndarray:
     """(h, w) uint8 verdicts from mask labels (0 background, k+1 person k, 255 unassigned) and the body's silhouette (h, w) bool.
 
     Ignored are: pixels of other people and unassigned foreground (they may hide the person); a seam of ``edge_px`` on either
-    side of the mask's outline, whose colours are mixed with the background and would leave a halo; and pixels deeper than
-    ``occluder_px`` inside the body's silhouette that the mask calls background: furniture stands before the person there.
+    side of the mask's outline, whose colours are mixed with the background and would leave a halo; pixels deeper than
+    ``occluder_px`` inside the body's silhouette that the mask calls background: furniture stands before the person there; and the
+    ``inset_px`` around the mask inside the silhouette, where masks are cut too small (``mask_inset_px``).
     """
     person = labels == label
     verdict = np.where(person, PERSON, np.where(labels == 0, OUTSIDE, IGNORED)).astype(np.uint8)
     if edge_px > 0:
         kernel = np.ones((2 * edge_px + 1, 2 * edge_px + 1), np.uint8)
         stamp = person.astype(np.uint8)
-        # Outside the picture counts as more of the same, or the frame's border would be taken for an outline.
-        seam = (cv2.dilate(stamp, kernel) > 0) & (cv2.erode(stamp, kernel, borderType=cv2.BORDER_REPLICATE) == 0)
+        # Outside the picture counts as more of the same, or the frame's border would be taken for an outline. The outline of a mask
+        # that is cut too small runs through the person, whose colours are pure there.
+        kept = stamp if inset_px > edge_px else cv2.erode(stamp, kernel, borderType=cv2.BORDER_REPLICATE)
+        seam = (cv2.dilate(stamp, kernel) > 0) & (kept == 0)
         verdict[seam] = IGNORED
+    if inset_px > 0:
+        kernel = np.ones((2 * inset_px + 1, 2 * inset_px + 1), np.uint8)
+        verdict[(cv2.dilate(person.astype(np.uint8), kernel) > 0) & body & (labels == 0)] = IGNORED
     # The padding keeps a silhouette that leaves the picture from being eroded there.
     kernel = np.ones((2 * occluder_px + 1, 2 * occluder_px + 1), np.uint8)
     deep = cv2.erode(body.astype(np.uint8), kernel, borderType=cv2.BORDER_REPLICATE) > 0
@@ -100,15 +119,15 @@ def silhouette(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
     return cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((2 * gap + 1, 2 * gap + 1), np.uint8)) > 0
 
 
-def crops_of(
+def looks_of(
     view: int, camera: Camera, pictures: Iterator[np.ndarray], labels: Iterator[np.ndarray], vertices_m: np.ndarray, valid: np.ndarray,
-    label: int, margin_px: int, edge_px: int, occluder_px: int, smallest_px: int,
-) -> list[Crop]:  # fmt: skip
-    """The crops of one camera for one person: frames in which the body is valid and shows at least ``smallest_px`` pixels.
+    label: int, margin_px: int, smallest_px: int,
+) -> list[Look]:  # fmt: skip
+    """One camera's looks at one person: frames in which the body is valid and shows at least ``smallest_px`` pixels.
 
     ``vertices_m`` (T, V, 3) is the fitted body over time; pictures and labels are the camera's frames in order.
     """
-    crops = []
+    looks = []
     for frame, (rgb, label_map) in enumerate(zip(pictures, labels)):
         if frame >= len(valid) or not valid[frame]:
             continue
@@ -118,7 +137,31 @@ def crops_of(
         if box is None or np.count_nonzero(person) < smallest_px:
             continue
         left, top, right, bottom = box
-        own = silhouette(pixels - [left, top], (bottom - top, right - left))
-        verdict = judge(label_map[top:bottom, left:right], own, label, edge_px, occluder_px)
-        crops.append(Crop(frame, view, cut(camera, box), np.ascontiguousarray(rgb[top:bottom, left:right]), verdict))
-    return crops
+        body = silhouette(pixels - [left, top], (bottom - top, right - left))
+        picture = np.ascontiguousarray(rgb[top:bottom, left:right])
+        looks.append(Look(frame, view, cut(camera, box), picture, label_map[top:bottom, left:right].copy(), body))
+    return looks
+
+
+def mask_inset_px(looks: Sequence[Look], label: int) -> int:
+    """How far the masks' outlines lie inside the fitted body's, whole pixels; 0 below ``_LEAST_INSET_PX`` and where they lie outside.
+
+    The median over outline pixels of the signed distance, then over looks: furniture and other people before the person bend the
+    outline of few looks and of parts of them, masks that are cut too small bend all of it. Pixels at the picture's border do not count.
+    """
+    insets = []
+    for look in looks:
+        person = (look.labels == label).astype(np.uint8)
+        outline = (person > 0) & (cv2.erode(person, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE) == 0)
+        if not outline.any() or not look.body.any():
+            continue
+        padded = np.pad(look.body.astype(np.uint8), 1)
+        inside, outside = (cv2.distanceTransform(side, cv2.DIST_L2, 5)[1:-1, 1:-1] for side in (padded, 1 - padded))
+        insets.append(np.median((np.maximum(inside - 1, 0) - outside)[outline]))
+    inset = float(np.median(insets)) if insets else 0.0
+    return round(inset) if inset >= _LEAST_INSET_PX else 0
+
+
+def judged(looks: Sequence[Look], label: int, edge_px: int, occluder_px: int, inset_px: int) -> list[Crop]:
+    """The crops that the looks make for the person that masks call ``label``."""
+    return [Crop(k.frame, k.view, k.camera, k.rgb, judge(k.labels, k.body, label, edge_px, occluder_px, inset_px)) for k in looks]

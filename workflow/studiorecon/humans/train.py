@@ -25,7 +25,7 @@ from studiorecon.errors import Refusal
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.colouring import look, nearest_surface
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed
-from studiorecon.humans.footage import Crop, crops_of
+from studiorecon.humans.footage import Crop, Look, judged, looks_of, mask_inset_px
 from studiorecon.humans.motion import Motion
 from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
 from studiorecon.humans.training import Limits, Losses, Rates, Support, train_gaussians
@@ -241,10 +241,13 @@ def read_crops(
 ) -> list[Crop]:
     """Every camera's crops of the person that masks call ``label``, camera by camera."""
     vertices = body_model.vertices(fitted.poses, fitted.betas, fitted.trans)
-    crops = []
+    looks: list[Look] = []
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
-        crops += crops_of(
+        looks += looks_of(
             view, camera, read_frames(video, 0, frames), read_frames(mask, 0, frames), vertices, fitted.valid, label,
-            settings.margin_px, settings.edge_px, settings.occluder_px, settings.smallest_px,
+            settings.margin_px, settings.smallest_px,
         )  # fmt: skip
-    return crops
+    inset_px = mask_inset_px(looks, label)
+    if inset_px:
+        say(f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what lies between is not taken for background")
+    return judged(looks, label, settings.edge_px, settings.occluder_px, inset_px)
