@@ -27,7 +27,7 @@ class Limits:
     Attributes:
         min_confidence: keypoints below it are not used.
         huber_share: one error unit, as a share of the longer image side (numerics U34: 0.005 = 6 px at 1280).
-        outlier_units: a view further off than this many units is left out (U34: 3; 5 keeps honest views where the calibration is a few pixels off).
+        outlier_units: a view further off than this many units is left out (U34: 3; 5 where the calibration is a few pixels off).
         min_angle_deg: smallest largest angle between two rays, and between a ray and the reverse of another (T01, T02).
         near_m: smallest depth in front of every camera that is used (T06).
     """
