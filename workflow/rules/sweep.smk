@@ -16,7 +16,7 @@ rule sweep_run:
     # when nothing else runs beside them.
     container:
         None
-    threads: workflow.cores
+    threads: every_core
     resources:
         mem_mb=6000,
     params:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws a composite picture after picture: the room is put into blocks once, only the people are written anew.
+"""Draws a composite picture after picture: the room is put into blocks once, only the people, and the room if they shade it, anew.
 
 Everything but colour (classes of truth, mattes, normals) is blended beside it or with the lists of the same pass.
 """
@@ -47,7 +47,7 @@ class Canvas:
         at = self._first_person * _FLOATS_PER_GAUSSIAN
         parameters = aligned(at + (padded_count(people.count) * _FLOATS_PER_GAUSSIAN if people.count else 0))
         _fill(room, parameters[:at])
-        self._people = parameters[at:]
+        self._room, self._people, self._drawn = parameters[:at], parameters[at:], room
         count = self._first_person + people.count
         self._blocked = BlockedGaussians(parameters, count, max(room.sh_degree, people.sh_degree))
         # One column per class; the free places between room and people have opacity 0 and stay 0.
@@ -68,7 +68,11 @@ class Canvas:
         return Layers(rendering, drawn[..., : classes.shape[1]], drawn[..., classes.shape[1] :])
 
     def _enter(self, frame: float) -> np.ndarray:
-        """Puts the people of a frame, as many Gaussians as ever, into the blocks; (N, 3) the classes of all as columns."""
+        """Puts the people of a frame, as many Gaussians as ever, and their shade into the blocks; (N, 3) the classes of all as columns."""
+        room = self._scene.room_at(frame)
+        if room is not self._drawn:
+            _fill(room, self._room)
+            self._drawn = room
         people, classes = self._scene.people_at(frame)
         if people.count:
             _fill(people, self._people)

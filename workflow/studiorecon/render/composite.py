@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 import scipy
 
+from studiorecon.render.shading import Shading
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.provenance import INFERRED, INVENTED
 
@@ -39,11 +40,17 @@ class Composite:
         background: static Gaussians.
         classes: (N,) uint8 per background Gaussian: measured, inferred or invented.
         people: one posable set per person.
+        shading: how people shade the room; None leaves it in the open.
     """
 
     background: Gaussians
     classes: np.ndarray
     people: Sequence[Posed]
+    shading: Shading | None = None
+
+    def room_at(self, frame: float) -> Gaussians:
+        """The room at a (fractional) frame: ``background`` itself, or as people shade it."""
+        return self.background if self.shading is None else self.shading.room_at(frame)
 
     def people_at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
         """Everybody's Gaussians at a (fractional) frame, and their classes (M,), in the same order."""

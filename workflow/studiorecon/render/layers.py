@@ -52,11 +52,12 @@ def run(
     avatars: list[Path],
     body: Path | None,
     folder: Path,
+    light: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots)
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or ())
     people = [person.person for person in scene.people]
     canvas = Canvas(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):

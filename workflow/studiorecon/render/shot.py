@@ -22,11 +22,13 @@ from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, t
 from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, warnings, write_ledger
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replaced
+from studiorecon.render.shading import shading
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.light import read_light
 from studiorecon.scene.path import Step, write_path
 from studiorecon.splatting.device import resolve
 
@@ -56,9 +58,13 @@ def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, floa
 
 
 def read_composite(
-    background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping
-) -> Composite:
-    """Background and people from their files, with whom the shot replaces; raises Refusal when the provenance is another background's."""
+    background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping,
+    light: Sequence[Path] = (),
+) -> Composite:  # fmt: skip
+    """Background and people from their files, with whom the shot replaces; under the ``light``, if there is one, they shade the room.
+
+    Raises Refusal when the provenance is another background's.
+    """
     static = read_ply(background)
     with np.load(provenance, allow_pickle=False) as data:
         classes = np.asarray(data["provenance"], np.uint8)
@@ -66,7 +72,8 @@ def read_composite(
         raise Refusal(f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again")
     body_model = BodyModel.load(body) if avatars else None
     people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
-    return Composite(static, classes, replaced(people, shots.get(shot, {}).get("replace", {}), shot))
+    cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
+    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast) if light else None)
 
 
 def run(
@@ -85,13 +92,14 @@ def run(
     depth: Path,
     path: Path,
     ledger: Path,
+    light: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
-    """Render one shot; without people files the film shows the background alone."""
+    """Render one shot; without people files the film shows the background alone, without ``light`` nobody throws a shadow."""
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots)
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or ())
     subjects = subjects_of(scene.people, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")

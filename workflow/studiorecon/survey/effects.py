@@ -34,6 +34,7 @@ _NEED_STILL_CAMERAS = frozenset(
 )  # fmt: skip
 # Who acts on a verdict. What is not named here informs the reader, and nothing else yet.
 OBEYED_BY = {
+    "moving_shadows": "the plan: the light is estimated (render.light) and people throw shadows in films only when on",
     "people": "the plan: without people there are no masks, bodies and human training",
     "view_synthesis": "the plan: views between the cameras are made only when on",
 }

@@ -156,7 +156,7 @@ def decide_shadows(names: Sequence[str], found: Sequence[Estimate], threshold: f
     """Do people's shadows move over the floor? The camera that shows the largest share decides."""
     value, interval, name = _most(names, found)
     reason = "no floor near anybody's feet is seen" if value is None else (
-        f"{value:.1%} of the floor near feet darkens in {name}; shadows are not modelled, the clean plate leaves them out"
+        f"{value:.1%} of the floor near feet darkens in {name}; the clean plate leaves shadows out, so people must throw them anew"
     )  # fmt: skip
     statistic = "share of the floor within 1 m of feet that darkens by 5 % for five frames without changing its colour"
     return decide("moving_shadows", statistic, value, interval, threshold, reason, was_on=was_on)
