@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Things followed over time: sightings of successive moments become tracks, tracks become positions with one radius."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from studiorecon.geometry.smoothing import fill_vectors
+from studiorecon.humans.sightings import Sighting, sphere
+from studiorecon.scene.camera import Camera
+
+# Radii of one thing from one moment to another, a factor.
+_ONE_SIZE = 2.0
+# A sphere whose outlines are off by more than this is not where they are, pixels.
+_WORST_PX = 3.0
+
+
+@dataclass(frozen=True)
+class FollowSettings:
+    """What counts as one thing over time.
+
+    Attributes:
+        speed_m_s: nothing moves faster beside what it is expected to do.
+        gap_s: so long it may go unseen; shorter gaps are filled by a straight line.
+        least_frames: frames in which two cameras must see it, in half of these without anybody before it.
+    """
+
+    speed_m_s: float
+    gap_s: float
+    least_frames: int
+
+
+@dataclass(frozen=True)
+class Track:
+    """A thing over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``: its sightings by frame."""
+
+    centres_m: np.ndarray
+    valid: np.ndarray
+    present: np.ndarray
+    radius_m: float
+    seen: tuple[tuple[int, Sighting], ...]
+
+
+def linked(found: Sequence[tuple[int, list[Sighting]]], fps: float, settings: FollowSettings) -> list[list[tuple[int, Sighting]]]:
+    """Sightings of successive frames strung together, each to the track whose expected place it is nearest to."""
+    tracks: list[list[tuple[int, Sighting]]] = []
+    for frame, things in found:
+        pairs = []
+        for k, track in enumerate(tracks):
+            elapsed_s = (frame - track[-1][0]) / fps
+            if elapsed_s > settings.gap_s + 1 / fps:
+                continue
+            expected = _expected(track, frame)
+            for i, thing in enumerate(things):
+                # What bounces does not go on as it did.
+                off_m = float(min(np.linalg.norm(thing.centre_m - place) for place in (expected, track[-1][1].centre_m)))
+                ratio = thing.radius_m / track[-1][1].radius_m
+                if off_m <= settings.speed_m_s * elapsed_s and 1 / _ONE_SIZE < ratio < _ONE_SIZE:
+                    pairs.append((off_m, k, i))
+        grown: set[int] = set()
+        used: set[int] = set()
+        for _, k, i in sorted(pairs):
+            if k not in grown and i not in used:
+                tracks[k].append((frame, things[i]))
+                grown.add(k)
+                used.add(i)
+        tracks += [[(frame, thing)] for i, thing in enumerate(things) if i not in used]
+    return tracks
+
+
+def followed(
+    track: Sequence[tuple[int, Sighting]], cameras: Sequence[Camera], frames: int, fps: float, settings: FollowSettings
+) -> Track | str:
+    """The track of a thing over all ``frames``, or a sentence why it is none.
+
+    The radius is the median of those moments in which nobody is before it; with it held, every moment's outlines give the middle. Nothing
+    is smoothed over time: outlines fix the middle within millimetres, and a bounce is not smooth.
+    """
+    free = [sighting for _, sighting in track if sighting.free >= 2]
+    if len(track) < settings.least_frames or 2 * len(free) < settings.least_frames:
+        return (
+            f"two cameras see it in {len(track)} frames, with nobody before it in {len(free)}; "
+            f"{settings.least_frames} and half as many are needed"
+        )
+    radii = np.array([sphere(cameras, sighting)[1] for sighting in free])
+    if not np.isfinite(radii).any():
+        return "its outlines fit no sphere"
+    radius_m = float(np.nanmedian(radii))
+    centres = np.full((frames, 3), np.nan)
+    for frame, sighting in track:
+        centre, _, error_px = sphere(cameras, sighting, radius_m)
+        if np.isfinite(centre).all() and error_px <= _WORST_PX:
+            centres[frame] = centre
+    valid = np.isfinite(centres).all(axis=1)
+    if valid.sum() < settings.least_frames:
+        return f"only {int(valid.sum())} frames agree with a thing of {100 * radius_m:.0f} cm radius; {settings.least_frames} are needed"
+    if sum(valid[frame] and sighting.free >= 2 for frame, sighting in track) < settings.least_frames / 2:
+        return f"fewer than {settings.least_frames / 2:.0f} frames that agree show the whole of it"
+    reach = np.ptp(centres[valid], axis=0)
+    if np.linalg.norm(reach) <= radius_m:
+        return "it stands still: what the plate lacks belongs on the plate"
+    present = _present(valid, round(settings.gap_s * fps))
+    filled = np.where(present[:, None], fill_vectors(np.nan_to_num(centres), valid), np.nan)
+    return Track(filled, valid, present, radius_m, tuple(track))
+
+
+def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
+    """(3,) where a thing is if it goes on as in its last two sightings."""
+    last_frame, last = track[-1]
+    if len(track) < 2:
+        return last.centre_m
+    before_frame, before = track[-2]
+    return last.centre_m + (last.centre_m - before.centre_m) * (frame - last_frame) / (last_frame - before_frame)
+
+
+def _present(valid: np.ndarray, gap_frames: int) -> np.ndarray:
+    """(T,) bool: measured frames and gaps of at most ``gap_frames`` between them."""
+    present, at = valid.copy(), np.flatnonzero(valid)
+    for a, b in pairwise(at):
+        if b - a - 1 <= gap_frames:
+            present[a:b] = True
+    return present

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of a picture that differ from the clean plate and that no body explains: what may be a thing that somebody threw or holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.video import to_float
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Person
+
+# What a pixel shows: the room as on the plate, something loose, or no telling (a person, or an unknown plate).
+ROOM, LOOSE, UNKNOWN = 0, 1, 2
+# A body that was only filled in may stand this many times as far off.
+_FILLED_MARGIN = 3.0
+# Width of the neighbourhood that knows how much a thing differs just inside its outline: two pixels each way.
+_EDGE_PX = 5
+
+
+@dataclass(frozen=True)
+class LooseSettings:
+    """When a pixel shows a thing. Differences are in CIELAB units (1 = just visible).
+
+    Attributes:
+        difference: a pixel that differs more from the plate is foreground.
+        chroma_weight: colour differences count this much more than lightness.
+        shadow: darkest shadow, as a share of the unshadowed light; a darkening down to it is none.
+        margin_m: people are this much thicker than their bodies: clothes, hair and what the fit is off.
+        least_share: regions below this share of the picture are noise.
+    """
+
+    difference: float
+    chroma_weight: float
+    shadow: float
+    margin_m: float
+    least_share: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """One connected part of one picture that is loose.
+
+    Attributes:
+        view: index of the camera; ``centre_px`` (2,) its middle; ``area_px`` its pixels.
+        outline_px: (K, 2) points between its pixels and those of the room beside them: its true outline, where nobody covers it.
+        free: whether room surrounds it: no person beside it, the whole of it in the picture.
+        corner: (2,) column and row of the crop's first pixel; ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) uint8 the crop around it,
+            with other regions as UNKNOWN.
+    """
+
+    view: int
+    centre_px: np.ndarray
+    area_px: float
+    outline_px: np.ndarray
+    free: bool
+    corner: tuple[int, int]
+    rgb: np.ndarray
+    state: np.ndarray
+
+
+def states(rgb: np.ndarray, plate: np.ndarray, measured: np.ndarray, explained: np.ndarray, settings: LooseSettings) -> np.ndarray:
+    """(H, W) uint8 what every pixel of a picture (H, W, 3) uint8 shows.
+
+    ``plate`` (H, W, 3) in [0, 1] is ``measured`` (H, W); ``explained`` (H, W) bool is where people are. A shadow darkens all channels by
+    one factor; the best such factor is taken out first.
+    """
+    picture, empty = cv2.GaussianBlur(to_float(rgb), (3, 3), 0), cv2.GaussianBlur(plate, (3, 3), 0)
+    factor = np.clip((picture * empty).sum(2) / np.maximum((empty * empty).sum(2), 1e-4), settings.shadow, 1.0)
+    lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(empty * factor[..., None], cv2.COLOR_RGB2Lab)
+    difference = np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
+    plain = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 3)
+    # Blur carries a thing's colour a pixel beyond it: its outline runs where the difference has fallen to half of what it is just inside.
+    square = np.ones((_EDGE_PX, _EDGE_PX), np.uint8)
+    loose = (plain & (difference > 0.5 * cv2.dilate(difference, square))) | cv2.erode(plain, square)
+    return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
+
+
+def regions(rgb: np.ndarray, state: np.ndarray, view: int, least_share: float) -> list[Region]:
+    """Loose regions of a picture, largest first."""
+    loose = cv2.morphologyEx((state == LOOSE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels, statistics, centres = cv2.connectedComponentsWithStats(loose, connectivity=8)
+    height, width = state.shape
+    found = []
+    for k in np.argsort(-statistics[1:, cv2.CC_STAT_AREA], kind="stable") + 1:
+        left, top, wide, high, area = statistics[k]
+        if area < max(least_share * state.size, 9):
+            break
+        reach = 4 + max(wide, high) // 3
+        box = slice(max(top - reach, 0), min(top + high + reach, height)), slice(max(left - reach, 0), min(left + wide + reach, width))
+        own = labels[box] == k
+        around = np.where(own, np.uint8(LOOSE), np.where(state[box] == LOOSE, np.uint8(UNKNOWN), state[box]))
+        # What the opening took off this region is its own, not another's.
+        beside = cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        around[beside & (state[box] == LOOSE) & (labels[box] == 0)] = LOOSE
+        near = cv2.dilate(own.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        inside = left > 1 and top > 1 and left + wide < width - 1 and top + high < height - 1
+        corner = (int(box[1].start), int(box[0].start))
+        found.append(Region(
+            view, centres[k] + 0.5, float(area), _outline(around) + corner, bool(inside and not (near & (around == UNKNOWN)).any()), corner,
+            rgb[box].copy(), around,
+        ))  # fmt: skip
+    return found
+
+
+def explained_by(people: Sequence[Person], body: BodyModel | None, camera: Camera, frame: int, margin_m: float) -> np.ndarray:
+    """(H, W) bool: the bodies at one frame, grown by ``margin_m`` at their distance; by more where the body was only filled in."""
+    covered = np.zeros(camera.hw, np.uint8)
+    for person in people if body is not None else ():
+        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
+        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
+        if (depth_m > 0).any():
+            margin = margin_m * (1.0 if person.valid[frame] else _FILLED_MARGIN)
+            radius = max(1, round(margin * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+            covered |= cv2.dilate((depth_m > 0).astype(np.uint8), disc)
+    return covered > 0
+
+
+def _outline(state: np.ndarray) -> np.ndarray:
+    """(K, 2) middles of the edges between loose pixels and room pixels."""
+    points = []
+    for axis in (0, 1):
+        first = state[:-1] if axis == 0 else state[:, :-1]
+        second = state[1:] if axis == 0 else state[:, 1:]
+        rows, columns = np.nonzero((first != second) & (first != UNKNOWN) & (second != UNKNOWN))
+        offset = (0.5, 1.0) if axis == 0 else (1.0, 0.5)
+        points.append(np.stack([columns + offset[0], rows + offset[1]], axis=1))
+    return np.concatenate(points)

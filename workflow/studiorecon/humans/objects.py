@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``humans.objects``: loose and held things as rigid sets of Gaussians, followed through what differs from the plates beside all bodies.
+
+Writes ``humans/objects.npz`` (``scene/objects.py``), maybe without any object: what fewer than two cameras show has no place in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import Refusal
+from studiorecon.humans.following import FollowSettings, Track, followed, linked
+from studiorecon.humans.loose import LooseSettings, Region, explained_by, regions, states
+from studiorecon.humans.rigid import Look, ShapeSettings, looks_at, made
+from studiorecon.humans.sightings import Sighting, sightings
+from studiorecon.images.stills import read_plate, shrink
+from studiorecon.images.video import read_frames
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.objects import RigidObject, write_objects
+from studiorecon.scene.people import Person, read_person
+
+
+@dataclass(frozen=True)
+class ObjectSettings:
+    """How things are found, followed and made; see config.yaml.
+
+    Attributes:
+        pixels: longer side of the pictures that are looked at; larger ones are shrunk.
+        gate_m: rays of one thing pass within this.
+        radius_m: least and most radius of a thing.
+        seed: of the training.
+    """
+
+    pixels: int
+    loose: LooseSettings
+    gate_m: float
+    radius_m: tuple[float, float]
+    follow: FollowSettings
+    shape: ShapeSettings
+    seed: int
+
+
+@dataclass(frozen=True)
+class Settings:
+    """See config.yaml."""
+
+    objects: ObjectSettings
+
+
+@dataclass(frozen=True)
+class View:
+    """One training camera at the size that is looked at: its film, its clean plate (H, W, 3) in [0, 1], ``measured`` (H, W)."""
+
+    camera: Camera
+    video: Path
+    plate: np.ndarray
+    measured: np.ndarray
+
+
+def objects_in(
+    moments: Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]], views: Sequence[View], frames: int, fps: float,
+    settings: ObjectSettings, threads: int,
+) -> list[RigidObject]:  # fmt: skip
+    """The things that move through a clip.
+
+    ``moments`` are, frame by frame, every view's picture (H, W, 3) uint8 and where people are in it (H, W) bool.
+    """
+    cameras = [view.camera for view in views]
+    found: list[tuple[int, list[Sighting]]] = []
+    alone = np.zeros(len(views), int)
+    for frame, (pictures, explained) in enumerate(moments):
+        shown = [states(p, v.plate, v.measured, e, settings.loose) for p, v, e in zip(pictures, views, explained)]
+        loose: list[list[Region]] = [regions(p, s, v, settings.loose.least_share) for v, (p, s) in enumerate(zip(pictures, shown))]
+        things = sightings(cameras, shown, loose, settings.gate_m, settings.radius_m)
+        paired = {id(region) for thing in things for region in thing.regions.values()}
+        alone += [any(id(region) not in paired for region in own) for own in loose]
+        found.append((frame, things))
+    for camera, count in zip(cameras, alone):
+        if count:
+            say(f"{camera.name}: in {count} of {frames} frames something differs that no second camera shows at a place; it is left out")
+    made_objects: list[RigidObject] = []
+    for track in linked(found, fps, settings.follow):
+        result = followed(track, cameras, frames, fps, settings.follow)
+        where = f"frames {track[0][0]} to {track[-1][0]}"
+        looks = looks_at(result, cameras) if isinstance(result, Track) else []
+        if isinstance(result, Track) and looks:
+            made_objects.append(_made(f"o{len(made_objects)}", result, looks, settings, threads))
+        elif len(track) > 2:
+            say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no look shows the whole of it'}")
+    if not made_objects:
+        say(
+            f"no thing is seen by two cameras in {settings.follow.least_frames} frames: films show none. Clean plates of your own "
+            "(plates/CAMERA.png) and more cameras help"
+        )
+    return made_objects
+
+
+def _made(name: str, track: Track, looks: Sequence[Look], settings: ObjectSettings, threads: int) -> RigidObject:
+    rng = np.random.default_rng([settings.seed, int(name[1:])])
+    gaussians, provenance, agreement_db = made(looks, track.radius_m, settings.shape, rng, threads, name)
+    between, unknown = int((track.present & ~track.valid).sum()), int((~track.present).sum())
+    say(
+        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(track.valid.sum())} frames, between measured ones in {between}, "
+        f"unknown and left out in {unknown}; {gaussians.count} Gaussians from {len(looks)} looks, {agreement_db:.1f} dB in looks kept apart; "
+        "how it turns is not determined"
+    )
+    return RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
+
+
+def moments_of(
+    views: Sequence[View], people: Sequence[Person], body: BodyModel | None, frames: int, margin_m: float
+) -> Iterator[tuple[list[np.ndarray], list[np.ndarray]]]:
+    """Frame by frame every view's picture at its size, and where people are in it."""
+    films = zip(*(read_frames(view.video, 0, frames) for view in views), strict=True)
+    for frame, pictures in enumerate(progress(films, "loose things", frames)):
+        yield (
+            [
+                p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
+                for p, v in zip(pictures, views)
+            ],
+            [explained_by(people, body, view.camera, frame, margin_m) for view in views],
+        )
+
+
+def open_view(camera: Camera, video: Path, plate: Path, pixels: int) -> View:
+    """A camera with its plate at the size that is looked at."""
+    share = min(1.0, pixels / max(camera.wh))
+    small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
+    return View(small, video, *shrink(*read_plate(plate), small.wh))
+
+
+def run(
+    settings: Settings, model: Path, manifest: Path, videos: list[Path], plates: list[Path], people: list[Path], body: Path | None,
+    threads: int, objects: Path,
+) -> None:  # fmt: skip
+    """Find, follow and make the things of a scene; ``people`` are the fitted bodies, which explain what differs from the plates."""
+    cameras = read_model(model.parent)
+    footage = read_manifest(manifest)
+    if not len(cameras) == len(videos) == len(plates):
+        raise Refusal(
+            f"{len(videos)} videos and {len(plates)} plates for {len(cameras)} training cameras; one of each is needed per camera"
+        )
+    fits = [read_person(path) for path in people]
+    if fits and body is None:
+        raise Refusal(f"{len(fits)} people are given without a body model; add --body")
+    body_model = BodyModel.load(body) if fits else None
+    for path, fit in zip(people, fits):
+        if fit.body != body_model.identity or len(fit.poses) != footage.frames:
+            raise Refusal(
+                f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage {footage.frames} frames; run people.fit again"
+            )
+    views = [open_view(*each, settings.objects.pixels) for each in zip(cameras, videos, plates)]
+    moments = moments_of(views, fits, body_model, footage.frames, settings.objects.loose.margin_m)
+    found = objects_in(moments, views, footage.frames, footage.fps, settings.objects, threads)
+    write_objects(objects, found, footage.frames)
