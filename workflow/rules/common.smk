@@ -347,6 +347,12 @@ def stand_ins(wildcards):
     return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
 
 
+def room_light(wildcards):
+    """The light by which people shade the room; none unless the survey calls for moving shadows and somebody is there to throw them."""
+    wanted = people(wildcards) and verdict("moving_shadows", wildcards) == "on"
+    return [f"results/{wildcards.scene}/render/room.light.json"] if wanted else []
+
+
 def truth_of_replaced(wildcards):
     """The truth film of a shot in which somebody stands in for a person: photos of that person correct nothing there."""
     replaced = config["render"]["shots"].get(wildcards.shot, {}).get("replace")
