@@ -158,7 +158,7 @@ def hand(camera: Camera, frame: int) -> np.ndarray:
         pixel, depth_m = camera.project(bouncing()[frame])
         reach = RADIUS_M * camera.focal_px[0] / depth_m
         below = (-0.45 if frame < 14 else 1.5) * reach
-        corners = pixel + [[-2.5 * reach, -3 * reach], [2.5 * reach, below]]
+        corners = pixel + np.array([[-2.5 * reach, -3 * reach], [2.5 * reach, below]])
         cv2.rectangle(covered, *(tuple(map(round, corner.tolist())) for corner in corners), 1, -1)
     return covered > 0
 

@@ -114,6 +114,20 @@ def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: Ho
     assert "survey_decide" not in plans["off"] | plans["on"], "nothing is asked that is known"
 
 
+def test_loose_things_are_looked_for_only_when_the_survey_or_the_user_says_so(house: House, dataset: Path) -> None:
+    there = on(house, dataset)
+    (dataset / "capture.yaml").write_text("people: 0\n")
+    films = {
+        verdict: there.plan(
+            f"results/{dataset.name}/render/orbit.mkv", "--configfile", there.overlay(survey={"force": {"dynamic_objects": verdict}})
+        )
+        for verdict in ("on", "off")
+    }
+    (dataset / "capture.yaml").unlink()
+    assert films["on"]["humans_objects"] == 1, "a room without people may have a ball in it"
+    assert "humans_objects" not in films["off"]
+
+
 def test_people_who_are_forced_away_cost_nothing(house: House, dataset: Path) -> None:
     there = on(house, dataset)
     plan = there.plan("--configfile", there.overlay(survey={"force": {"people": "off"}}))

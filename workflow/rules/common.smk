@@ -141,11 +141,12 @@ ENHANCE_NETWORK = next((n for n in (config["enhance"]["enhancer"], config["enhan
 
 
 def settings(section):
-    """One stage's section of the configuration as JSON: the whole of what its steps are told, but for the names of the user's files.
+    """One stage's section of the configuration as JSON: what its steps are told, but for names of the user's files and what is of one step.
 
     Where survey.force decides on what the section has a setting for, the setting follows.
     """
-    told = {k: v for k, v in config[section].items() if (section, k) != ("people", "identities")}
+    apart = {("people", "identities"), ("humans", "objects")}
+    told = {k: v for k, v in config[section].items() if (section, k) not in apart}
     if section == "humans" and "temporal_appearance" in FORCED:
         told["temporal"] = told["temporal"] | {"use": "always" if FORCED["temporal_appearance"] == "on" else "never"}
     if section == "enhance" and FORCED.get("enhancement") == "off":
@@ -271,6 +272,11 @@ def synthesized(ending):
         return [f"results/{wildcards.scene}/views/{s}.{ending}" for s in wanted]
 
     return paths
+
+
+def loose_objects(wildcards):
+    """Loose and held things; none unless the survey finds some."""
+    return [f"results/{wildcards.scene}/humans/objects.npz"] if verdict("dynamic_objects", wildcards) == "on" else []
 
 
 def masks(wildcards):
@@ -400,4 +406,5 @@ def decided_products(wildcards):
     """Products that hang on who was found and on what the survey decided; known once association and survey have run."""
     found = type("Scene", (), {"scene": SCENE})()
     overlays = [f"results/{SCENE}/people/overlay/{c}.mp4" for c in TRAINING if people(found)]
-    return [*synthesized("mkv")(found), *fits(found), *overlays, *masks(found), *human_gaussians(found), *human_avatars(found)]
+    persons = [*fits(found), *overlays, *masks(found), *human_gaussians(found), *human_avatars(found)]
+    return [*synthesized("mkv")(found), *persons, *loose_objects(found)]

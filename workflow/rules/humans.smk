@@ -93,3 +93,32 @@ rule humans_plain:
     shell:
         "python -m studiorecon humans.plain --settings {params.settings:q} --log {log}"
         " --body {input.body:q} --fit {input.fit:q} --gaussians {output.gaussians:q}"
+
+
+# Where the survey finds things that move: what they are and where they go, from what no body explains.
+rule humans_objects:
+    input:
+        model="results/{scene}/cameras/images.txt",
+        manifest="results/{scene}/capture/manifest.json",
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+        people=fits,
+        body=BODY,
+    output:
+        objects="results/{scene}/humans/objects.npz",
+    log:
+        "logs/{scene}/humans/objects.log",
+    benchmark:
+        "benchmarks/{scene}/humans/objects.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=json.dumps({"objects": config["humans"]["objects"]}, sort_keys=True),
+        code=code("humans.objects"),
+    shell:
+        "python -m studiorecon humans.objects --settings {params.settings:q} --log {log:q} --model {input.model:q}"
+        " --manifest {input.manifest:q} --videos {input.videos:q} --plates {input.plates:q} --people {input.people:q}"
+        " --body {input.body:q} --threads {threads} --objects {output.objects:q}"

@@ -47,6 +47,7 @@ rule render_shot:
         # Who stands in for whom: a new file of theirs makes the film again.
         stand_ins=stand_ins,
         light=room_light,
+        objects=loose_objects,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
@@ -71,7 +72,7 @@ rule render_shot:
         "python -m studiorecon render.shot --settings {params.settings:q} --log {log} --device {params.device}"
         " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
         " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
-        " --avatars {input.avatars:q} --body {input.body} --light {input.light:q}"
+        " --avatars {input.avatars:q} --body {input.body} --light {input.light:q} --objects {input.objects:q}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
         " --ledger {output.ledger}"
 
@@ -87,6 +88,7 @@ rule render_layers:
         body=BODY,
         stand_ins=stand_ins,
         light=room_light,
+        objects=loose_objects,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),
     log:
@@ -107,4 +109,4 @@ rule render_layers:
         "python -m studiorecon render.layers --settings {params.settings:q} --log {log} --device {params.device}"
         " --shot {wildcards.shot} --path {input.path:q} --background {input.background:q} --provenance {input.provenance:q}"
         " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --body {input.body:q} --light {input.light:q}"
-        " --folder {output.folder:q}"
+        " --objects {input.objects:q} --folder {output.folder:q}"

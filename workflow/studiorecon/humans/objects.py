@@ -110,8 +110,8 @@ def _made(name: str, track: Track, looks: Sequence[Look], settings: ObjectSettin
     between, unknown = int((track.present & ~track.valid).sum()), int((~track.present).sum())
     say(
         f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(track.valid.sum())} frames, between measured ones in {between}, "
-        f"unknown and left out in {unknown}; {gaussians.count} Gaussians from {len(looks)} looks, {agreement_db:.1f} dB in looks kept apart; "
-        "how it turns is not determined"
+        f"unknown and left out in {unknown}; {gaussians.count} Gaussians from {len(looks)} looks, {agreement_db:.1f} dB in looks kept "
+        "apart; how it turns is not determined"
     )
     return RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
 

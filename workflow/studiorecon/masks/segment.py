@@ -24,10 +24,12 @@ from studiorecon.images.video import read_stack, to_float, write_lossless
 from studiorecon.masks.cut import CutSettings, cut_unknown
 from studiorecon.masks.evidence import DifferenceSettings, Plate, body_evidence, colour_difference, difference_evidence, unrest_of
 from studiorecon.masks.given import identified, read_given
+from studiorecon.masks.things import without_things
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.objects import read_objects
 from studiorecon.scene.people import Person, read_person
 
 # Pictures from which the plate's unrest is learnt.
@@ -173,10 +175,12 @@ def run(
     given: list[Path],
     tracks: list[Path],
     masks: Path,
+    objects: list[Path] | None = None,
 ) -> None:
     """Masks of ``camera`` for the fitted ``people``.
 
     ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's film of numbers.
+    The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought.
     """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
@@ -204,6 +208,10 @@ def run(
     else:
         plate_rgb, measured = read_plate(plate)
         labels = np.stack(list(segment(frames, plate_rgb, measured, fits, body_model, own, settings)))
+        things = [thing for path in objects or () for thing in read_objects(path)]
+        if things:
+            depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))
+            labels = np.stack([without_things(own_labels, things, d, own, t) for t, (own_labels, d) in enumerate(zip(labels, depths))])
         say(describe(camera, labels, [f.name for f in fits], float(measured.mean())))
     write_lossless(masks, iter(labels), fits[0].fps if fits else 30.0)
 

@@ -29,7 +29,7 @@ class Layers:
     Attributes:
         rendering: premultiplied colours over nothing, alpha, expected depth and world normals.
         shares: (H, W, 3) share of every pixel that is measured, inferred, invented.
-        mattes: (H, W, 1 + people) share of every pixel that is the room, then each person; they add up to alpha.
+        mattes: (H, W, 1 + people + things) share of every pixel that is the room, then each person and thing; they add up to alpha.
     """
 
     rendering: Rendering
@@ -81,8 +81,8 @@ class Canvas:
         return self._classes
 
     def _membership(self) -> np.ndarray:
-        """(N, 1 + people) whose each Gaussian is: the room's, then each person's."""
-        sizes = [self._first_person, *(len(person.provenance) for person in self._scene.people)]
+        """(N, 1 + people + things) whose each Gaussian is: the room's, then each person's and thing's."""
+        sizes = [self._first_person, *(len(moving.provenance) for moving in self._scene.moving)]
         return np.eye(len(sizes), dtype=np.float32)[np.repeat(np.arange(len(sizes)), sizes)]
 
 

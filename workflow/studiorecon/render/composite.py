@@ -41,21 +41,28 @@ class Composite:
         classes: (N,) uint8 per background Gaussian: measured, inferred or invented.
         people: one posable set per person.
         shading: how people shade the room; None leaves it in the open.
+        objects: one posable set per loose thing.
     """
 
     background: Gaussians
     classes: np.ndarray
     people: Sequence[Posed]
     shading: Shading | None = None
+    objects: Sequence[Posed] = ()
+
+    @property
+    def moving(self) -> list[Posed]:
+        """People, then things."""
+        return [*self.people, *self.objects]
 
     def room_at(self, frame: float) -> Gaussians:
         """The room at a (fractional) frame: ``background`` itself, or as people shade it."""
         return self.background if self.shading is None else self.shading.room_at(frame)
 
     def people_at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
-        """Everybody's Gaussians at a (fractional) frame, and their classes (M,), in the same order."""
-        classes = [_classes_of(person, frame) for person in self.people]
-        return concatenate([person.posed(frame) for person in self.people]), np.concatenate([np.zeros(0, np.uint8), *classes])
+        """Everybody's and every thing's Gaussians at a (fractional) frame, and their classes (M,), in the same order."""
+        classes = [_classes_of(person, frame) for person in self.moving]
+        return concatenate([person.posed(frame) for person in self.moving]), np.concatenate([np.zeros(0, np.uint8), *classes])
 
 
 def _classes_of(person: Posed, frame: float) -> np.ndarray:

@@ -2,8 +2,8 @@
 """``render.layers``: a film taken apart for compositing: colour, depth, mattes and truth of every picture as OpenEXR, ``000000.exr`` ….
 
 Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing there), NX, NY, NZ
-(half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``, ``matte.<person>`` (half; shares of
-the pixel, each group adds up to A).
+(half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``,
+``matte.<person>``, ``matte.<thing>`` (half; shares of the pixel, each group adds up to A).
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ def run(
     body: Path | None,
     folder: Path,
     light: list[Path] | None = None,
+    objects: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or ())
-    people = [person.person for person in scene.people]
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ())
+    people = [moving.person for moving in scene.moving]
     canvas = Canvas(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):
         old.unlink()

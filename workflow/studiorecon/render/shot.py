@@ -16,7 +16,7 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry.path import scene_centre
 from studiorecon.images.streams import writing
 from studiorecon.images.video import to_bytes, write_lossless
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
 from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, warnings, write_ledger
@@ -29,6 +29,7 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.light import read_light
+from studiorecon.scene.objects import read_objects
 from studiorecon.scene.path import Step, write_path
 from studiorecon.splatting.device import resolve
 
@@ -59,9 +60,9 @@ def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, floa
 
 def read_composite(
     background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping,
-    light: Sequence[Path] = (),
+    light: Sequence[Path] = (), objects: Sequence[Path] = (),
 ) -> Composite:  # fmt: skip
-    """Background and people from their files, with whom the shot replaces; under the ``light``, if there is one, they shade the room.
+    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, people shade the room.
 
     Raises Refusal when the provenance is another background's.
     """
@@ -73,7 +74,8 @@ def read_composite(
     body_model = BodyModel.load(body) if avatars else None
     people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
-    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast) if light else None)
+    things = [thing for path in objects for thing in read_objects(path)]
+    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast) if light else None, things)
 
 
 def run(
@@ -93,16 +95,20 @@ def run(
     path: Path,
     ledger: Path,
     light: list[Path] | None = None,
+    objects: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Render one shot; without people files the film shows the background alone, without ``light`` nobody throws a shadow."""
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or ())
+    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ())
     subjects = subjects_of(scene.people, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")
+    for thing in scene.objects:
+        absent = sum(not np.isfinite(thing.joints_m(step.frame)).all() for step in steps)
+        say(f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} nobody knows where it is, and it is left out")
     canvas = Canvas(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
     entries = []
@@ -117,4 +123,4 @@ def run(
     measured, inferred, invented = 100 * np.mean([[e.measured, e.inferred, e.invented] for e in entries], axis=0)
     say(f"shot {shot} is {measured:.0f} % measured, {inferred:.0f} % inferred and {invented:.0f} % invented")
     for sentence in warnings(shot, entries, settings.least_measured, settings.largest_angle_deg):
-        say(f"warning: {sentence}")
+        warn(sentence)

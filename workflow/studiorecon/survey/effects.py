@@ -37,6 +37,7 @@ OBEYED_BY = {
     "moving_shadows": "the plan: the light is estimated (render.light) and people throw shadows in films only when on",
     "people": "the plan: without people there are no masks, bodies and human training",
     "view_synthesis": "the plan: views between the cameras are made only when on",
+    "dynamic_objects": "the plan: things are followed (humans.objects), shown in films and kept out of people's masks only when on",
 }
 
 

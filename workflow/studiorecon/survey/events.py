@@ -168,7 +168,7 @@ def decide_objects(names: Sequence[str], found: Sequence[Estimate], threshold: f
     if value is None:
         reason = "too little of the room is seen without people to look for things that move"
     elif value:
-        reason = f"a thing of {value:.2%} of the picture moves in {name}; it is not modelled and may leave traces"
+        reason = f"a thing of {value:.2%} of the picture moves in {name}; followed as a rigid thing where two cameras see it"
     else:
         reason = "nothing but people and shadows moves"
     statistic = "area of the largest thing that moves, share of the picture"
