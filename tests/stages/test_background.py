@@ -21,6 +21,7 @@ from studiorecon.images.metrics import psnr
 from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import write_model
+from studiorecon.scene.factors import write_factors
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import Step, write_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
@@ -119,7 +120,7 @@ def test_the_full_path_beats_four_photos_from_views_between_them(
     settings: Callable, capture: dict, between: list[Camera], tmp_path: Path
 ) -> None:
     marks = run(settings(), capture, tmp_path / "full")
-    run(settings(start="random", random_count=4000, fill=False, equalise=False, views_share=0.0), capture, tmp_path / "fourview")
+    run(settings(start="random", random_count=4000, fill=False, views_share=0.0), capture, tmp_path / "fourview")
     full, fourview = score(tmp_path / "full", between), score(tmp_path / "fourview", between)
     assert full > 24
     assert full - fourview > 3.5
@@ -134,16 +135,15 @@ def test_the_same_inputs_give_the_same_bytes(settings: Callable, capture: dict, 
 
 
 def test_exposure_factors_are_divided_out(settings: Callable, capture: dict, cameras: list[Camera], tmp_path: Path) -> None:
-    gains = {c.name: np.full(3, 0.8 if c.name == "cam2" else 1.0) for c in cameras}
-    write_shell(tmp_path / "shell.json", Shell(BOX.yaw_rad, BOX.low_m, BOX.high_m, BOX.fitted, BOX.score, gains))
+    write_factors(tmp_path / "gains.json", {c.name: np.full((1, 3), 0.8 if c.name == "cam2" else 1.0) for c in cameras})
     darker = [tmp_path / "dark.png" if "cam2" in p.name else p for p in capture["plates"]]
     stored = cv2.imread(str(capture["plates"][2]), cv2.IMREAD_UNCHANGED)
     stored[..., :3] = np.rint(stored[..., :3] * 0.8)
     cv2.imwrite(str(tmp_path / "dark.png"), stored)
     errors = {}
-    for equalise in (True, False):
-        run(settings(iterations=150, equalise=equalise), capture, tmp_path, plates=darker, shell=tmp_path / "shell.json")
-        errors[equalise] = score(tmp_path, [cameras[2]])
+    for exposure in ([tmp_path / "gains.json"], []):
+        run(settings(iterations=150), capture, tmp_path, plates=darker, exposure=exposure)
+        errors[bool(exposure)] = score(tmp_path, [cameras[2]])
     assert errors[True] > errors[False] + 2
 
 

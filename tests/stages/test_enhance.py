@@ -26,11 +26,12 @@ from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import Factors, write_factors
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import Step, read_path
 
 from tests.hard.test_enhancement import PAPER
-from tests.stages.made_scene import FRAMES, enhance_options, render_options, ring, write_scene
+from tests.stages.made_scene import FRAMES, GAINS, enhance_options, refilmed, render_options, ring, write_scene
 
 SEARCH = DisFlow("medium")
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=0.0)
@@ -406,3 +407,31 @@ def test_an_edited_picture_is_the_reference_of_the_whole_film(
     assert all(np.allclose(one, np.array([200, 20, 10]) / 255, atol=1e-3) for one in seen)
     with pytest.raises(Refusal, match=r"nowhere\.png is missing"):
         enhance_shot.run(replace(settings, enhancer="none"), **options, edited=[tmp_path / "nowhere.png"])
+
+
+def test_residuals_carry_no_steps_of_exposure_into_the_film(scene: Path, settings: enhance_shot.Settings, tmp_path: Path) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam")) | {"video": tmp_path / "a.mkv", "film": tmp_path / "a.mp4"}
+    still = replace(settings, strength=1.0, injection=replace(settings.injection, history=0))
+    videos = refilmed(options["videos"], tmp_path / "filmed", GAINS)
+    write_factors(tmp_path / "gains.json", {f"cam{k}": own for k, own in enumerate(GAINS)})
+    films = {}
+    for name, changes in (
+        ("plain", {}),
+        ("divided", {"videos": videos, "exposure": [tmp_path / "gains.json"]}),
+        ("left", {"videos": videos}),
+    ):
+        enhance_shot.run(still, **(options | changes))
+        films[name] = read_stack(tmp_path / "a.mkv").astype(float)
+    assert np.abs(films["divided"] - films["plain"]).mean() < 1
+    assert np.abs(films["left"] - films["plain"]).mean() > 4
+
+
+def test_the_reference_of_a_network_has_the_exposure_of_the_film() -> None:
+    class Photo:
+        def at(self, frame: int) -> np.ndarray:
+            return np.full((2, 2, 3), 110, np.uint8)
+
+    exposure = Factors({"cam1": np.full((1, 3), 1.1)})
+    training = enhance_shot.Training(ring([0, 90, 180, 270], "cam"), [Photo()] * 4, [], [], 10, exposure)
+    assert training.reference(ring([60], "view")[0], 0).max() == 100
+    assert training.reference(ring([350], "view")[0], 0).max() == 110

@@ -20,9 +20,12 @@ from studiorecon.masks.evidence import colour_difference
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.colmap import write_model
+from studiorecon.scene.factors import write_factors
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Person, write_person
 from studiorecon.settings import load
+
+from tests.stages.made_scene import refilmed
 
 WH = (200, 160)
 SHIRTS = ((200, 60, 50), (60, 80, 190))
@@ -186,6 +189,19 @@ class TestStep:
         first = (tmp_path / "masks.mkv").read_bytes()
         step.run(settings, **files)
         assert (tmp_path / "masks.mkv").read_bytes() == first
+
+    def test_lamps_that_brighten_are_nobody(self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path) -> None:
+        course = np.linspace(1.1, 1.3, len(scene.frames))[:, None].repeat(3, axis=1)
+        write_factors(tmp_path / "course.json", {"a": course})
+        (bright,) = refilmed([files["video"]], tmp_path / "filmed", [course])
+        found = {}
+        for light in ([tmp_path / "course.json"], []):
+            step.run(settings, **(files | {"video": bright, "light": light}))
+            labels = read_stack(tmp_path / "masks.mkv")
+            found[bool(light)] = min(agreement(labels, scene.truth)), float((labels == step.UNASSIGNED).mean())
+        assert found[True][0] > 0.93
+        assert found[True][1] < 0.01
+        assert found[False][1] > 0.05, "without it the room itself differs from its plate"
 
     def test_masks_of_the_user_are_kept_and_their_identities_matched(
         self, scene: Scene, settings: step.Settings, files: dict, tmp_path: Path

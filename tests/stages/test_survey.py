@@ -176,7 +176,7 @@ def files(tmp_path: Path) -> dict:
     return named | {
         "manifest": tmp_path / "manifest.json", "model": tmp_path / "cameras/images.txt", "people": [tmp_path / "people.tsv"],
         "identities": [tmp_path / "identities.tsv"], "detections": [], "shell": tmp_path / "shell.json",
-        "decisions": tmp_path / "survey/decisions.json",
+        "decisions": tmp_path / "survey/decisions.json", "gains": tmp_path / "survey/gains.json", "course": tmp_path / "survey/course.json",
     }  # fmt: skip
 
 

@@ -13,8 +13,8 @@ import pytest
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
 from studiorecon.images.video import read_stack, to_bytes
+from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
-from studiorecon.scene.shell import write_shell
 from studiorecon.settings import load
 from studiorecon.views import path as views_path
 from studiorecon.views import synthesize
@@ -143,13 +143,13 @@ def test_segment_files_hold_pictures_and_support(tmp_path: Path, default_setting
     maps = [tmp_path / f"{c.name}.exr" for c in cameras]
     for path, depth in zip(maps, depths):
         write_depth(path, depth, np.ones(depth.shape))
-    write_shell(tmp_path / "shell.json", replace(room.shell, gains=gains))
+    write_factors(tmp_path / "gains.json", {name: own[None] for name, own in gains.items()})
     section = default_settings("views", views_per_segment=2)
     steps, _ = views_path.plan(cameras, load(views_path.Settings, section, "views"))
     write_path(tmp_path / "path.json", steps, 24.0)
     settings = load(synthesize.Settings, section, "views")
     model = tmp_path / "cameras/images.txt"
-    common = (tmp_path / "path.json", model, plates, maps, tmp_path / "shell.json")
+    common = (tmp_path / "path.json", model, plates, maps, [tmp_path / "gains.json"])
     synthesize.run(settings, "01", *common, tmp_path / "01.mkv", tmp_path / "01.mask.mkv")
     made, mask = read_stack(tmp_path / "01.mkv"), read_stack(tmp_path / "01.mask.mkv")
     assert made.shape == (3, 108, 192, 3)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,14 +15,13 @@ from studiorecon.images.video import read_stack, to_bytes, write_lossless
 from studiorecon.models import gen3c
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import read_path, write_path
-from studiorecon.scene.shell import write_shell
 from studiorecon.settings import load
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
 from studiorecon.views.frame import frame_of
 
 from tests.models.planted import room_views
-from tests.stages.made_room import made_room, write_capture
+from tests.stages.made_room import write_capture
 
 WH = (96, 54)
 NETWORK_HW = (88, 160)
@@ -78,11 +76,10 @@ def files(tmp_path: Path, small: None, default_settings: Callable) -> tuple[dict
     maps = [tmp_path / f"{c.name}.exr" for c in cameras]
     for path, depth in zip(maps, depths):
         write_depth(path, depth, np.ones(depth.shape))
-    write_shell(tmp_path / "shell.json", replace(made_room().shell, gains={c.name: np.ones(3) for c in cameras}))
     section = default_settings("views", views_per_segment=120, synthesizer="gen3c")
     steps, _ = views_path.plan(list(cameras), load(views_path.Settings, section, "views"))
     write_path(tmp_path / "path.json", steps, 24.0)
-    return section, (tmp_path / "path.json", tmp_path / "cameras/images.txt", plates, maps, tmp_path / "shell.json"), tmp_path
+    return section, (tmp_path / "path.json", tmp_path / "cameras/images.txt", plates, maps, []), tmp_path
 
 
 def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,16 +102,28 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
 
 
 def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
-    there = on(house, dataset)
+    there, known = on(house, dataset), {"exposure": "off"}
     target = f"results/{dataset.name}/background/scene.ply"
     plans = {
-        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": {"view_synthesis": verdict} if verdict else {}}))
+        verdict: there.plan(
+            target, "--configfile", there.overlay(survey={"force": known | ({"view_synthesis": verdict} if verdict else {})})
+        )
         for verdict in ("", "on", "off")
     }
     assert plans["on"]["views_synthesize"] == 3
     assert "views_synthesize" not in plans["off"] | plans[""]
     assert plans[""]["survey_decide"] == 1
     assert "survey_decide" not in plans["off"] | plans["on"], "nothing is asked that is known"
+
+
+def test_the_room_waits_for_the_survey_where_photos_may_have_gains(house: House, dataset: Path) -> None:
+    there, target = on(house, dataset), f"results/{dataset.name}/background/scene.ply"
+    asked = {
+        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": {"view_synthesis": "off", "exposure": verdict}}))
+        for verdict in ("on", "off")
+    }
+    assert asked["on"]["survey_decide"] == 1, "the gains are measured there"
+    assert "survey_decide" not in asked["off"]
 
 
 def test_loose_things_are_looked_for_only_when_the_survey_or_the_user_says_so(house: House, dataset: Path) -> None:

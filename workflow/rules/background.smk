@@ -15,6 +15,7 @@ rule background_train:
             allow_missing=True,
         ),
         shell="results/{scene}/depth/shell.json",
+        exposure=gains,
         path="results/{scene}/views/path.json",
         views=synthesized("mkv"),
         supports=synthesized("mask.mkv"),
@@ -40,4 +41,4 @@ rule background_train:
         " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
         " --threads {threads} --background {output.background} --provenance {output.provenance}"
-        " --previews logs/{wildcards.scene}/background/train"
+        " --exposure {input.exposure:q} --previews logs/{wildcards.scene}/background/train"

@@ -264,6 +264,16 @@ def verdict(effect, wildcards):
     return next(d["verdict"] for d in decided["decisions"] if d["effect"] == effect)
 
 
+def gains(wildcards):
+    """What the cameras' exposures are divided by: a file, where the survey calls for it."""
+    return [f"results/{wildcards.scene}/survey/gains.json"] if verdict("exposure", wildcards) == "on" else []
+
+
+def lights_course(wildcards):
+    """What every frame's brightness is divided by: a file, where the survey says that the light changes."""
+    return [f"results/{wildcards.scene}/survey/course.json"] if verdict("changing_light", wildcards) == "on" else []
+
+
 def synthesized(ending):
     """Function that names the views of every segment (mkv) or their masks (mask.mkv); none unless the survey calls for views."""
 

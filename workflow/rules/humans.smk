@@ -18,6 +18,8 @@ rule humans_train:
         ),
         fit="results/{scene}/people/{person}.npz",
         body=BODY,
+        gains=gains,
+        light=lights_course,
     output:
         gaussians="results/{scene}/humans/{person}.ply",
         avatar="results/{scene}/humans/{person}.npz",
@@ -40,7 +42,7 @@ rule humans_train:
         " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
         " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"
-        " --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"
+        " --exposure {input.gains:q} {input.light:q} --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"
 
 
 # On request: snakemake results/SCENE/humans/p00.canonical.ply makes a rest-pose person with LHM, from the best photo of them.

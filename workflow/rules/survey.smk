@@ -14,6 +14,8 @@ checkpoint survey_decide:
         shell="results/{scene}/depth/shell.json",
     output:
         decisions="results/{scene}/survey/decisions.json",
+        gains="results/{scene}/survey/gains.json",
+        course="results/{scene}/survey/course.json",
     log:
         "logs/{scene}/survey/decide.log",
     benchmark:
@@ -31,6 +33,7 @@ checkpoint survey_decide:
         " --manifest {input.manifest:q} --model {input.model:q} --people {input.people:q}"
         " --identities {input.identities:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --decisions {output.decisions:q}"
+        " --gains {output.gains:q} --course {output.course:q}"
 
 
 rule survey_trained:

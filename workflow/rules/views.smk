@@ -36,7 +36,7 @@ if SYNTHESIZER == "warp":
                 allow_missing=True,
             ),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            shell="results/{scene}/depth/shell.json",
+            exposure=gains,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",
@@ -55,7 +55,7 @@ if SYNTHESIZER == "warp":
         shell:
             "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
             " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
-            " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"
+            " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"
 
 
 if SYNTHESIZER == "gen3c":
@@ -66,7 +66,7 @@ if SYNTHESIZER == "gen3c":
             model="results/{scene}/cameras/images.txt",
             plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            shell="results/{scene}/depth/shell.json",
+            exposure=gains,
         output:
             request="results/{scene}/views/{segment}.request.npz",
         log:
@@ -84,7 +84,7 @@ if SYNTHESIZER == "gen3c":
         shell:
             "python -m studiorecon views.request --settings {params.settings:q} --log {log}"
             " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
-            " --depth {input.depth:q} --shell {input.shell} --request {output.request}"
+            " --depth {input.depth:q} --exposure {input.exposure:q} --request {output.request}"
 
     # One segment, one job, one GPU: on a cluster they run side by side, and a finished one stays.
     rule views_generate:
@@ -120,7 +120,7 @@ if SYNTHESIZER != "warp":
             model="results/{scene}/cameras/images.txt",
             plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            shell="results/{scene}/depth/shell.json",
+            exposure=gains,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",
@@ -139,4 +139,4 @@ if SYNTHESIZER != "warp":
         shell:
             "python -m studiorecon views.fitted --settings {params.settings:q} --log {log}"
             " --segment {wildcards.segment} --film {input.film:q} --path {input.path} --model {input.model} --plates {input.plates:q}"
-            " --depth {input.depth:q} --shell {input.shell} --views {output.views} --support {output.support}"
+            " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"

@@ -29,6 +29,7 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.discs import discs
+from studiorecon.scene.factors import Factors, read_factors
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import write_ply
@@ -59,7 +60,6 @@ class Settings:
     seed_size: float
     seed_opacity: float
     measured_confidence: float
-    equalise: bool
     fill: bool
     fill_step_m: float
     fill_limit: int
@@ -146,7 +146,7 @@ def view_targets(
     return targets
 
 
-def _read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], shell: Shell, settings: Settings) -> list[Photo]:
+def _read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], exposure: Factors) -> list[Photo]:
     if not len(cameras) == len(plates) == len(depth):
         raise Refusal(
             f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; one of each is needed per camera"
@@ -160,9 +160,7 @@ def _read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path
                 raise Refusal(f"{name} is {hw[1]}×{hw[0]} pixels, but camera {camera.name} works at {camera.wh[0]}×{camera.wh[1]}")
         if not known.any():
             raise Refusal(f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/")
-        if settings.equalise and camera.name in shell.gains:
-            rgb = np.clip(rgb / shell.gains[camera.name].astype(np.float32), 0, 1)
-        photos.append(Photo(camera, rgb, known, depth_m, confidence))
+        photos.append(Photo(camera, exposure.even(camera.name, rgb), known, depth_m, confidence))
     return photos
 
 
@@ -244,15 +242,16 @@ def run(
     provenance: Path,
     previews: Path | None = None,
     device: str = "cpu",
+    exposure: list[Path] | None = None,
 ) -> None:
-    """Train the background and write it with its provenance.
+    """Train the background and write it with its provenance; plates are divided by the gains that ``exposure`` names, if any.
 
     A killed run goes on from ``.checkpoint`` beside ``background``; pictures of how it goes are put into ``previews``.
     """
     device = resolve(device)
     cameras = read_model(model.parent)
     box = read_shell(shell)
-    photos = _read_photos(cameras, plates, depth, box, settings)
+    photos = _read_photos(cameras, plates, depth, read_factors(exposure or []))
     rng = np.random.default_rng(settings.seed)
     if settings.start == "depth":
         start, marks = seeds(photos, box, settings)
@@ -266,7 +265,7 @@ def run(
     real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
-    inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports]
+    inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports, *(exposure or [])]
     mark = fingerprint(settings, inputs, code.digest("background.train"), threads, device)
     half, whole = (
         Checkpoint(background.parent / ".checkpoint" / name, mark, settings.training.checkpoint_every_s)

@@ -26,6 +26,7 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.factors import NONE, Factors, read_factors
 from studiorecon.scene.path import Step, read_path
 
 # Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
@@ -47,13 +48,18 @@ class Settings:
 
 @dataclass(frozen=True)
 class Training:
-    """The training cameras' footage and renders, frame by frame."""
+    """The training cameras' footage and renders, frame by frame; photos are shown in the ``exposure`` and light of the renders."""
 
     cameras: Sequence[Camera]
     photos: Sequence[Playback]
     renders: Sequence[Playback]
     depths: Sequence[Playback]
     frames: int
+    exposure: Factors = NONE
+
+    def photo(self, index: int, frame: int) -> np.ndarray:
+        """(h, w, 3) uint8 photo of one camera, as it were filmed with the common exposure in the plate's light."""
+        return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
 
     def nearest_frame(self, frame: float) -> int:
         """The whole frame that is shown at a fractional one."""
@@ -62,14 +68,14 @@ class Training:
     def sources(self, frame: int, transfer: Transfer) -> list[Source]:
         """Residual and depth of every training camera at one frame."""
         return [
-            source(camera, photo.at(frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
-            for camera, photo, render, depth in zip(self.cameras, self.photos, self.renders, self.depths)
+            source(camera, self.photo(k, frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
+            for k, (camera, render, depth) in enumerate(zip(self.cameras, self.renders, self.depths))
         ]
 
     def reference(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes (U09)."""
         cosines = [float(one.forward @ camera.forward) for one in self.cameras]
-        return self.photos[int(np.argmax(cosines))].at(frame)
+        return self.photo(int(np.argmax(cosines)), frame)
 
 
 def judge_strength(training: Training, settings: Settings) -> tuple[float, str]:
@@ -109,8 +115,12 @@ def run(
     edited: list[Path] | None = None,
     weights: Path = Path("resources/weights"),
     device: str = "cpu",
+    exposure: list[Path] | None = None,
 ) -> None:
     """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders.
+
+    Photos are divided by the gains and the light that ``exposure`` names, as the training pictures were: a residual would carry steps of
+    exposure from camera to camera into the film.
 
     A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never photographed, so no photo
     corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of the photos (paper: one edited reference).
@@ -118,6 +128,7 @@ def run(
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
     training = training_of(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
+    training = replace(training, exposure=read_factors(exposure or [], capture.frames))
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
     enhancer: Enhancer
     if settings.enhancer != "residual":

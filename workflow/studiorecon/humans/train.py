@@ -35,6 +35,7 @@ from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.decisions import Decision
+from studiorecon.scene.factors import NONE, Factors, read_factors
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, read_people, read_person
 from studiorecon.scene.provenance import INFERRED, MEASURED
@@ -122,8 +123,9 @@ def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin
 def run(
     settings: Settings, person: str, model: Path, manifest: Path, people: Path, videos: list[Path], masks: list[Path], fit: Path,
     body: Path, threads: int, gaussians: Path, avatar: Path, previews: Path | None = None, device: str = "cpu",
+    exposure: list[Path] | None = None,
 ) -> None:  # fmt: skip
-    """Train one person and write the avatar.
+    """Train one person and write the avatar; pictures are divided by the gains and the light that ``exposure`` names, if any.
 
     Where nothing near the person has changed since the files were written, they stay (``unchanged``). A killed run goes on from
     ``.checkpoint`` beside ``gaussians``; pictures of how it goes are put into ``previews``.
@@ -142,7 +144,8 @@ def run(
     body_model = BodyModel.load(body)
     if fitted.body != body_model.identity:
         raise Refusal(f"{fit} was fitted with the body model {fitted.body}, but {body} is {body_model.identity}; fit {person} again")
-    crops = read_crops(settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames)
+    even = read_factors(exposure or [], footage.frames)
+    crops = read_crops(settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames, even)
     if not crops:
         raise Refusal(
             f"no training camera shows {settings.smallest_px} pixels of {person} in any frame with a fitted body; check the masks, or "
@@ -174,7 +177,7 @@ def run(
     start = gaussians_on(samples, degree)
     start.sh[:, 0] = sh_from_rgb(fill_unseen(colours, seen, near, twin))
     say(f"{person}: {len(crops)} crops in {len(cameras)} cameras; {seen.mean():.0%} of {start.count} Gaussians are seen, the rest inferred")
-    inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body]
+    inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body, *(exposure or [])]
     mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
     checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
     appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion)
@@ -238,13 +241,15 @@ def read_crops(
     body_model: BodyModel,
     label: int,
     frames: int,
+    exposure: Factors = NONE,
 ) -> list[Crop]:
-    """Every camera's crops of the person that masks call ``label``, camera by camera."""
+    """Every camera's crops of the person that masks call ``label``, camera by camera, of one exposure and light."""
     vertices = body_model.vertices(fitted.poses, fitted.betas, fitted.trans)
     looks: list[Look] = []
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
+        pictures = exposure.even_all(camera.name, read_frames(video, 0, frames))
         looks += looks_of(
-            view, camera, read_frames(video, 0, frames), read_frames(mask, 0, frames), vertices, fitted.valid, label,
+            view, camera, pictures, read_frames(mask, 0, frames), vertices, fitted.valid, label,
             settings.margin_px, settings.smallest_px,
         )  # fmt: skip
     inset_px = mask_inset_px(looks, label)

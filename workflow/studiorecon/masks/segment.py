@@ -29,6 +29,7 @@ from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.factors import read_factors
 from studiorecon.scene.objects import read_objects
 from studiorecon.scene.people import Person, read_person
 
@@ -176,8 +177,9 @@ def run(
     tracks: list[Path],
     masks: Path,
     objects: list[Path] | None = None,
+    light: list[Path] | None = None,
 ) -> None:
-    """Masks of ``camera`` for the fitted ``people``.
+    """Masks of ``camera`` for the fitted ``people``; frames are compared with the plate in its ``light``, if its course is known.
 
     ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's film of numbers.
     The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought.
@@ -207,7 +209,8 @@ def run(
         say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate)
-        labels = np.stack(list(segment(frames, plate_rgb, measured, fits, body_model, own, settings)))
+        steady = read_factors(light or [], len(frames)).even_all(camera, frames)
+        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings)))
         things = [thing for path in objects or () for thing in read_objects(path)]
         if things:
             depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))

@@ -2,12 +2,16 @@
 """Which effects does this scene call for? Each decision has a statistic, a threshold and a sentence, and can be forced.
 
 Only what a decision is about is simulated later; "undetermined" takes the cheaper branch and says so. What shows only in a trained scene
-is listed here, and decided by ``survey.trained``.
+is listed here, and decided by ``survey.trained``. What later steps divide out of the pictures is written beside the decisions: the
+cameras' gains and the light's course, both empty where they are not called for.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+
+import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import read_depth
@@ -15,10 +19,12 @@ from studiorecon.images.stills import read_plate
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
-from studiorecon.scene.decisions import forced, in_order, switched_on, write_decisions
+from studiorecon.scene.decisions import Decision, forced, in_order, switched_on, write_decisions
+from studiorecon.scene.factors import write_factors
 from studiorecon.scene.people import read_detections, read_identities, read_people
 from studiorecon.scene.shell import read_shell
 from studiorecon.survey.bodies import tracks
+from studiorecon.survey.course import course_of
 from studiorecon.survey.effects import Material, Settings, judge
 from studiorecon.survey.exposures import View
 from studiorecon.survey.films import read_film
@@ -39,6 +45,8 @@ def run(
     depths: list[Path],
     shell: Path,
     decisions: Path,
+    gains: Path,
+    course: Path,
 ) -> None:
     """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be empty.
 
@@ -68,5 +76,26 @@ def run(
     for decision in made:
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     say(f"{len(cameras)} cameras surveyed, {sum(len(f.times) for f in films)} pictures")
+    verdicts = {d.effect: d for d in made}
+    write_factors(gains, gains_called_for(verdicts["exposure"]))
+    changes: dict[str, np.ndarray] = {}
+    if verdicts["changing_light"].called_for:
+        for video, view, own in zip(videos, views, found or [None] * len(cameras)):
+            told = course_of(video, view.camera, capture.frames, own, view, settings.longest_px)
+            if told is None:
+                say(f"{view.camera.name}: too little of the room is seen without people to follow its light; its frames stay as they are")
+            else:
+                changes[view.camera.name] = told
+    write_factors(course, changes)
     write_decisions(last, measured)
     write_decisions(decisions, made)
+
+
+def gains_called_for(exposure: Decision) -> Mapping[str, np.ndarray]:
+    """Camera → (1, 3) gains to divide pictures by; none unless the verdict is on, nor for cameras that could not be compared."""
+    if not exposure.called_for:
+        return {}
+    found = {name: own for name, own in exposure.detail.get("gains", {}).items() if name not in exposure.detail["alone"]}
+    if not found:
+        say("exposure is forced on, but no two cameras share enough surface to compare their colours: every camera keeps its own")
+    return {name: np.array([own]) for name, own in found.items()}

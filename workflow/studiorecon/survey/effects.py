@@ -38,6 +38,9 @@ OBEYED_BY = {
     "people": "the plan: without people there are no masks, bodies and human training",
     "view_synthesis": "the plan: views between the cameras are made only when on",
     "dynamic_objects": "the plan: things are followed (humans.objects), shown in films and kept out of people's masks only when on",
+    "exposure": "views, background.train, humans.train and enhance.shot: when on they divide every photo by its camera's gain",
+    "changing_light": "masks.segment, humans.train and enhance.shot: when on they divide every frame by its brightness against the plate; "
+    "films are in the plates' constant light",
 }
 
 

@@ -65,7 +65,11 @@ def decide_exposure(views: Sequence[View], tolerance: float, threshold: float, w
     told = " ".join(f"{g:.3f}" for g in gains[worst])
     reason = f"{views[worst].camera.name} differs most (red, green, blue × {told})"
     low = value - _INTERVAL * error if value > _CERTAIN * error else min(value - _INTERVAL * error, 0.0)
-    detail = {"gains": {v.camera.name: [round(float(g), 4) for g in own] for v, own in zip(views, gains)}}
+    joined = {index for overlap in found for index in (overlap.first, overlap.second)}
+    alone = [v.camera.name for k, v in enumerate(views) if k not in joined]
+    if alone:
+        reason += f"; {', '.join(alone)} shares too little with the others to be compared and keeps its own exposure"
+    detail = {"gains": {v.camera.name: [round(float(g), 4) for g in own] for v, own in zip(views, gains)}, "alone": alone}
     interval = (low, value + _INTERVAL * error)
     return decide("exposure", statistic, value, interval, threshold, reason, was_on=was_on, detail=detail), gains
 

@@ -59,6 +59,14 @@ def read_film(
     a picture of 1280×704 on one core.
     """
     wanted = np.unique(np.concatenate([np.arange(s, min(s + run, frames)) for s in run_starts(frames, pictures, run)]))
+    held, free, scale = read_pictures(path, camera, wanted, found, longest_px)
+    return Film(camera, wanted, held, free, scale)
+
+
+def read_pictures(
+    path: Path, camera: Camera, wanted: np.ndarray, found: Detections | None, longest_px: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, where nobody stands, and pixels per pixel."""
     scale = max(max(camera.wh) / longest_px, 1.0)
     wh = (round(camera.wh[0] / scale), round(camera.wh[1] / scale))
     held: list[np.ndarray] = []
@@ -71,7 +79,7 @@ def read_film(
         keypoints = found.keypoints / np.array([scale, scale, 1.0])
         small = Detections(found.camera, found.layout, found.frame, found.track, keypoints)
         free = ~people_regions(small, wanted, (wh[1], wh[0]), _MARGIN, _HOLD)
-    return Film(camera, wanted, np.stack(held), free, scale)
+    return np.stack(held), free, scale
 
 
 def halved(film: Film) -> Film:

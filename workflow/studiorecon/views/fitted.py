@@ -64,12 +64,12 @@ def run(
     model: Path,
     plates: list[Path],
     depth: list[Path],
-    shell: Path,
+    exposure: list[Path],
     views: Path,
     support: Path,
 ) -> None:
     """Write the pictures and the support of one segment from its ``film``, one picture per view of the path."""
-    photos = read_photos(model, plates, depth, shell, settings.depth_jump)
+    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))
     if count != len(cameras):

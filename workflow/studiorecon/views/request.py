@@ -54,10 +54,10 @@ def chosen(path: list[Camera], photos: list[Source], count: int) -> list[Source]
 
 
 def run(
-    settings: Settings, segment: str, path: Path, model: Path, plates: list[Path], depth: list[Path], shell: Path, request: Path
+    settings: Settings, segment: str, path: Path, model: Path, plates: list[Path], depth: list[Path], exposure: list[Path], request: Path
 ) -> None:
     """Write the checked request (npz) of one segment."""
-    photos = read_photos(model, plates, depth, shell, settings.depth_jump)
+    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     way, _ = read_segment(path, segment)
     frame = frame_of(way[0].hw, gen3c.HW)
     key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in chosen(way, photos, settings.sources)]

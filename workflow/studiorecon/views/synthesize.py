@@ -2,7 +2,7 @@
 """The views of one segment: photos warped through their depth, holes painted over in the picture and named in the mask.
 
 Writes ``views/<segment>.mkv`` (RGB, holes inpainted) and ``views/<segment>.mask.mkv`` (255 supported by a photo … 0 hole). Colours
-are those of the rig's mean exposure (``gains`` of ``depth/shell.json``).
+are those of the photos, at the rig's mean exposure where the survey calls for it.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.factors import read_factors
 from studiorecon.scene.path import read_path
-from studiorecon.scene.shell import read_shell
 from studiorecon.views.forward import Source, blend, source
 
 
@@ -64,20 +64,19 @@ def support_levels(support: np.ndarray) -> np.ndarray:
     return np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
 
 
-def read_photos(model: Path, plates: list[Path], depth: list[Path], shell: Path, depth_jump: float) -> list[Source]:
-    """The training cameras' plates at the rig's mean exposure, with depth; Refusal for a missing or misshapen one."""
+def read_photos(model: Path, plates: list[Path], depth: list[Path], exposure: list[Path], depth_jump: float) -> list[Source]:
+    """The training cameras' plates divided by the gains of ``exposure``, with depth; Refusal for a missing or misshapen one."""
     cameras = read_model(model.parent)
     if not len(plates) == len(depth) == len(cameras):
         raise Refusal(f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; each camera needs both")
-    gains = read_shell(shell).gains
+    gains = read_factors(exposure)
     photos = []
     for camera, plate, depth_path in zip(cameras, plates, depth):
         rgb, measured = read_plate(plate)
         depth_m, _ = read_depth(depth_path)
         if rgb.shape[:2] != depth_m.shape:
             raise Refusal(f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}")
-        even = np.clip(rgb / gains[camera.name].astype(np.float32), 0, 1)
-        photos.append(source(camera, even, measured, depth_m, depth_jump))
+        photos.append(source(camera, gains.even(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 
 
@@ -97,12 +96,12 @@ def run(
     model: Path,
     plates: list[Path],
     depth: list[Path],
-    shell: Path,
+    exposure: list[Path],
     views: Path,
     support: Path,
 ) -> None:
     """Write the pictures and the support of one segment's views."""
-    photos = read_photos(model, plates, depth, shell, settings.depth_jump)
+    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     wanted, fps = read_segment(path, segment)
     made = list(views_of(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
