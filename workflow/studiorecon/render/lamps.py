@@ -43,7 +43,7 @@ def patches(shell: Shell, spacing_m: float) -> Lamps:
         azimuth, rise = np.arange(count) * 2 * np.pi / count, np.radians(elevation)
         sky.append(np.stack([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.full(count, np.sin(rise))], axis=1))
     far = np.concatenate(sky) * _SKY_M
-    radius = np.concatenate([np.full(len(inside), spacing_m / 2), np.full(len(far), _SKY_RADIUS * _SKY_M)])
+    radius = np.concatenate([np.full(len(inside), spacing_m / np.sqrt(np.pi)), np.full(len(far), _SKY_RADIUS * _SKY_M)])
     return Lamps(np.concatenate([inside, far]), np.concatenate([facing, np.zeros_like(far)]), radius)
 
 
@@ -53,24 +53,41 @@ def losses(points_m: np.ndarray, bodies: Sequence[np.ndarray], lamps: Lamps, con
     return np.concatenate([beside, hidden(points_m, lamps.discs, bodies)], axis=1)
 
 
-def strengths(lost: np.ndarray, relative: np.ndarray, darker: np.ndarray) -> np.ndarray:
-    """(2 + K,) non-negative strengths of sky, contact and lamps.
+def strengths(lost: np.ndarray, relative: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+    """(2 + K,) non-negative strengths of sky, contact and lamps, from what changes at each of P pixels over T pictures.
 
-    ``lost`` (N, 2 + K) from ``losses``, ``relative`` (N, K) fall-off of every lamp over its mean, ``darker`` (N,) by which share the
-    floor was darker. The light in the open follows from the strengths, so the two take turns; large residuals count by their root
-    (Huber), since reflections and things that are carried are no shadow.
+    ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T) of picture to plate,
+    NaN where unknown. A plate may hold a shadow that lay there most of the time, so every pixel has a level of its own that is fitted
+    with the strengths and only its changes count. The light in the open follows from the strengths too: they take turns. Large
+    residuals count by their root (Huber), since reflections and things that are carried are no shadow.
     """
-    columns = np.concatenate([lost[:, :2], lost[:, 2:] * relative], axis=1).astype(np.float64)
-    found, weight, total = np.zeros(columns.shape[1]), np.ones(len(darker)), np.ones(len(darker))
+    columns = lost.astype(np.float64)
+    columns[..., 2:] *= relative[:, None]
+    known = np.isfinite(ratio)
+    seen, weight = np.where(known, ratio, 0.0), known.astype(np.float64)
+    found, total, own = np.zeros(columns.shape[-1]), np.ones(len(ratio)), np.ones(len(ratio))
     for _ in range(_ROUNDS):
-        scaled = columns / total[:, None]
-        # Normal equations keep the search small whatever the number of points.
-        root = np.sqrt(weight)[:, None]
-        triangle = np.linalg.qr(np.concatenate([scaled * root, (darker * root[:, 0])[:, None]], axis=1), mode="r")
-        found = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * columns.shape[1])[0]
+        share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+        darker = 1 - seen / own[:, None]
+        scaled = columns / total[:, None, None]
+        changes = scaled - np.einsum("pt,ptk->pk", share, scaled)[:, None]
+        target = darker - (share * darker).sum(axis=1)[:, None]
+        root = np.sqrt(weight)
+        # Normal equations keep the search small whatever the number of pixels.
+        rows = np.concatenate([changes * root[..., None], (target * root)[..., None]], axis=-1).reshape(-1, len(found) + 1)
+        triangle = np.linalg.qr(rows, mode="r")
+        found = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(found))[0]
         found[2:][found[2:] < _LEAST_SHARE] = 0
-        residual = np.abs(darker - scaled @ found)
-        usual = max(1.4826 * float(np.median(residual)), 1e-4)
-        weight = np.minimum(1, _HUBER * usual / np.maximum(residual, 1e-9))
+        left = 1 - scaled @ found
+        own = own_levels(seen, left, weight)
+        residual = np.abs(seen - own[:, None] * left)
+        usual = max(1.4826 * float(np.median(residual[known])), 1e-4)
+        weight = known * np.minimum(1, _HUBER * usual / np.maximum(residual, 1e-9))
         total = np.maximum(1 + (relative - 1) @ found[2:], 0.25)
     return found
+
+
+def own_levels(seen: np.ndarray, left: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1 where unknown."""
+    light = (weight * left).sum(axis=1)
+    return np.where(light > 1e-9, (weight * seen).sum(axis=1) / np.maximum(light, 1e-9), 1.0)

@@ -7,7 +7,7 @@ Only in the plan when the survey finds moving shadows, and somebody to throw the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -20,7 +20,7 @@ from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
 from studiorecon.images.stills import read_plate
 from studiorecon.progress import progress, say
-from studiorecon.render.lamps import losses, patches, strengths
+from studiorecon.render.lamps import losses, own_levels, patches, strengths
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.light import Lamps, Light, write_light
@@ -43,8 +43,8 @@ class LightSettings:
 
     Attributes:
         pictures: of every camera that are looked at, evenly over the clip.
-        points: of the floor in every picture.
-        reach_m: around people within which the floor is looked at.
+        points: pixels of the floor in every camera.
+        reach_m: around people's ways within which the floor is looked at.
         spacing_m: between the patches of ceiling and walls that may give light.
         contact_m: reach of the darkening beside a body that hides light from everywhere.
         least_gain: share by which the error on held-out pictures must fall.
@@ -65,11 +65,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Observed:
-    """Floor beside people in one picture: points (N, 3), and by which share each is darker than the plate (N,)."""
+    """P pixels of the floor that one camera sees: points (P, 3), and ratio (P, T) of pictures to the plate, NaN where unknown."""
 
-    frame: int
     points_m: np.ndarray
-    darker: np.ndarray
+    ratio: np.ndarray
 
 
 def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np.ndarray]]:
@@ -95,85 +94,72 @@ def floor_points(camera: Camera, depth_m: np.ndarray, floor_m: float) -> tuple[n
     return points, known & (np.abs(points[..., 2] - floor_m) < _FLOOR_M)
 
 
-def observe(
-    picture: np.ndarray, plate: np.ndarray, free: np.ndarray, points_m: np.ndarray, floor: np.ndarray,
-    near_m: np.ndarray, unsure_m: np.ndarray, settings: LightSettings, frame: int,
-) -> Observed:  # fmt: skip
-    """The floor beside people in a ``picture`` (H, W, 3) uint8 against the ``plate`` (H, W, 3) in 0..1, where ``free`` (H, W).
+def ratios(
+    picture: np.ndarray, plate: np.ndarray, free: np.ndarray, points_m: np.ndarray, near_m: np.ndarray, unsure_m: np.ndarray, reach_m: float
+) -> np.ndarray:
+    """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of another colour.
 
-    ``near_m`` (P, 2): where people stand who were measured; ``unsure_m`` (Q, 2): where others may, whose surroundings are left out. What
-    far pixels differ by, the picture's exposure, is taken off.
+    ``near_m`` (A, 2): where people stand who were measured; ``unsure_m`` (B, 2): where others may, whose surroundings are unknown. What
+    pixels far from everybody differ by, the picture's exposure, is taken off.
     """
     levels, before = picture.astype(np.float32), plate.astype(np.float32) * 255
     usable = free & (before.min(-1) > _DARKEST) & (np.maximum(levels, before).max(-1) < _BRIGHTEST)
     ratio = np.log(np.maximum(levels, 1)) - np.log(np.maximum(before, 1))
     level = ratio.mean(axis=-1)
     usable &= np.abs(ratio - level[..., None]).max(axis=-1) < _SAME_COLOUR
-
-    def beside(places: np.ndarray, reach_m: float) -> np.ndarray:
-        found = np.zeros(floor.shape, bool)
-        for x, y in places:
-            found |= np.hypot(points_m[..., 0] - x, points_m[..., 1] - y) < reach_m
-        return found
-
-    far = usable & ~beside(np.concatenate([near_m, unsure_m]), settings.reach_m)
+    far = usable & ~beside(points_m, np.concatenate([near_m, unsure_m]), reach_m)
     exposure = float(np.median(level[far])) if far.sum() >= _LEAST_PX else 0.0
-    chosen = np.flatnonzero(usable & floor & beside(near_m, settings.reach_m) & ~beside(unsure_m, settings.reach_m))
-    chosen = chosen[:: max(1, -(-len(chosen) // settings.points))]
-    return Observed(frame, points_m.reshape(-1, 3)[chosen], 1 - np.exp(level.ravel()[chosen] - exposure))
+    return np.where(usable & ~beside(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
 
 
-def estimate(observed: Sequence[Observed], bodies: Sequence[Sequence[np.ndarray]], shell: Shell, settings: LightSettings) -> Light:
-    """The light that explains what was observed; not kept where it does not explain the last quarter from the rest."""
-    floor_m = float(shell.low_m[2])
-    nothing = np.zeros((0, 3))
-    blank = Light(False, "", Lamps(nothing, nothing, np.zeros(0)), np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, floor_m)
-    seen = sorted({o.frame for o in observed if len(o.darker)})
-    if len(seen) < 2:
-        return _left_out(blank, "no floor is seen beside anybody in two pictures, so there is no shadow to tell the light from")
+def beside(points_m: np.ndarray, places_m: np.ndarray, reach_m: float) -> np.ndarray:
+    """(...,) bool: points (..., 3) within ``reach_m`` of any of the places (A, 2), by their horizontal distance."""
+    found = np.zeros(points_m.shape[:-1], bool)
+    for x, y in places_m:
+        found |= np.hypot(points_m[..., 0] - x, points_m[..., 1] - y) < reach_m
+    return found
+
+
+def estimate(
+    observed: Sequence[Observed], frames: Sequence[int], bodies: Sequence[Sequence[np.ndarray]], shell: Shell, settings: LightSettings
+) -> Light:
+    """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last quarter of them."""
+    nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, float(shell.low_m[2]))
+    points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
+    later = np.arange(len(frames)) >= len(frames) - max(1, round(_HELD_OUT * len(frames)))
+    some = (np.isfinite(ratio[:, ~later]).sum(axis=1) >= 2) & np.isfinite(ratio[:, later]).any(axis=1)
+    if some.sum() < _LEAST_PX:
+        return replace(blank, reason="too little floor is seen over time near anybody to tell the light from")
+    points, ratio = points[some], ratio[some]
     lamps = patches(shell, settings.spacing_m)
-    sets = [o for o in observed if len(o.darker)]
-    points, darker = np.concatenate([o.points_m for o in sets]), np.concatenate([o.darker for o in sets])
-    frame = np.concatenate([np.full(len(o.darker), o.frame) for o in sets])
-    lost = np.concatenate([losses(o.points_m, bodies[o.frame], lamps, settings.contact_m) for o in progress(sets, "pictures with shadows")])
+    lost = np.stack([losses(points, bodies[t], lamps, settings.contact_m) for t in progress(frames, "moments with shadows")], axis=1)
     falloff = lamps.falloff(points)
     usual = np.maximum(falloff.mean(axis=0), 1e-9)
-    later = frame >= seen[-max(1, round(_HELD_OUT * len(seen)))]
-    first = strengths(lost[~later], (falloff / usual)[~later], darker[~later])
-    trial = _light(blank, first, lamps, usual)
-    after = np.concatenate([trial.factor(o.points_m, bodies[o.frame]) for o in sets if o.frame >= frame[later].min()])
-    error = float(np.sqrt(np.mean((darker[later] - (1 - after)) ** 2)))
-    without = float(np.sqrt(np.mean(darker[later] ** 2)))
-    figures = {
-        "error_held_out": error, "error_held_out_without": without, "points": len(points), "pictures": len(sets), "frames": len(seen),
-        "darkest_5_percent": float(np.quantile(darker, 0.95)),
-    }  # fmt: skip
+    trial = _light(blank, strengths(lost[:, ~later], falloff / usual, ratio[:, ~later]), lamps, usual)
+    left = np.stack([trial.factor(points, bodies[t]) for t in frames], axis=1)
+    error, without = (_error(ratio, used, later) for used in (left, np.ones_like(left)))
+    figures = {"error_held_out": error, "error_held_out_without": without, "pixels": len(points), "moments": len(frames)}
     if not error <= (1 - settings.least_gain) * without:
-        sentence = f"the floor beside people is off by {without:.2%} without shadows and by {error:.2%} with them in pictures not fitted to"
-        return _left_out(_with_figures(blank, figures), f"{sentence}: films are made without")
+        told = f"floor near people is off by {without:.2%} without shadows and by {error:.2%} with them in pictures not fitted to"
+        return replace(blank, figures=figures, reason=f"{told}, so films are made without")
     # What was found holds; now from all pictures.
-    found = _light(blank, strengths(lost, falloff / usual, darker), lamps, usual)
-    sentence = (
-        f"{len(found.share)} patches of lamps give {found.share.sum():.0%} of the floor's light, and the floor beside people is off by "
-        f"{error:.2%} instead of {without:.2%} in pictures not fitted to"
-    )
-    return _with_figures(found, figures, True, sentence)
+    found = _light(blank, strengths(lost, falloff / usual, ratio), lamps, usual)
+    told = f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor near people is off by {error:.2%} instead of"
+    return replace(found, kept=True, figures=figures, reason=f"{told} {without:.2%} in pictures not fitted to")
+
+
+def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
+    """Root mean square of what ``left`` (P, T) of the light leaves unexplained ``later`` (T,), with levels of the pictures before."""
+    seen, weight = np.nan_to_num(ratio), np.isfinite(ratio)
+    own = own_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
+    return float(np.sqrt(np.mean((seen - own[:, None] * left)[weight & later] ** 2)))
 
 
 def _light(blank: Light, found: np.ndarray, lamps: Lamps, usual: np.ndarray) -> Light:
     on = np.flatnonzero(found[2:])
     sky, contact = float(found[0]), float(found[1])
     return Light(False, "", lamps.take(on), found[2:][on], usual[on], sky, contact, blank.contact_m, blank.floor_m)
-
-
-def _left_out(light: Light, reason: str) -> Light:
-    return _with_figures(light, light.figures, False, reason)
-
-
-def _with_figures(light: Light, figures: dict, kept: bool = False, reason: str = "") -> Light:
-    return Light(
-        kept, reason, light.lamps, light.share, light.usual, light.sky, light.contact, light.contact_m, light.floor_m, figures
-    )  # fmt: skip
 
 
 def run(
@@ -200,19 +186,21 @@ def run(
         raise Refusal("nobody is there to throw a shadow: leave moving_shadows out of survey.force")
     bodies = bodies_over_time(fits, BodyModel.load(body))
     frames = np.unique(np.linspace(0, len(bodies) - 1, min(chosen.pictures, len(bodies))).round().astype(int))
+    at = np.array([person.trans[frames, :2] for person in fits])
+    sure = np.array([person.valid[frames] for person in fits])
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path)
         points, floor = floor_points(camera, read_depth(depth)[0], float(box.low_m[2]))
+        pixels = np.flatnonzero(floor & measured & beside(points, at[sure], chosen.reach_m))
+        pixels = pixels[:: max(1, -(-len(pixels) // chosen.points))]
         seam = np.ones((2 * max(1, round(_SEAM * camera.wh[0])) + 1,) * 2, np.uint8)
-        for frame in frames:
-            somebody = cv2.dilate((read_frame_at(mask, int(frame)) > 0).astype(np.uint8), seam) > 0
-            at = np.array([person.trans[frame, :2] for person in fits])
-            sure = np.array([person.valid[frame] for person in fits])
-            free = measured & ~somebody
-            observed.append(
-                observe(read_frame_at(video, int(frame)), plate, free, points, floor, at[sure], at[~sure], chosen, int(frame))
-            )  # fmt: skip
-    found = estimate(observed, bodies, box, chosen)
+        ratio = np.full((len(pixels), len(frames)), np.nan)
+        for k, frame in enumerate(map(int, frames)):
+            free = measured & (cv2.dilate((read_frame_at(mask, frame) > 0).astype(np.uint8), seam) == 0)
+            places = at[:, k][sure[:, k]], at[:, k][~sure[:, k]]
+            ratio[:, k] = ratios(read_frame_at(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
+        observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
+    found = estimate(observed, frames.tolist(), bodies, box, chosen)
     say(f"light: {found.reason}")
     write_light(light, found)

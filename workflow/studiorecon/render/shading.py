@@ -17,6 +17,8 @@ from studiorecon.scene.light import Light
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
 _FLOOR_M, _FURNITURE_M = 0.06, 1.0
 _LEAST_FACING = 0.05
+# Moments at which the plates' own shade is looked at, and how far colours of one surface differ there, as a share.
+_MOMENTS, _SAME = 24, 0.06
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,9 @@ class Shading:
 
     Attributes:
         light: the estimated light.
-        room: all Gaussians of the room, in the open.
+        room: all Gaussians of the room, as the plates show them.
         at: (M,) those that can be shaded; ``facing`` (M,) how far each faces up, 0..1.
+        usual: (M,) share of its light that each had in the plates.
         casters: people with their capsules: whoever a shot shows, stand-ins for themselves.
     """
 
@@ -34,25 +37,45 @@ class Shading:
     room: Gaussians
     at: np.ndarray
     facing: np.ndarray
+    usual: np.ndarray
     casters: Sequence[tuple[Avatar, Occluder]]
 
     def room_at(self, frame: float) -> Gaussians:
         """The room as people at a (fractional) frame shade it."""
-        bodies = []
-        for person, capsules in self.casters:
-            pose, trans = person.pose_at(frame)
-            bodies.append(capsules.posed(person.model.joint_transforms(pose[None], person.betas, trans[None])[0]))
-        left = self.light.factor(self.room.means_m[self.at], bodies)
+        left = self.light.factor(self.room.means_m[self.at], _bodies(self.casters, frame)) / self.usual
         return dimmed(self.room, self.at, 1 - self.facing * (1 - left))
 
 
-def shading(light: Light, room: Gaussians, people: Sequence[Avatar]) -> Shading | None:
-    """How ``people`` shade the room; None when the light was not kept or nobody is there."""
+def shading(light: Light, room: Gaussians, people: Sequence[Avatar], filmed: Sequence[Avatar]) -> Shading | None:
+    """How ``people`` shade the room; None when the light was not kept or nobody is there.
+
+    ``filmed`` are the people of the footage: where they shade the floor most of the time, a clean plate shows that shade, and the room
+    with it. What a plate would show is therefore found by its own rule and divided by.
+    """
     if not light.kept or not people:
         return None
     facing = facing_up(room, light.floor_m)
     at = np.flatnonzero(facing > _LEAST_FACING)
-    return Shading(light, room, at, facing[at], [(person, occluder(person.model, person.betas)) for person in people])
+    casters = [(person, occluder(person.model, person.betas)) for person in filmed]
+    moments = np.unique(np.linspace(0, filmed[0].frames - 1, _MOMENTS).round())
+    usual = most_agreed(np.stack([light.factor(room.means_m[at], _bodies(casters, float(m))) for m in moments]))
+    return Shading(light, room, at, facing[at], usual, [(person, occluder(person.model, person.betas)) for person in people])
+
+
+def most_agreed(left: np.ndarray) -> np.ndarray:
+    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as a plate's colours are found; ties go to the brighter."""
+    votes = np.stack([(np.abs(left - own) <= _SAME).sum(axis=0) for own in left])
+    best = (votes + 1e-3 * left).argmax(axis=0)
+    agree = np.abs(left - np.take_along_axis(left, best[None], axis=0)) <= _SAME
+    return (left * agree).sum(axis=0) / agree.sum(axis=0)
+
+
+def _bodies(casters: Sequence[tuple[Avatar, Occluder]], frame: float) -> list[np.ndarray]:
+    posed = []
+    for person, capsules in casters:
+        pose, trans = person.pose_at(frame)
+        posed.append(capsules.posed(person.model.joint_transforms(pose[None], person.betas, trans[None])[0]))
+    return posed
 
 
 def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:

@@ -75,7 +75,7 @@ def read_composite(
     people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
     things = [thing for path in objects for thing in read_objects(path)]
-    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast) if light else None, things)
+    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast, people) if light else None, things)
 
 
 def run(
