@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +13,8 @@ import pytest
 from studiorecon import __main__ as command
 from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
-from studiorecon.images.exr import write_depth
-from studiorecon.images.video import read_frame, write_lossless, write_watchable
-from studiorecon.report import compare, evaluate, page, paper, score, sections
+from studiorecon.images.video import read_frame, write_lossless
+from studiorecon.report import compare, evaluate, paper, score, sections
 from studiorecon.report.bodies import compare_bodies, match, similarity_aligned
 from studiorecon.report.cost import cost, read_benchmark
 from studiorecon.report.measures import Flicker, measure_picture, summary
@@ -25,12 +22,12 @@ from studiorecon.report.pictures import depth_picture, difference, mask_picture,
 from studiorecon.report.truth import View, regions
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
-from studiorecon.scene.decisions import Decision, not_measured, write_decisions
 from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import Step, write_path
 from studiorecon.scene.people import Person, read_person, write_person
 
-from tests.stages.made_scene import FPS, FRAMES, WH, ring, write_scene
+from tests.stages.made_scene import FPS, FRAMES, WH, ring
+from tests.stages.reported_scene import report_scene
 
 MISSING = "not measured"
 
@@ -232,50 +229,7 @@ def test_pictures_for_readers_mark_what_they_should() -> None:
 
 @pytest.fixture(scope="module")
 def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
-    """A small scene scored and reported without truth, with the footage itself as renders."""
-    folder = tmp_path_factory.mktemp("scene")
-    cameras = write_scene(folder, root, people=0)
-    held_out, training = cameras["held_out"], cameras["training"]
-    pictures = [read_frame(folder / f"capture/{c.name}.mkv", f) for c in held_out for f in range(FRAMES)]
-    write_lossless(folder / "render/heldout.mkv", [np.clip(p.astype(int) + 5, 0, 255).astype(np.uint8) for p in pictures], FPS)
-    write_lossless(folder / "enhance/heldout.mkv", pictures, FPS)
-    write_watchable(folder / "enhance/heldout.mp4", pictures, FPS)
-    write_lossless(folder / "render/heldout.truth.mkv", [np.full((WH[1], WH[0]), 128, np.uint8)] * len(pictures), FPS)
-    write_path(folder / "render/heldout.json", [Step(c, float(f), c.name) for c in held_out for f in range(FRAMES)], FPS)
-    for camera in training:
-        write_depth(folder / f"depth/{camera.name}.exr", np.full((WH[1], WH[0]), 3.0), np.ones((WH[1], WH[0])))
-        plate = np.dstack([read_frame(folder / f"capture/{camera.name}.mkv", 0)[..., ::-1], np.full((WH[1], WH[0]), 255, np.uint8)])
-        cv2.imwrite(str(folder / f"capture/{camera.name}.plate.png"), plate)
-    early = [Decision("people", "s", 0.0, (0.0, 0.0), 0.5, "off", "an <empty> room"), not_measured("injection", "s", 0.2, "too early")]
-    write_decisions(folder / "survey/decisions.json", early)
-    write_decisions(
-        folder / "survey/trained.json", [Decision("injection", "s", 0.3, (0.28, 0.32), 0.2, "on", "it flickers", obeyed_by="X")]
-    )
-    write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
-    cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
-    section = default_settings("report")
-    common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
-    shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
-    evaluate.run(
-        settings_module.load(evaluate.Settings, section, "report"), **common, **shot, heldout_model=folder / "cameras/heldout/images.txt",
-        videos=[folder / f"capture/{c.name}.mkv" for c in reversed(held_out)], enhanced=[folder / "enhance/heldout.mkv"],
-        truth_maps=[folder / "render/heldout.truth.mkv"], fits=[], detections=[], identities=[],
-        metrics=folder / "report/metrics.json",
-    )  # fmt: skip
-    page.run(
-        settings_module.load(page.Settings, section, "report"), **common, metrics=folder / "report/metrics.json",
-        decisions=[folder / f"survey/{n}.json" for n in ("decisions", "trained")],
-        refinement=folder / "cameras/refinement.json", sheet=folder / "cameras/refinement.png",
-        plates=[folder / f"capture/{c.name}.plate.png" for c in training], depths=[folder / f"depth/{c.name}.exr" for c in training],
-        training_videos=[folder / f"capture/{c.name}.mkv" for c in training], masks=[], films=[folder / "enhance/heldout.mp4"],
-        renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],
-        heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
-        heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"], benchmarks=folder / "none",
-        configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences",
-        paper=root / "resources/paper/results.tsv", solvers=root / "resources/solvers.tsv", sweeps=[], costs=folder / "report/cost.json",
-        page=folder / "report/index.html",
-    )  # fmt: skip
-    return folder
+    return report_scene(tmp_path_factory.mktemp("scene"), root, default_settings)
 
 
 def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) -> None:
@@ -294,21 +248,6 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
     assert metrics["training"] is None, "there are held-out cameras"
     assert set(metrics["inputs"]) >= {"render/heldout.mkv", "enhance/heldout.mkv", "view0.mkv"}
     assert metrics["coverage"]["heldout"]["inferred"] == 1.0
-
-
-def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None:
-    text = (reported / "report/index.html").read_text()
-    metrics = read_json(reported / "report/metrics.json")
-    assert not re.search(r'(?:src|href)=(?!"data:)', text), "everything is inside the page"
-    assert not re.search(r"@import|url\(", text)
-    assert f"{metrics['pictures']['raw']['psnr']['value']:.2f} dB" in text
-    assert MISSING in text
-    assert "data:video/mp4;base64," in text
-    assert "an &lt;empty&gt; room" in text
-    assert "it flickers" in text
-    assert "too early" not in text, "what a later survey decided counts"
-    assert "an &lt;empty&gt; room" in text
-    assert "100 % inferred" in text
 
 
 def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(

@@ -80,6 +80,9 @@ rule report_page:
             shot=[s for s in FILMS if s == "heldout"],
             allow_missing=True,
         ),
+        fits=fits,
+        detections=detections,
+        identities="results/{scene}/people/identities.tsv" if DATASET.people else [],
         paper=local(str(Path(workflow.basedir) / "resources/paper/results.tsv")),
         solvers=local(str(Path(workflow.basedir) / "resources/solvers.tsv")),
         # Last, so that the page counts what they cost.
@@ -105,6 +108,7 @@ rule report_page:
         code=code("report.page"),
         configuration=json.dumps(config, sort_keys=True),
         benchmarks="benchmarks/{scene}",
+        logs="logs/{scene}",
         licences=Path(workflow.basedir) / "resources/licences",
         # Shown where a sweep was run; never asked for.
         sweeps=SWEEPS,
@@ -116,5 +120,6 @@ rule report_page:
         " --depths {input.depths:q} --training-videos {input.training_videos:q} --masks {input.masks:q} --films {input.films:q}"
         " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
-        " --heldout-path {input.heldout_path:q} --benchmarks {params.benchmarks} --configuration {params.configuration:q}"
+        " --heldout-path {input.heldout_path:q} --fits {input.fits:q} --detections {input.detections:q}"
+        " --identities {input.identities:q} --benchmarks {params.benchmarks} --logs {params.logs} --configuration {params.configuration:q}"
         " --licences {params.licences:q} --paper {input.paper:q} --solvers {input.solvers:q} --sweeps {params.sweeps:q} --costs {output.costs} --page {output.page}"

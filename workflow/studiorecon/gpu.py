@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TextIO
 
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
 # Open for as long as the process lives; the lock goes with it, however it ends.
@@ -35,7 +35,7 @@ def claim() -> None:
     device, held = first_free(devices, folder)
     if held is None:
         device = devices[os.getpid() % len(devices)]
-        say(f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}")
+        warn(f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}")
     else:
         _HELD.append(held)
         say(f"this job has GPU {device} of {', '.join(devices)}")

@@ -12,6 +12,8 @@ from tqdm import tqdm
 
 T = TypeVar("T")
 
+WARNING = "warning: "
+"""How a line of a log begins that ``warn`` wrote."""
 _LOG_EVERY_S = 10.0
 
 
@@ -34,6 +36,11 @@ VOICE = Voice()
 def say(sentence: str) -> None:
     """Print one sentence, and write it to the log of the step that is running."""
     VOICE.say(sentence)
+
+
+def warn(sentence: str) -> None:
+    """Say what a user should know before trusting the result; the page lists every such line of a run's logs."""
+    say(f"{WARNING}{sentence}")
 
 
 def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:

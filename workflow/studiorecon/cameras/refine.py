@@ -18,7 +18,7 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry.bundle import BundleSettings, LensPrior, moved
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frame
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.colmap import write_model
@@ -87,7 +87,7 @@ def decide(
     """The cameras to use, with the reasons; raises Refusal when the people say that the calibration is not of these cameras."""
     report: dict[str, Any] = {"cameras": [c.name for c in training], "held_out": [c.name for c in held_out], "refined": False}
     if not any(len(d.frame) for d in detections):
-        say("no keypoints: the calibration is used as it was given, unchecked")
+        warn("no keypoints: the calibration is used as it was given, unchecked")
         return Outcome(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
     chosen = spread_frames(frames, settings.refine_frames)
     report["hypotheses"] = check_conventions(training, detections, chosen[:: max(1, len(chosen) // 6)], settings.refine_gate_m)
@@ -144,7 +144,7 @@ def _nothing_agrees(
 ) -> Outcome:
     measured = distance_m[~np.isnan(distance_m)]
     if not len(measured):
-        say("no person is seen by two cameras at once: the calibration is used as it was given, unchecked")
+        warn("no person is seen by two cameras at once: the calibration is used as it was given, unchecked")
         return Outcome(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
     raise Refusal(
         f"no person of any two cameras fits the calibration: their rays pass {measured.min():.2f} m apart at best, "
@@ -251,7 +251,7 @@ def run(
     seen = [usable(read_detections(p)) for p in detections]
     unusable = sum(count for _, count in seen)
     if unusable:
-        say(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
+        warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
     outcome = decide(training, held_out, [d for d, _ in seen], found.frames, bool(given.get("floor_known", True)), settings)
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]

@@ -21,7 +21,7 @@ from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, read_detections
@@ -222,7 +222,7 @@ def run(settings: Settings, sightings: list[Path], sizes: list[Path], body: Path
     if blind := [d.camera for d in detections if not len(d.frame)]:
         raise Refusal(f"camera {', '.join(blind)} sees nobody, and without a calibration cameras can only be found from people")
     frames = min(int(size_of[d.camera][1]) for d in detections)
-    say("there is no calibration: the cameras are found from the people (cameras.source)")
+    warn("there is no calibration: the cameras are found from the people (cameras.source)")
     cameras, report = pose_cameras(detections, wh, json.loads(focal_px or "{}"), frames, mean_body(BodyModel.load(body)), settings)
     notes = [
         f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median, turns within "

@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.capture.sync import Lag, lags, motion_energy
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frames
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.capture import Footage, Manifest, read_footage, write_manifest
 
 
@@ -81,7 +81,7 @@ def run(settings: Settings, scene: str, footage: list[Path], videos: list[Path],
     energies = [motion_energy(read_frames(video)) for video in progress(videos, "motion")]
     sync = settings.sync
     for lag in lags([c.camera for c in cameras], energies, round(sync.search_s * fps), sync.min_correlation, sync.min_z):
-        say(describe(lag, fps))
+        (warn if lag.valid and lag.frames else say)(describe(lag, fps))
     write_manifest(manifest, Manifest(scene, fps, cameras[0].frames, tuple(cameras)))
     held_out = [c.camera for c in cameras if c.held_out]
     say(f"{len(cameras)} cameras, {cameras[0].frames} frames at {fps:g} per second; held out: {', '.join(held_out) or 'none'}")

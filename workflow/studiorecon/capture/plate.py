@@ -24,7 +24,7 @@ from studiorecon.geometry.lens import WorkingView, video_from_working
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
 from studiorecon.images.stills import read_plate
 from studiorecon.images.video import read_frames
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.people import read_detections
@@ -230,7 +230,7 @@ def run(
         colour, measured = _add_given(picture, calibration, about, frames, occupied, colour, measured, options)
     if measured.mean() < 0.8:
         unknown = 1 - measured.mean()
-        say(f"{about.camera}: {unknown:.1%} is always covered and stays unknown; a picture of the empty room in plates/ would help")
+        warn(f"{about.camera}: {unknown:.1%} is always covered and stays unknown; a picture of the empty room in plates/ would help")
     write_plate(plate, np.clip(np.rint(colour), 0, 255).astype(np.uint8), measured)
 
 
@@ -260,5 +260,5 @@ def _add_given(
     matched = matched_exposure(colour, measured & known, rgb)
     colour, both, person = merge(colour, measured, matched, known, ~occupied.all(axis=0), showing(frames, ~occupied, matched))
     if moving := float((person & measured).mean()):
-        say(f"{about.camera}: {moving:.1%} of the picture hides what {given.name} shows, and moves: somebody undetected; the plate counts")
+        warn(f"{about.camera}: {moving:.1%} of the picture hides what {given.name} shows, and moves: somebody undetected; the plate counts")
     return colour, both

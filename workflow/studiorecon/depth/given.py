@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import read_depth, write_depth
 from studiorecon.images.warp import sample
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 
@@ -60,5 +60,5 @@ def run(settings: Settings, camera: str, model: Path, source: Path, depth: Path)
     lowest_m = float(np.percentile(below, 2))
     say(f"depth of {camera} was given: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
     if abs(lowest_m) > 0.5:
-        say(f"its lowest points lie at z = {lowest_m:.2f} m, not near the floor at 0: is it z-depth in metres of this camera?")
+        warn(f"its lowest points lie at z = {lowest_m:.2f} m, not near the floor at 0: is it z-depth in metres of this camera?")
     write_depth(depth, depth_m, certain)

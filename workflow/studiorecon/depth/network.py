@@ -20,7 +20,7 @@ from studiorecon.models.moge import Moge
 from studiorecon.models.pi3 import Pi3
 from studiorecon.models.registry import model as registered
 from studiorecon.models.sizes import nearest
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 
@@ -59,7 +59,7 @@ def run(settings: Settings, model: Path, plates: list[Path], weights: Path, devi
     for camera in cameras:
         off = np.abs(np.array(camera.principal_px) / camera.wh - 0.5).max()
         if off > _OFF_CENTRE:
-            say(f"{camera.name}: the principal point is {off:.0%} off the middle, which {entry.title} does not know; its depth will lean")
+            warn(f"{camera.name}: the principal point is {off:.0%} off the middle, which {entry.title} does not know; its depth will lean")
     pictures = [to_bytes(read_plate(plate)[0]) for plate in plates]
     say(f"depth of {len(cameras)} plates by {entry.title} ({entry.terms.weights}), upstream at {entry.runtime.commit}")
     for path, (depth, sure) in zip(depths, estimates(settings.source, cameras, pictures, weights, device)):

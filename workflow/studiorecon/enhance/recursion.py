@@ -24,7 +24,7 @@ from studiorecon.images.flow import one_thread
 from studiorecon.images.video import to_bytes, to_float
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.path import Step
 
 # Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands still.
@@ -161,5 +161,5 @@ def _finite(output: np.ndarray, picture: np.ndarray, step: Step) -> np.ndarray:
     """(H, W, 3) uint8: the output, as rendered where the enhancer made something that is no number."""
     bad = ~np.isfinite(output).all(axis=-1)
     if bad.any():
-        say(f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered")
+        warn(f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered")
     return np.where(bad[..., None], picture, to_bytes(np.where(bad[..., None], 0, output)))

@@ -18,7 +18,7 @@ from studiorecon.body.posing import Posing
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.footage import IGNORED, PERSON, Crop
 from studiorecon.humans.motion import Motion
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.adam import Adam
@@ -193,7 +193,7 @@ def train_gaussians(
                     state = appearance.arrays()
                 checkpoint.save({**adam.arrays(), **motion.arrays(), **feedback.record(), **state}, facts)
     if adam.refused:
-        say(f"{adam.refused} gradient entries were not finite and were skipped")
+        warn(f"{adam.refused} gradient entries were not finite and were skipped")
     sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
     return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
 

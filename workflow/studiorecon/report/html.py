@@ -43,14 +43,19 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 .bar i { display: block; height: 12px; border-radius: 4px; background: var(--mark); min-width: 2px; }
 .on { color: var(--good); font-weight: 600; } .undetermined { color: var(--warn); font-weight: 600; }
 details { margin: 8px 0; } summary { cursor: pointer; }
+@media (max-width: 640px) {
+  main { padding: 20px 14px 60px; } h1 { font-size: 24px; }
+  .row { grid-template-columns: repeat(2, 1fr) !important; }
+}
+@media print { main { max-width: none; padding: 0; } figure, tr, svg { break-inside: avoid; } video { display: none; } }
 pre { background: var(--wash); border: 1px solid var(--line); border-radius: 8px; padding: 12px; overflow-x: auto; font-size: 13px; }
 """
 
 
-def page(title: str, body: Sequence[str]) -> str:
-    """The whole document."""
+def page(title: str, body: Sequence[str], style: str = "") -> str:
+    """The whole document; ``style`` is added to what every page has."""
     viewport = '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    head = f'<head><meta charset="utf-8">{viewport}<title>{text(title)}</title><style>{STYLE}</style></head>'
+    head = f'<head><meta charset="utf-8">{viewport}<title>{text(title)}</title><style>{STYLE}{style}</style></head>'
     return f'<!doctype html>\n<html lang="en">{head}\n<body><main>\n' + "\n".join(body) + "\n</main></body></html>\n"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
 from studiorecon.progress import say
-from studiorecon.report import html, sections, sweep_section, terms, verdicts
+from studiorecon.report import appendix, html, presence, sections, sweep_section, terms, verdicts, wipe
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
 from studiorecon.report.records import read_records
@@ -25,6 +25,7 @@ from studiorecon.scene.colmap import read_model
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.path import read_path
+from studiorecon.scene.people import read_detections, read_identities, read_person
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,12 @@ class Settings:
     picture_width: int
 
 
-def strips(capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Path, path: Path, settings: Settings) -> list[str]:
-    """Photo, raw render, enhanced picture and difference of a few frames of every held-out camera."""
+def strips(
+    capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Path, path: Path, settings: Settings
+) -> tuple[str, list[str]]:
+    """A slider, and rows of photo, raw render, enhanced picture and difference, of a few frames of every held-out camera."""
     steps, _ = read_path(path)
-    rows = []
+    rows, moments = [], []
     for video in videos:
         camera = video.stem
         first = next(i for i, step in enumerate(steps) if step.segment == camera)
@@ -44,14 +47,15 @@ def strips(capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Pa
             photo, raw = read_frame_at(video, frame), read_frame_at(render, first + frame)
             final = read_frame_at(enhanced, first + frame)
             raw, final = (picture[: photo.shape[0], : photo.shape[1]] for picture in (raw, final))
-            pictures = (
-                (photo, f"{camera}, frame {frame}: photo"),
-                (raw, "render"),
-                (final, "enhanced"),
-                (difference(final, photo), "difference × 3"),
-            )
-            rows.append(html.row([html.figure(html.jpeg(p, settings.picture_width), c) for p, c in pictures]))
-    return rows
+            about = f"{camera}, frame {frame}"
+            made = {"photo": photo, "enhanced": final, "render": raw}
+            shown = {name: html.jpeg(picture, settings.picture_width) for name, picture in made.items()}
+            moments.append((about, shown))
+            captions = {"photo": f"{about}: photo", "render": "render", "enhanced": "enhanced"}
+            figures = [html.figure(shown[name], caption) for name, caption in captions.items()]
+            missed = html.jpeg(difference(final, photo), settings.picture_width)
+            rows.append(html.row([*figures, html.figure(missed, "difference × 3")]))
+    return wipe.slider(moments, "photo", "enhanced"), rows
 
 
 def spread(frames: int, wanted: int) -> list[int]:
@@ -118,7 +122,11 @@ def run(
     heldout_render: list[Path],
     heldout_enhanced: list[Path],
     heldout_path: list[Path],
+    fits: list[Path],
+    detections: list[Path],
+    identities: list[Path],
     benchmarks: Path,
+    logs: Path,
     configuration: str,
     licences: Path,
     paper: Path,
@@ -131,18 +139,27 @@ def run(
     capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
     spent["machine"] = {"system": platform.system(), "processor": platform.machine(), "python": platform.python_version()}
     write_json(costs, spent)
-    width = settings.picture_width
+    width, decided = settings.picture_width, [read_decisions(path) for path in decisions]
     body = [sections.head(scene, capture, len(read_model(model.parent)), measured, spent)]
     shown = [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
-    body += [*shown[:1], html.row(shown[1:], 2) if shown[1:] else ""]
+    rows: list[str] = []
+    if heldout_render and heldout_enhanced:
+        slider, rows = strips(capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings)
+        shown.insert(1, slider)
+    body += [*shown[:2], html.row(shown[2:], 2) if shown[2:] else ""]
     body.append(
         html.heading("Against the held-out cameras", "Cameras that no stage but this report has looked at. Differences are amplified.")
     )
-    if heldout_render and heldout_enhanced:
-        body += strips(capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings)
+    body += rows
     body.append(sections.measures(measured))
     body.append(sections.paper(measured, paper))
     body.append(sections.people(measured))
+    bodies = [read_person(path) for path in fits]
+    body.append(presence.surety(bodies, measured["jitter"]))
+    if identities:
+        names = [person.name for person in bodies]
+        whose, found = read_identities(identities[0]), [read_detections(path) for path in detections]
+        body.append(presence.strip(presence.frames_seen(found, whose, names, capture.frames), names))
     if masks:
         body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))
     body.append(
@@ -152,7 +169,8 @@ def run(
     body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
     body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
-    body.append(verdicts.decisions([read_decisions(path) for path in decisions], spent))
+    body.append(sections.coverage(decided))
+    body.append(verdicts.decisions(decided, spent))
     body.append(sweep_section.single(measured, spent))
     swept = [read_records(path) for path in sweeps]
     body += [sweep_section.section(name, records) for name, records in swept]
@@ -160,5 +178,8 @@ def run(
     body.append(solvers_section(solvers))
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
-    write_text(page, html.page(f"{scene}: 4D scene", body))
+    body.append(appendix.warnings(appendix.read_warnings(logs)))
+    body.append(appendix.versions(measured["provenance"], spent["machine"]))
+    body.append(appendix.links(page.parents[1], page, [render.with_suffix(".tsv") for render in renders]))
+    write_text(page, html.page(f"{scene}: 4D scene", body, wipe.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from studiorecon.report import html
 from studiorecon.report.paper import table as paper_table
 from studiorecon.scene.capture import Manifest
+from studiorecon.scene.decisions import Decision
 
 MISSING = "not measured"
 # name in metrics.json, name for readers, unit, digits, what it means. Arrows say which way is better.
@@ -126,11 +127,25 @@ def cameras(doctor: Any, sheet: str) -> str:
     """The camera doctor's sheet and what it found."""
     found = json.dumps(doctor, indent=1, sort_keys=True)
     lead = "How well the calibration explains what the cameras saw."
+    errors = zip(doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ())
+    rows = [[name, shown(before, 2, "px"), shown(after, 2, "px")] for name, before, after in errors]
+    header = ["camera", "keypoints off their projection, as calibrated", "as used"]
     return (
         html.heading("Cameras", lead)
+        + (html.table(header, rows, numeric=(1, 2)) if rows else "")
         + html.figure(sheet, "contact sheet of all cameras")
         + html.folded("Everything the doctor found", found)
     )
+
+
+def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
+    """How much of the stage one, two, … training cameras see, by the survey's measurement; empty where it has none."""
+    shares = next((d["view_synthesis"].detail.get("seen_by") for d in decided if "view_synthesis" in d), None)
+    if not shares:
+        return ""
+    rows = [[f"{count} or more", f"{share:.0%}", html.bar(share)] for count, share in enumerate(shares, start=1)]
+    lead = "Share of the stage, from the floor to the height of people, that so many training cameras see."
+    return f"<p>{html.text(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
 
 
 def costs(spent: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.errors import Refusal
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import Gaussians
 
@@ -76,7 +76,7 @@ def read_ply(path: Path) -> Gaussians:
     # An infinite logit is an opacity of exactly 0 or 1, which some writers store.
     bad = int((~np.isfinite(numbers).all(axis=1) | np.isnan(table[:, column["opacity"]])).sum())
     if bad:
-        say(f"{path.name}: {bad} of {count} Gaussians hold a value that is not a number and are not drawn")
+        warn(f"{path.name}: {bad} of {count} Gaussians hold a value that is not a number and are not drawn")
 
     def columns(*wanted: str) -> np.ndarray:
         return table[:, [column[name] for name in wanted]]

@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
-from studiorecon.progress import say
+from studiorecon.progress import warn
 from studiorecon.scene.files import read_table, write_npz, write_table
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source")
@@ -114,7 +114,7 @@ def read_person(path: Path) -> Person:
         return person
     if not sound.any() or not np.isfinite(person.betas).all():
         raise Refusal(f"{path} holds no body whose numbers are finite; run people.fit again")
-    say(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")
+    warn(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")
     turns = rotations.exp(np.where(sound[:, None], person.poses, 0.0).reshape(len(sound), -1, 3))
     filled = rotations.log(fill_rotations(turns, sound)).reshape(person.poses.shape)
     return replace(

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from studiorecon.errors import Refusal
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting import growth, relocation, torch_losses
 from studiorecon.splatting.checkpoint import Checkpoint
@@ -65,7 +65,7 @@ def train(
     refused = int(run.adam.refused)
     for count, what in ((sum(masked), "pixels of targets"), (left_out, "Gaussians"), (refused, "gradient entries")):
         if count:
-            say(f"{label}: {count} {what} were not finite and were left out")
+            warn(f"{label}: {count} {what} were not finite and were left out")
     return TrainedGaussians(trained.take(kept), source[kept], feedback.last_psnr_db, refused, left_out, int(sum(masked)))
 
 

@@ -129,4 +129,6 @@ def decide_views(
     )
     value = 1 - near * twice
     interval = max(value - 2 * near * error, 0.0), min(value + 2 * near * error, 1.0)
-    return decide("view_synthesis", statistic, value, interval, threshold, reason, was_on=was_on)
+    counts = seen.sum(axis=0)
+    shares = [float((counts >= least).mean()) for least in range(1, len(cameras) + 1)]
+    return decide("view_synthesis", statistic, value, interval, threshold, reason, was_on=was_on, detail={"seen_by": shares})

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of the page: every warning of the run, what it ran with, and where the numbers lie as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from studiorecon.progress import WARNING
+from studiorecon.report import html
+
+# What a reader may want to open, below results/<scene>/, and what it holds.
+_FILES = (
+    ("report/metrics.json", "every measure, per camera and frame, with its definition"),
+    ("report/cost.json", "seconds and memory of every rule"),
+    ("survey/decisions.json", "effects decided before training"),
+    ("survey/trained.json", "effects decided on the trained scene"),
+    ("cameras/refinement.json", "reprojection before and after refinement"),
+    ("people/identities.tsv", "which track of which camera is whom; edit a copy to correct it"),
+    ("people/desk.html", "everybody's pictures per camera and time"),
+    ("depth/shell.json", "the fitted room"),
+    ("deliver/manifest.json", "everything delivered, with checksums"),
+)
+
+
+def read_warnings(logs: Path) -> list[tuple[str, str]]:
+    """(step, sentence) of every warning in the logs of a scene's latest jobs; each sentence once, in the order of the files' names."""
+    found: dict[tuple[str, str], None] = {}
+    for log in sorted(logs.rglob("*.log")):
+        step = ".".join(log.relative_to(logs).with_suffix("").parts)
+        for line in log.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith(WARNING):
+                found[step, line.removeprefix(WARNING)] = None
+    return list(found)
+
+
+def warnings(found: Sequence[tuple[str, str]]) -> str:
+    """The section on what a reader should know before trusting the result."""
+    title = "Warnings"
+    if not found:
+        return html.heading(title, "No step warned of anything.")
+    return html.heading(title, f"{len(found)} sentences that steps of this run marked as warnings.") + html.table(["step", "what"], found)
+
+
+def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
+    """What the numbers were computed with."""
+    told = {**{f"{k}": v for k, v in provenance["libraries"].items()}, **{k: v for k, v in machine.items() if k != "python"}}
+    told |= {"commit of the code": provenance["revision"] or "not from a repository", "masks of people": provenance["masks"]}
+    return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
+
+
+def links(results: Path, page: Path, ledgers: Sequence[Path]) -> str:
+    """Relative links to the data of the scene in ``results``; they work where the page lies in its folder."""
+    files = [(results / name, what) for name, what in _FILES]
+    files += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
+    items = []
+    for path, what in files:
+        if path.is_file():
+            address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
+            items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
+    return html.heading("The numbers as files", "Beside this page, in the results folder.") + f"<ul>{''.join(items)}</ul>"
