@@ -114,7 +114,8 @@ def filmed(house: House, dataset: str, force: Mapping[str, str], cores: int) -> 
 def measured(house: House, name: str, seed: int, cores: int) -> dict:
     """The scene's three runs: forced on, forced off, decided."""
     planted, effect = SCENES[name]
-    scene, plain = f"{name}{seed}", f"plain{seed}"
+    plain = f"plain{seed}"
+    scene = f"{name}{seed}" if planted else plain
     if not (house.folder / "results/studio" / plain / "truth").is_dir():
         filmed(house, description(house, plain, {}, seed), {}, cores)
     dataset = description(house, scene, planted, seed)
@@ -125,10 +126,8 @@ def measured(house: House, name: str, seed: int, cores: int) -> dict:
         decided = {d["effect"]: d for d in read_json(house.folder / "results" / scene / "survey/decisions.json")["decisions"]}[effect]
         result[branch] = entry | {"verdict": decided["verdict"], "value": decided["value"], "detail": decided["detail"]}
         told = ", ".join(f"{k} {v:.2f}" for k, v in entry["enhance"].items() if k in ("all", "room", "people", "colour"))
-        print(
-            f"{scene} {effect} {branch}: {told} dB, steps {entry['enhance']['steps']:.2%}; {entry['seconds']:.0f} s; {decided['verdict']}",
-            flush=True,
-        )
+        told += f" dB, steps {entry['enhance']['steps']:.2%}; {entry['seconds']:.0f} s"
+        print(f"{name}{seed} {effect} {branch}: {told}; {decided['verdict']}", flush=True)
     best = max(result["on"]["enhance"]["all"], result["off"]["enhance"]["all"])
     result["regret_db"] = best - result["decided"]["enhance"]["all"]
     return result
@@ -139,9 +138,11 @@ def main(scenes: list[str], seeds: int, folder: Path, cores: int) -> int:
     settings = folder / "config/config.yaml"
     settings.write_text(yaml.safe_dump(over(yaml.safe_load(settings.read_text()), QUICK), sort_keys=False))
     found = [measured(house, name, seed, cores) for seed in range(1, seeds + 1) for name in scenes]
+    made = {(r["scene"], r["seed"]) for r in found}
+    kept = [r for r in read_json(RESULT)["runs"] if (r["scene"], r["seed"]) not in made] if RESULT.is_file() else []
     write_json(RESULT, {
         "date": date.today().isoformat(), "machine": platform.processor() or platform.machine(), "load": os.getloadavg()[0],
-        "spread_db": SPREAD_DB, "runs": found,
+        "spread_db": SPREAD_DB, "runs": kept + found,
     })  # fmt: skip
     regretted = [f"{r['scene']}{r['seed']}" for r in found if r["regret_db"] > SPREAD_DB]
     print(f"regret over {SPREAD_DB} dB: {', '.join(regretted) or 'none'}")

@@ -147,6 +147,15 @@ def test_exposure_factors_are_divided_out(settings: Callable, capture: dict, cam
     assert errors[True] > errors[False] + 2
 
 
+def test_colours_have_harmonics_only_where_the_survey_calls_for_them(settings: Callable, capture: dict, tmp_path: Path) -> None:
+    section = settings(iterations=1)
+    for name, gloss, kept in (("asked", [tmp_path / "gloss.json"], 4), ("off", [], 1), ("nobody asked", None, 4)):
+        run(section, capture, tmp_path / name, gloss=gloss)
+        assert read_ply(tmp_path / name / "scene.ply").sh.shape[1] == kept
+    run(replace(section, sh_cap=False), capture, tmp_path / "free", gloss=[])
+    assert read_ply(tmp_path / "free/scene.ply").sh.shape[1] == 4, "without sh_cap the setting counts"
+
+
 def test_wrong_sizes_and_counts_are_refused_by_name(settings: Callable, capture: dict, cameras: list[Camera], tmp_path: Path) -> None:
     write_depth(tmp_path / "small.exr", np.ones((10, 10)), np.ones((10, 10)))
     with pytest.raises(Refusal, match=r"small\.exr is 10×10 pixels, but camera cam0 works at 96×56"):

@@ -177,6 +177,7 @@ def files(tmp_path: Path) -> dict:
         "manifest": tmp_path / "manifest.json", "model": tmp_path / "cameras/images.txt", "people": [tmp_path / "people.tsv"],
         "identities": [tmp_path / "identities.tsv"], "detections": [], "shell": tmp_path / "shell.json",
         "decisions": tmp_path / "survey/decisions.json", "gains": tmp_path / "survey/gains.json", "course": tmp_path / "survey/course.json",
+        "gloss": tmp_path / "survey/gloss.json",
     }  # fmt: skip
 
 

@@ -54,6 +54,7 @@ def test_off_measured_or_forced_writes_no_factor_and_the_same_bytes(files: dict,
         write_plate(path, np.rint(view.rgb * 255).astype(np.uint8), view.measured)
     step.run(settings, **files)
     assert read_decisions(files["decisions"])["exposure"].verdict == "off"
+    assert read_decisions(files["decisions"])["changing_light"].cost_saved_estimate_s > 0
     assert (files["gains"].read_bytes(), files["course"].read_bytes()) == forced
 
 
@@ -126,7 +127,8 @@ def test_changing_light_turns_on_and_its_course_is_written(files: dict, settings
         frames = [np.clip(np.rint(rgb * level + rng.normal(0, 1, rgb.shape)), 0, 255).astype(np.uint8) for level in course]
         write_lossless(path, frames, 30.0)
     step.run(settings, **files)
-    assert read_decisions(files["decisions"])["changing_light"].verdict == "on"
+    decision = read_decisions(files["decisions"])["changing_light"]
+    assert (decision.verdict, decision.cost_saved_estimate_s) == ("on", None)
     assert written(files["gains"]) == {}
     found = written(files["course"])
     assert set(found) == {"c0", "c1", "c2"}
@@ -134,6 +136,13 @@ def test_changing_light_turns_on_and_its_course_is_written(files: dict, settings
     again = files["course"].read_bytes()
     step.run(settings, **files)
     assert files["course"].read_bytes() == again
+
+
+def test_the_degree_is_written_apart(files: dict, settings: step.Settings) -> None:  # noqa: F811
+    step.run(settings, **files)
+    decision = read_decisions(files["decisions"])["view_dependent_colour"]
+    assert json.loads(files["gloss"].read_text()) == {"degree": decision.detail["degree"]}
+    assert "sh_cap" in decision.obeyed_by
 
 
 def test_people_seen_by_keypoints_are_left_out(tmp_path: Path) -> None:

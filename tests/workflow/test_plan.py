@@ -102,7 +102,7 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
 
 
 def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
-    there, known = on(house, dataset), {"exposure": "off"}
+    there, known = on(house, dataset), {"exposure": "off", "view_dependent_colour": "off"}
     target = f"results/{dataset.name}/background/scene.ply"
     plans = {
         verdict: there.plan(
@@ -118,8 +118,9 @@ def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: Ho
 
 def test_the_room_waits_for_the_survey_where_photos_may_have_gains(house: House, dataset: Path) -> None:
     there, target = on(house, dataset), f"results/{dataset.name}/background/scene.ply"
+    known = {"view_synthesis": "off", "view_dependent_colour": "off"}
     asked = {
-        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": {"view_synthesis": "off", "exposure": verdict}}))
+        verdict: there.plan(target, "--configfile", there.overlay(survey={"force": known | {"exposure": verdict}}))
         for verdict in ("on", "off")
     }
     assert asked["on"]["survey_decide"] == 1, "the gains are measured there"

@@ -16,6 +16,7 @@ rule background_train:
         ),
         shell="results/{scene}/depth/shell.json",
         exposure=gains,
+        gloss=gloss,
         path="results/{scene}/views/path.json",
         views=synthesized("mkv"),
         supports=synthesized("mask.mkv"),
@@ -41,4 +42,4 @@ rule background_train:
         " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
         " --threads {threads} --background {output.background} --provenance {output.provenance}"
-        " --exposure {input.exposure:q} --previews logs/{wildcards.scene}/background/train"
+        " --exposure {input.exposure:q} --gloss {input.gloss:q} --previews logs/{wildcards.scene}/background/train"

@@ -269,6 +269,11 @@ def gains(wildcards):
     return [f"results/{wildcards.scene}/survey/gains.json"] if verdict("exposure", wildcards) == "on" else []
 
 
+def gloss(wildcards):
+    """A file where the survey calls for colours that change with the direction of view."""
+    return [f"results/{wildcards.scene}/survey/gloss.json"] if verdict("view_dependent_colour", wildcards) == "on" else []
+
+
 def lights_course(wildcards):
     """What every frame's brightness is divided by: a file, where the survey says that the light changes."""
     return [f"results/{wildcards.scene}/survey/course.json"] if verdict("changing_light", wildcards) == "on" else []

@@ -16,6 +16,7 @@ checkpoint survey_decide:
         decisions="results/{scene}/survey/decisions.json",
         gains="results/{scene}/survey/gains.json",
         course="results/{scene}/survey/course.json",
+        gloss="results/{scene}/survey/gloss.json",
     log:
         "logs/{scene}/survey/decide.log",
     benchmark:
@@ -33,7 +34,7 @@ checkpoint survey_decide:
         " --manifest {input.manifest:q} --model {input.model:q} --people {input.people:q}"
         " --identities {input.identities:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --decisions {output.decisions:q}"
-        " --gains {output.gains:q} --course {output.course:q}"
+        " --gains {output.gains:q} --course {output.course:q} --gloss {output.gloss:q}"
 
 
 rule survey_trained:

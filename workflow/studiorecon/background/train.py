@@ -108,16 +108,18 @@ def seeds(photos: Sequence[Photo], shell: Shell, settings: Settings) -> tuple[Ga
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 
 
-def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera]) -> Settings:
+def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
     """The settings, with ``sh_cap`` with no more harmonics than the real cameras tell apart at the middle of the room.
 
-    Synthesized views are made of the photos and have no highlights of their own to add (numerics G15).
+    None at all unless colours are ``varied`` with the direction of view. Synthesized views are made of the photos and have no highlights
+    of their own to add (numerics G15).
     """
     middle_m = np.median(start.means_m, axis=0)
-    degree = degree_supported(np.array([camera.centre_m - middle_m for camera in cameras]))
+    degree = degree_supported(np.array([camera.centre_m - middle_m for camera in cameras])) if varied else 0
     if not settings.sh_cap or degree >= settings.training.sh_degree:
         return settings
-    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {len(cameras)} cameras cannot tell more apart (sh_cap)")
+    why = f"{len(cameras)} cameras cannot tell more apart" if varied else "the survey finds no colour that changes with the view"
+    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {why} (sh_cap)")
     return replace(settings, training=replace(settings.training, sh_degree=degree))
 
 
@@ -243,8 +245,11 @@ def run(
     previews: Path | None = None,
     device: str = "cpu",
     exposure: list[Path] | None = None,
+    gloss: list[Path] | None = None,
 ) -> None:
     """Train the background and write it with its provenance; plates are divided by the gains that ``exposure`` names, if any.
+
+    Without a file in ``gloss`` the survey does not call for colours that change with the view; None: it was not asked.
 
     A killed run goes on from ``.checkpoint`` beside ``background``; pictures of how it goes are put into ``previews``.
     """
@@ -261,7 +266,7 @@ def run(
         start = random_volume(cameras, settings.random_count, settings.random_size_m, settings.training.sh_degree, rng)
         marks = np.full(start.count, MEASURED, np.uint8)
         say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
-    settings = supported(settings, start, cameras)
+    settings = supported(settings, start, cameras, gloss is None or len(gloss) > 0)
     real, synthesized = plate_targets(photos, settings.plate_boost), _read_views(path, views, supports, cameras, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")

@@ -9,6 +9,7 @@ cameras' gains and the light's course, both empty where they are not called for.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,11 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.decisions import Decision, forced, in_order, switched_on, write_decisions
 from studiorecon.scene.factors import write_factors
+from studiorecon.scene.files import write_json
 from studiorecon.scene.people import read_detections, read_identities, read_people
 from studiorecon.scene.shell import read_shell
 from studiorecon.survey.bodies import tracks
-from studiorecon.survey.course import course_of
+from studiorecon.survey.course import cost_s, course_of
 from studiorecon.survey.effects import Material, Settings, judge
 from studiorecon.survey.exposures import View
 from studiorecon.survey.films import read_film
@@ -47,6 +49,7 @@ def run(
     decisions: Path,
     gains: Path,
     course: Path,
+    gloss: Path,
 ) -> None:
     """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be empty.
 
@@ -72,7 +75,11 @@ def run(
     material = Material(cameras, names, views, films, followed, float(read_shell(shell).low_m[2]), capture.fps)
     last = decisions.parent / ".last" / decisions.name
     measured = in_order([*judge(material, settings, switched_on(last)), *later(settings.thresholds)])
-    made = forced(measured, settings.force)
+    spared_s = cost_s(cameras, capture.frames)
+    made = [
+        replace(d, cost_saved_estimate_s=spared_s) if d.effect == "changing_light" and not d.called_for else d
+        for d in forced(measured, settings.force)
+    ]
     for decision in made:
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     say(f"{len(cameras)} cameras surveyed, {sum(len(f.times) for f in films)} pictures")
@@ -87,6 +94,8 @@ def run(
             else:
                 changes[view.camera.name] = told
     write_factors(course, changes)
+    # A file apart, because who waits for the verdict is to run again only when this changes.
+    write_json(gloss, {"degree": verdicts["view_dependent_colour"].detail["degree"]})
     write_decisions(last, measured)
     write_decisions(decisions, made)
 

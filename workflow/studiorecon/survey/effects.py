@@ -39,6 +39,7 @@ OBEYED_BY = {
     "view_synthesis": "the plan: views between the cameras are made only when on",
     "dynamic_objects": "the plan: things are followed (humans.objects), shown in films and kept out of people's masks only when on",
     "exposure": "views, background.train, humans.train and enhance.shot: when on they divide every photo by its camera's gain",
+    "view_dependent_colour": "background.train: unless on, with sh_cap, the room's colours have no harmonics",
     "changing_light": "masks.segment, humans.train and enhance.shot: when on they divide every frame by its brightness against the plate; "
     "films are in the plates' constant light",
 }
