@@ -22,7 +22,7 @@ rule render_light:
         image("core")
     threads: 2
     resources:
-        mem_mb=1500,
+        mem_mb=3000,
     params:
         settings=settings("render"),
         code=code("render.light"),

@@ -88,7 +88,11 @@ class Light:
             return np.ones(len(points_m), np.float32)
         part = self.share * self.lamps.falloff(points_m) / self.usual
         lost = (part * hidden(points_m, self.lamps.discs, bodies)).sum(axis=1)
-        lost += self.sky * sky_hidden(points_m, bodies) + self.contact * nearness(points_m, bodies, self.contact_m)
+        # Each costs as much as the lamps; most fits find that one of them is nothing.
+        if self.sky:
+            lost += self.sky * sky_hidden(points_m, bodies)
+        if self.contact:
+            lost += self.contact * nearness(points_m, bodies, self.contact_m)
         total = np.maximum(1 + part.sum(axis=1) - self.share.sum(), _LEAST_TOTAL)
         return np.clip(1 - lost / total, _LEAST_FACTOR, 1).astype(np.float32)
 
