@@ -106,6 +106,8 @@ rule humans_objects:
         plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
         people=fits,
         body=BODY,
+        gains=gains,
+        light=lights_course,
     output:
         objects="results/{scene}/humans/objects.npz",
     log:
@@ -123,4 +125,4 @@ rule humans_objects:
     shell:
         "python -m studiorecon humans.objects --settings {params.settings:q} --log {log:q} --model {input.model:q}"
         " --manifest {input.manifest:q} --videos {input.videos:q} --plates {input.plates:q} --people {input.people:q}"
-        " --body {input.body:q} --threads {threads} --objects {output.objects:q}"
+        " --body {input.body:q} --gains {input.gains:q} --light {input.light:q} --threads {threads} --objects {output.objects:q}"

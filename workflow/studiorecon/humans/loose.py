@@ -21,6 +21,7 @@ ROOM, LOOSE, UNKNOWN = 0, 1, 2
 _FILLED_MARGIN = 3.0
 # Width of the neighbourhood that knows how much a thing differs just inside its outline: two pixels each way.
 _EDGE_PX = 5
+_EDGE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -64,20 +65,39 @@ class Region:
     state: np.ndarray
 
 
-def states(rgb: np.ndarray, plate: np.ndarray, measured: np.ndarray, explained: np.ndarray, settings: LooseSettings) -> np.ndarray:
-    """(H, W) uint8 what every pixel of a picture (H, W, 3) uint8 shows.
+def difference(rgb: np.ndarray, plate: np.ndarray, settings: LooseSettings) -> np.ndarray:
+    """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
 
-    ``plate`` (H, W, 3) in [0, 1] is ``measured`` (H, W); ``explained`` (H, W) bool is where people are. A shadow darkens all channels by
-    one factor; the best such factor is taken out first.
+    A shadow darkens all channels by one factor; the best such factor is taken out first.
     """
     picture, empty = cv2.GaussianBlur(to_float(rgb), (3, 3), 0), cv2.GaussianBlur(plate, (3, 3), 0)
     factor = np.clip((picture * empty).sum(2) / np.maximum((empty * empty).sum(2), 1e-4), settings.shadow, 1.0)
     lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(empty * factor[..., None], cv2.COLOR_RGB2Lab)
-    difference = np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
-    plain = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 3)
+    return np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
+
+
+def unrest(differences: Sequence[np.ndarray], explained: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W) float32 difference that a pixel shows in most of the pictures in which nobody is there; 0 where somebody always is.
+
+    That is what compression does to fine patterns, and what the plate got wrong.
+    """
+    found = np.sort(np.where(np.stack(explained), np.inf, np.stack(differences)), axis=0)
+    middle = np.maximum(np.isfinite(found).sum(axis=0) - 1, 0) // 2
+    usual = np.take_along_axis(found, middle[None], axis=0)[0]
+    return np.where(np.isfinite(usual), usual, 0).astype(np.float32)
+
+
+def states(differing: np.ndarray, usual: np.ndarray, measured: np.ndarray, explained: np.ndarray, settings: LooseSettings) -> np.ndarray:
+    """(H, W) uint8 what every pixel of a picture shows.
+
+    ``differing`` (H, W) is its ``difference``, ``usual`` its ``unrest``, up to twice the threshold: what differs more is a thing that
+    stood there. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
+    """
+    quiet = differing - np.minimum(usual, 2 * settings.difference)
+    plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)
     # Blur carries a thing's colour a pixel beyond it: its outline runs where the difference has fallen to half of what it is just inside.
     square = np.ones((_EDGE_PX, _EDGE_PX), np.uint8)
-    loose = (plain & (difference > 0.5 * cv2.dilate(difference, square))) | cv2.erode(plain, square)
+    loose = (plain & (quiet > _EDGE_SHARE * cv2.dilate(quiet, square))) | cv2.erode(plain, square)
     return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
 
 
@@ -99,10 +119,12 @@ def regions(rgb: np.ndarray, state: np.ndarray, view: int, least_share: float) -
         beside = cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         around[beside & (state[box] == LOOSE) & (labels[box] == 0)] = LOOSE
         near = cv2.dilate(own.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        # Specks that the opening took away hide nothing; people and other regions may.
+        hidden = (state[box] == UNKNOWN) | ((labels[box] > 0) & ~own)
         inside = left > 1 and top > 1 and left + wide < width - 1 and top + high < height - 1
         corner = (int(box[1].start), int(box[0].start))
         found.append(Region(
-            view, centres[k] + 0.5, float(area), _outline(around) + corner, bool(inside and not (near & (around == UNKNOWN)).any()), corner,
+            view, centres[k] + 0.5, float(area), outline_of(around) + corner, bool(inside and not (near & hidden).any()), corner,
             rgb[box].copy(), around,
         ))  # fmt: skip
     return found
@@ -122,7 +144,7 @@ def explained_by(people: Sequence[Person], body: BodyModel | None, camera: Camer
     return covered > 0
 
 
-def _outline(state: np.ndarray) -> np.ndarray:
+def outline_of(state: np.ndarray) -> np.ndarray:
     """(K, 2) middles of the edges between loose pixels and room pixels."""
     points = []
     for axis in (0, 1):

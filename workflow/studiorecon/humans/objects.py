@@ -7,7 +7,7 @@ Writes ``humans/objects.npz`` (``scene/objects.py``), maybe without any object: 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.humans.following import FollowSettings, Track, followed, linked
-from studiorecon.humans.loose import LooseSettings, Region, explained_by, regions, states
+from studiorecon.humans.loose import LooseSettings, Region, difference, explained_by, regions, states, unrest
 from studiorecon.humans.rigid import Look, ShapeSettings, looks_at, made
 from studiorecon.humans.sightings import Sighting, sightings
 from studiorecon.images.stills import read_plate, shrink
@@ -25,8 +25,13 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.factors import NONE, Factors, read_factors
 from studiorecon.scene.objects import RigidObject, write_objects
 from studiorecon.scene.people import Person, read_person
+
+# Pictures from which is learnt what usually differs.
+_REST_FRAMES = 16
+Moments = Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]]
 
 
 @dataclass(frozen=True)
@@ -58,16 +63,20 @@ class Settings:
 
 @dataclass(frozen=True)
 class View:
-    """One training camera at the size that is looked at: its film, its clean plate (H, W, 3) in [0, 1], ``measured`` (H, W)."""
+    """One training camera at the size that is looked at: its film, its clean plate (H, W, 3) in [0, 1], ``measured`` (H, W).
+
+    ``usual`` (H, W) is how much its pictures differ from the plate when nothing is there.
+    """
 
     camera: Camera
     video: Path
     plate: np.ndarray
     measured: np.ndarray
+    usual: np.ndarray
 
 
 def objects_in(
-    moments: Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]], views: Sequence[View], frames: int, fps: float,
+    moments: Moments, views: Sequence[View], frames: int, fps: float,
     settings: ObjectSettings, threads: int,
 ) -> list[RigidObject]:  # fmt: skip
     """The things that move through a clip.
@@ -78,7 +87,10 @@ def objects_in(
     found: list[tuple[int, list[Sighting]]] = []
     alone = np.zeros(len(views), int)
     for frame, (pictures, explained) in enumerate(moments):
-        shown = [states(p, v.plate, v.measured, e, settings.loose) for p, v, e in zip(pictures, views, explained)]
+        shown = [
+            states(difference(p, v.plate, settings.loose), v.usual, v.measured, e, settings.loose)
+            for p, v, e in zip(pictures, views, explained)
+        ]
         loose: list[list[Region]] = [regions(p, s, v, settings.loose.least_share) for v, (p, s) in enumerate(zip(pictures, shown))]
         things = sightings(cameras, shown, loose, settings.gate_m, settings.radius_m)
         paired = {id(region) for thing in things for region in thing.regions.values()}
@@ -116,12 +128,26 @@ def _made(name: str, track: Track, looks: Sequence[Look], settings: ObjectSettin
     return RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
 
 
+def rested(views: Sequence[View], moments: Moments, settings: LooseSettings) -> list[View]:
+    """The views with what their pictures usually differ by, from some moments spread over the clip."""
+    seen = list(moments)
+    found = []
+    for v, view in enumerate(views):
+        differences = [difference(pictures[v], view.plate, settings) for pictures, _ in seen]
+        found.append(replace(view, usual=unrest(differences, [explained[v] for _, explained in seen])))
+    return found
+
+
 def moments_of(
-    views: Sequence[View], people: Sequence[Person], body: BodyModel | None, frames: int, margin_m: float
-) -> Iterator[tuple[list[np.ndarray], list[np.ndarray]]]:
-    """Frame by frame every view's picture at its size, and where people are in it."""
+    views: Sequence[View], people: Sequence[Person], body: BodyModel | None, frames: int, margin_m: float, step: int = 1,
+    factors: Factors = NONE,
+) -> Moments:  # fmt: skip
+    """Every ``step``-th frame: every view's picture at its size, without its exposure's ``factors``, and where people are in it."""
     films = zip(*(read_frames(view.video, 0, frames) for view in views), strict=True)
-    for frame, pictures in enumerate(progress(films, "loose things", frames)):
+    for frame, filmed in enumerate(progress(films, "loose things", frames)):
+        if frame % step:
+            continue
+        pictures = [factors.even(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
         yield (
             [
                 p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
@@ -131,18 +157,22 @@ def moments_of(
         )
 
 
-def open_view(camera: Camera, video: Path, plate: Path, pixels: int) -> View:
-    """A camera with its plate at the size that is looked at."""
+def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Factors = NONE) -> View:
+    """A camera with its plate at the size that is looked at, without its exposure's ``factors``."""
     share = min(1.0, pixels / max(camera.wh))
     small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
-    return View(small, video, *shrink(*read_plate(plate), small.wh))
+    rgb, measured = read_plate(plate)
+    return View(small, video, *shrink(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32))
 
 
 def run(
     settings: Settings, model: Path, manifest: Path, videos: list[Path], plates: list[Path], people: list[Path], body: Path | None,
-    threads: int, objects: Path,
+    threads: int, objects: Path, gains: list[Path] | None = None, light: list[Path] | None = None,
 ) -> None:  # fmt: skip
-    """Find, follow and make the things of a scene; ``people`` are the fitted bodies, which explain what differs from the plates."""
+    """Find, follow and make the things of a scene; ``people`` are the fitted bodies, which explain what differs from the plates.
+
+    The cameras' ``gains`` and the course of the ``light`` are divided out of the pictures, the gains of the plates too.
+    """
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
     if not len(cameras) == len(videos) == len(plates):
@@ -158,7 +188,11 @@ def run(
             raise Refusal(
                 f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage {footage.frames} frames; run people.fit again"
             )
-    views = [open_view(*each, settings.objects.pixels) for each in zip(cameras, videos, plates)]
-    moments = moments_of(views, fits, body_model, footage.frames, settings.objects.loose.margin_m)
+    gain, every = read_factors(gains or []), read_factors([*(gains or []), *(light or [])], footage.frames)
+    views = [open_view(*each, settings.objects.pixels, gain) for each in zip(cameras, videos, plates)]
+    about = (fits, body_model, footage.frames, settings.objects.loose.margin_m)
+    step = max(1, footage.frames // _REST_FRAMES)
+    views = rested(views, moments_of(views, *about, step=step, factors=every), settings.objects.loose)
+    moments = moments_of(views, *about, factors=every)
     found = objects_in(moments, views, footage.frames, footage.fps, settings.objects, threads)
     write_objects(objects, found, footage.frames)

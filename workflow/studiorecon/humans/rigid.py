@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from studiorecon.humans.following import Track
-from studiorecon.humans.loose import LOOSE, ROOM, UNKNOWN, Region
+from studiorecon.humans.loose import LOOSE, ROOM, UNKNOWN, Region, outline_of
 from studiorecon.images.video import to_float
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.discs import discs
@@ -30,6 +30,8 @@ from studiorecon.splatting.training import train
 _LOOKS, _JUDGED = 160, 8
 # A place lies outside when more than this share of the looks shows the room there: outlines are a pixel off, and a middle a little.
 _OUTSIDE = 0.25
+# Shares of the outlines' points between whose distances from the middle the surface lies: the rest are errors.
+_BETWEEN = (0.1, 0.9)
 # How far from the middle the surface may lie, in radii, and in how many steps it is looked for.
 _REACH, _STEPS = (0.3, 2.2), 64
 # A disc's deviation over the spacing, its thickness over its width, its opacity at the start.
@@ -74,7 +76,8 @@ def looks_at(track: Track, cameras: Sequence[Camera]) -> list[Look]:
 def hull(looks: Sequence[Look], radius_m: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) the unit directions they lie in.
 
-    In each direction the surface is where the share of looks that show the room there passes a quarter.
+    In each direction the surface is where the share of looks that show the room there passes a quarter, but as far away as outlines are:
+    what few cameras cannot carve away, the corners of the cones that they leave, is no part of the thing; what looks like a shadow is.
     """
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
     height = 1 - (2 * np.arange(count) + 1) / count
@@ -88,7 +91,9 @@ def hull(looks: Sequence[Look], radius_m: float, count: int) -> tuple[np.ndarray
         outside += _sampled(look.state, pixels, ROOM) == ROOM
     inside = np.logical_and.accumulate(outside / max(len(looks), 1) <= _OUTSIDE, axis=1)
     last = np.maximum(inside.sum(axis=1) - 1, 0)
-    return directions * steps_m[last][:, None], directions
+    reached = np.concatenate([_reached_m(look) for look in looks])
+    nearest_m, farthest_m = np.quantile(reached, _BETWEEN) if len(reached) else (radius_m, radius_m)
+    return directions * np.clip(steps_m[last], nearest_m, farthest_m)[:, None], directions
 
 
 def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray]:
@@ -130,6 +135,14 @@ def made(
     sh = np.where((provenance == MEASURED)[:, None, None], trained.gaussians.sh, start.sh[trained.source])
     gaussians = replace(trained.gaussians, sh=sh)
     return gaussians, provenance, _agreement_db(gaussians, judged, threads)
+
+
+def _reached_m(look: Look) -> np.ndarray:
+    """(K,) how far from the middle the rays through a look's outline pass."""
+    points = outline_of(look.state)
+    rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
 
 
 def _whole(region: Region, track: Track, frame: int, camera: Camera) -> bool:
