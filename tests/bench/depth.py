@@ -139,7 +139,7 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         for camera, path in zip(room.cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
-        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, [], box, solids, folder / "solids.png", passes)
+        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, [], [], [], box, solids, folder / "solids.png", passes)
         lap()
         for camera, path in zip(room.cameras, maps):
             refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, solids, path)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.depth import given, refine, shell, sweep
-from studiorecon.depth.furniture import holds
+from studiorecon.depth.furniture import around
 from studiorecon.depth.matching import plane_depth
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.planes import wall_yaw
@@ -49,7 +49,7 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     box, solids, passes = folder / "shell.json", folder / "solids.json", folder / "passes.npz"
-    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, [], box, solids, folder / "solids.png", passes)
+    shell.run(load(shell.Settings, section, "depth"), model, plates, sweeps, [], [], [], box, solids, folder / "solids.png", passes)
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
@@ -245,7 +245,7 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
     # The others still measure what they share.
     assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
     solids = [solid.numbers for solid in read_solids(tmp_path / "solids.json")]
-    assert not solids or not holds(np.stack(solids), inside, 0.0).any()
+    assert not solids or not around(np.stack(solids), inside[None], 0.0).any()
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studiorecon.depth.evidence import Explained, colour_odds
-from studiorecon.depth.furniture import allowed, furnish, holds
+from studiorecon.depth.furniture import allowed, around, furnish
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.sheet import sheet
-from studiorecon.depth.shell import walked
+from studiorecon.depth.sight import looked_through, walked
 from studiorecon.depth.solids import Solid, in_front, read_solids, write_solids
-from studiorecon.scene.people import Person, write_person
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections, Person
 
 from tests.stages.made_room import Room, made_room, photograph, ring
 
@@ -122,16 +124,61 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(furnished: tuple[Ro
     place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
     assert allowed(numbers, room.shell, NOBODY)[0]
     assert not allowed(numbers, room.shell, place[None])[0]
-    assert not any(holds(numbers, p.camera.centre_m, 0.0).any() for p in pictures)
+    assert not around(numbers, np.stack([p.camera.centre_m for p in pictures]), 0.0).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
     person = Person("p0", "mpfb", 30.0, np.zeros((3, 72)), np.zeros((3, 3)), np.zeros(10), joints, np.array([True, False, True]),
                     np.zeros((3, 24)), True)  # fmt: skip
-    write_person(tmp_path / "p0.npz", person)
-    places = walked([tmp_path / "p0.npz"])
+    places = walked([person])
     assert len(places) == 1
     assert np.abs(places[0] - place).max() <= 0.1 + 1e-9
     assert walked([]).shape == (0, 3)
+
+
+def seen_person(camera: Camera, joints_m: np.ndarray, frames: int = 4) -> tuple[Person, Detections]:
+    """A person who stands still, and what ``camera`` sees of them: surely, but for the last keypoint."""
+    person = Person("p0", "mpfb", 30.0, np.zeros((frames, 72)), np.zeros((frames, 3)), np.zeros(10), np.tile(joints_m, (frames, 1, 1)),
+                    np.ones(frames, bool), np.zeros((frames, 24)), True)  # fmt: skip
+    keypoints = np.tile(np.column_stack([camera.project(joints_m)[0], np.full(24, 0.9)]), (frames, 1, 1))
+    keypoints[:, -1, 2] = 0.1
+    return person, Detections(camera.name, "smpl", np.arange(frames), np.zeros(frames, int), keypoints)
+
+
+def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
+    room = made_room(table=False)
+    camera = looks(room)[0].camera
+    middle = camera.centre_m + 2.5 * camera.forward
+    joints = middle + np.array([0.0, 0.0, 0.02]) * np.arange(24)[:, None]
+    # The last joint stands apart, and its keypoint is not sure.
+    joints[-1] += 0.8 * camera.rotation_camera_from_world[0]
+    person, seen = seen_person(camera, joints)
+    free = looked_through([camera], [person], [seen], {(camera.name, 0): "p0"})
+    halfway = 0.5 * (camera.centre_m + joints[10])
+    assert np.linalg.norm(free - halfway, axis=1).min() < 0.2
+    assert np.linalg.norm(free - joints[10], axis=1).min() > 0.1, "a line ends before the joint, which may touch something"
+    unsure = 0.4 * camera.centre_m + 0.6 * joints[-1]
+    assert np.linalg.norm(free - unsure, axis=1).min() > 0.25
+    box = np.array([[0, *halfway[:2], 0.0, 0.3, 0.3, halfway[2] - 0.3, halfway[2] + 0.3]])
+    assert allowed(box, room.shell, NOBODY)[0]
+    assert not allowed(box, room.shell, free)[0]
+    beyond = camera.centre_m + 1.4 * (joints[10] - camera.centre_m)
+    behind = np.array([[0, *beyond[:2], 0.0, 0.2, 0.2, room.shell.low_m[2], room.shell.low_m[2] + 1.0]])
+    assert allowed(behind, room.shell, free)[0] == allowed(behind, room.shell, NOBODY)[0], "what stands behind somebody stays possible"
+
+
+@pytest.mark.parametrize("case", ["nobody's track", "another camera", "not measured", "two frames", "elsewhere in the picture"])
+def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None:
+    camera = looks(made_room(table=False))[0].camera
+    joints = np.tile(camera.centre_m + 2.5 * camera.forward, (24, 1))
+    person, seen = seen_person(camera, joints, 2 if case == "two frames" else 4)
+    whose = {} if case == "nobody's track" else {(camera.name, 0): "p0"}
+    if case == "another camera":
+        seen = replace(seen, camera="elsewhere")
+    if case == "not measured":
+        person = replace(person, valid=np.zeros(4, bool))
+    if case == "elsewhere in the picture":
+        seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
+    assert looked_through([camera], [person], [seen], whose).shape == (0, 3)
 
 
 def test_colours_unlike_a_wall_are_told_from_its_own() -> None:

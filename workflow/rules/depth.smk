@@ -53,6 +53,8 @@ rule depth_shell:
             allow_missing=True,
         ),
         people=walkers,
+        detections=sightings,
+        identities=sighted,
     output:
         shell="results/{scene}/depth/shell.json",
         solids="results/{scene}/depth/solids.json",
@@ -72,7 +74,8 @@ rule depth_shell:
         code=code("depth.shell"),
     shell:
         "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
-        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q} --shell {output.shell}"
+        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q}"
+        " --detections {input.detections:q} --identities {input.identities:q} --shell {output.shell}"
         " --solids {output.solids} --picture {output.picture} --passes {output.passes}"
 
 

@@ -7,6 +7,7 @@ import heapq
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 
 from studiorecon.depth.evidence import Explained
 from studiorecon.depth.pictures import Picture
@@ -58,19 +59,31 @@ def allowed(solids: np.ndarray, shell: Shell, taken: np.ndarray) -> np.ndarray:
     large = (solids[:, 4:6] >= _LEAST_SIDE_M).all(axis=1) & (solids[:, 7] - solids[:, 6] >= _LEAST_HEIGHT_M)
     centres = np.stack([solids[:, 1], solids[:, 2], (solids[:, 6] + solids[:, 7]) / 2], axis=-1)
     fits = shell.contains(centres) & (solids[:, 6] >= shell.low_m[2] - 0.021) & (solids[:, 7] <= shell.high_m[2] + 0.021)
-    for point in taken:
-        fits &= ~holds(solids, point, _CLEARANCE_M)
-    return large & fits
+    fits &= large
+    fits[fits] = ~around(solids[fits], np.ascontiguousarray(taken, np.float64), _CLEARANCE_M)
+    return fits
 
 
-def holds(solids: np.ndarray, point_m: np.ndarray, margin_m: float) -> np.ndarray:
-    """(N,) bool: the point (3,) is in the solid (N, 8) grown by ``margin_m``."""
-    c, s = np.cos(solids[:, 3]), np.sin(solids[:, 3])
-    x, y = point_m[0] - solids[:, 1], point_m[1] - solids[:, 2]
-    u, v = np.abs(c * x + s * y), np.abs(c * y - s * x)
-    box = (u < solids[:, 4] / 2 + margin_m) & (v < solids[:, 5] / 2 + margin_m)
-    across = np.where(solids[:, 0] == 0, box, np.hypot(u, v) < solids[:, 4] / 2 + margin_m)
-    return across & (point_m[2] > solids[:, 6] - margin_m) & (point_m[2] < solids[:, 7] + margin_m)
+@njit(cache=True)
+def around(solids: np.ndarray, points_m: np.ndarray, margin_m: float) -> np.ndarray:
+    """(N,) bool: any of the points (M, 3) is in the solid (N, 8) grown by ``margin_m``."""
+    found = np.zeros(len(solids), np.bool_)
+    for k in range(len(solids)):
+        solid = solids[k]
+        c, s = np.cos(solid[3]), np.sin(solid[3])
+        for m in range(len(points_m)):
+            if not solid[6] - margin_m < points_m[m, 2] < solid[7] + margin_m:
+                continue
+            x, y = points_m[m, 0] - solid[1], points_m[m, 1] - solid[2]
+            u, v = abs(c * x + s * y), abs(c * y - s * x)
+            if solid[0] == 0:
+                inside = u < solid[4] / 2 + margin_m and v < solid[5] / 2 + margin_m
+            else:
+                inside = np.hypot(u, v) < solid[4] / 2 + margin_m
+            if inside:
+                found[k] = True
+                break
+    return found
 
 
 def climb(

@@ -17,12 +17,13 @@ from studiorecon.depth.furniture import furnish
 from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures, surface_gains
 from studiorecon.depth.sheet import sheet, write_sheet
+from studiorecon.depth.sight import looked_through, walked
 from studiorecon.depth.solids import Solid, in_front, write_solids
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import write_npz
-from studiorecon.scene.people import read_person
+from studiorecon.scene.people import read_detections, read_identities, read_person
 from studiorecon.scene.shell import FACES, Shell, write_shell
 
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
@@ -31,7 +32,6 @@ _VOTER_REACH_M = 0.15
 # A wall this far along on either side votes for offsets this much times sin(turn) apart when its yaw was off by the turn.
 _HALF_WALL_M = 4.0
 _OUTSIDE_MARGIN_M = 0.05
-_PLACE_M = 0.2
 # Span and step of the walls' turn: first what the sweep may be off by without lines, then to a tenth of a degree.
 _YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radians(0.1)))
 
@@ -145,18 +145,14 @@ def agreeing_depths(
     return latest
 
 
-def walked(people: list[Path]) -> np.ndarray:
-    """(M, 3) places, 20 cm apart at least along an axis, where a joint of somebody was measured at some time: nothing stands there."""
-    places = [joints[valid].reshape(-1, 3) for joints, valid in ((p.joints, p.valid) for p in map(read_person, people))]
-    places = np.concatenate([np.zeros((0, 3)), *places])
-    return np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _PLACE_M), axis=0) * _PLACE_M
-
-
 def run(
-    settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], people: list[Path], shell: Path, solids: Path, picture: Path,
-    passes: Path,
+    settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], people: list[Path], detections: list[Path],
+    identities: list[Path], shell: Path, solids: Path, picture: Path, passes: Path,
 ) -> None:  # fmt: skip
-    """Fit the room shell to all sweeps, put furniture into it, and let the cameras agree on depth."""
+    """Fit the room shell to all sweeps, put furniture into it, and let the cameras agree on depth.
+
+    ``people``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
+    """
     cameras = read_model(model.parent)
     swept = [dict(np.load(path, allow_pickle=False)) for path in sweeps]
     if len(swept) != len(cameras) or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
@@ -175,8 +171,11 @@ def run(
     furniture: list[Solid] = []
     if settings.solids and len(cameras) > 1:
         small = equalised(read_pictures(cameras, plates, settings.solids_width), gains)
+        bodies, whose = [read_person(path) for path in people], read_identities(identities[0]) if identities else {}
+        free_m = np.concatenate([walked(bodies), looked_through(cameras, bodies, [read_detections(path) for path in detections], whose)])
+        say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
         furniture = furnish(
-            small, fitted, walked(people), window=settings.refine_window, mean_weight=settings.mean_weight,
+            small, fitted, free_m, window=settings.refine_window, mean_weight=settings.mean_weight,
             least_gain=settings.solids_gain, most=settings.solids,
         )  # fmt: skip
         say(f"{len(furniture)} boxes and cylinders explain what walls and floor do not")
