@@ -15,17 +15,20 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.occluders import occluder
 from studiorecon.errors import Refusal
 from studiorecon.geometry.occlusion import hidden, nearness, sky_hidden
-from studiorecon.images.video import read_stack
+from studiorecon.images.exr import write_depth
+from studiorecon.images.plate import write_plate
+from studiorecon.images.video import read_stack, write_lossless
 from studiorecon.render import light as render_light
 from studiorecon.render import shot as render_shot
 from studiorecon.render.lamps import patches
 from studiorecon.render.shading import dimmed, facing_up, most_agreed, shading
+from studiorecon.scene.colmap import write_model
 from studiorecon.scene.gaussians import SH_C0, Gaussians, sh_from_rgb
 from studiorecon.scene.light import Lamps, Light, read_light, write_light
-from studiorecon.scene.people import Person
-from studiorecon.scene.shell import Shell
+from studiorecon.scene.people import Person, write_person
+from studiorecon.scene.shell import Shell, write_shell
 
-from tests.stages.made_scene import avatar, render_options, room, write_scene
+from tests.stages.made_scene import avatar, render_options, ring, room, write_scene
 
 SHELL = Shell(0.0, np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.8]), np.ones(6, bool), np.ones(6))
 LAMP_M, LAMP_HALF_M, LAMP_SHARE = np.array([-1.2, 0.9, 2.8]), 0.3, 0.5
@@ -218,6 +221,52 @@ def test_frames_in_which_nobody_was_measured_have_no_bodies(body: BodyModel) -> 
     assert [len(b[0]) for b in bodies] == [0 if t == 3 else len(bodies[0][0]) for t in range(MOMENTS)]
     with pytest.raises(Refusal, match="another body"):
         render_light.bodies_over_time([replace(fit, body="another body")], body)
+
+
+def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
+    tmp_path: Path, body: BodyModel, root: Path, default_settings: Callable
+) -> None:
+    one, cameras = walking(body), ring([20, 110], "cam", wh=(160, 100))
+    disc = np.array([[*LAMP_M, 2 * LAMP_HALF_M / np.sqrt(np.pi)]])
+    write_model(tmp_path / "cameras", cameras)
+    write_shell(tmp_path / "shell.json", SHELL)
+    for camera in cameras:
+        rays = camera.rays()[1]
+        depth = np.where(rays[..., 2] < -1e-3, camera.centre_m[2] / np.maximum(-rays[..., 2], 1e-3), 0.0)
+        points = camera.centre_m + rays * depth[..., None]
+        floor = (depth > 0) & (np.abs(points[..., :2]).max(axis=-1) < 3)
+        depth = np.where(floor, depth, 0.0)
+        plate = np.full((*camera.hw, 3), 150, np.uint8)
+        pictures = []
+        for capsule in capsules(one):
+            left = np.ones(camera.hw)
+            left[floor] -= LAMP_SHARE * hidden(points[floor], disc, [capsule])[:, 0]
+            pictures.append(np.rint(plate * left[..., None]).astype(np.uint8))
+        write_lossless(tmp_path / f"{camera.name}.mkv", pictures, 15.0)
+        write_lossless(tmp_path / f"{camera.name}.mask.mkv", np.zeros((MOMENTS, *camera.hw), np.uint8), 15.0)
+        write_plate(tmp_path / f"{camera.name}.png", plate, np.ones(camera.hw, bool))
+        write_depth(tmp_path / f"{camera.name}.exr", depth.astype(np.float32), floor.astype(np.float32))
+    joints = body.joints(one.poses, one.betas, one.trans)
+    poses = one.poses.copy()
+    poses[5] = np.nan  # a frame that nobody could fit
+    person = Person("p0", body.identity, 15.0, poses, one.trans, one.betas, joints, one.valid, np.zeros((MOMENTS, 24)), True)
+    write_person(tmp_path / "p0.npz", person)
+    names = [camera.name for camera in cameras]
+    files = {
+        "model": tmp_path / "cameras/images.txt", "people": [tmp_path / "p0.npz"], "body": root / "resources/body.npz",
+        "videos": [tmp_path / f"{n}.mkv" for n in names], "masks": [tmp_path / f"{n}.mask.mkv" for n in names],
+        "plates": [tmp_path / f"{n}.png" for n in names], "depths": [tmp_path / f"{n}.exr" for n in names],
+        "shell": tmp_path / "shell.json", "light": tmp_path / "room.light.json",
+    }  # fmt: skip
+    settings = settings_module.load(render_light.Settings, default_settings("render"), "render")
+    render_light.run(settings, **files)
+    found = read_light(files["light"])
+    assert found.kept
+    assert found_lamp_deg(found) < 8
+    with pytest.raises(Refusal, match="nobody is there"):
+        render_light.run(settings, **files | {"people": []})
+    with pytest.raises(Refusal, match="1 masks"):
+        render_light.run(settings, **files | {"masks": files["masks"][:1]})
 
 
 def lit(kept: bool = True) -> Light:
