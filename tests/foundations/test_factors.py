@@ -58,6 +58,12 @@ def test_factors_that_cannot_be_divided_by_are_refused(broken: list, tmp_path: P
         read_factors([tmp_path / "gains.json"])
 
 
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "decisions.json").write_text('{"decisions": []}')
+    with pytest.raises(Refusal, match=r"decisions\.json holds no factors of exposure; run snakemake once with --forcerun survey_decide"):
+        read_factors([tmp_path / "decisions.json"])
+
+
 def test_a_course_of_another_length_is_refused(tmp_path: Path) -> None:
     write_factors(tmp_path / "course.json", {"a": np.ones((5, 3))})
     with pytest.raises(Refusal, match="5 factors of camera a for 12 frames"):

@@ -54,11 +54,14 @@ def write_factors(path: Path, factors: Mapping[str, np.ndarray]) -> None:
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
     """The product of what the files say; ``frames`` refuses a film's factors of another length.
 
-    Raises Refusal: the factors are not positive, or not one per frame of the capture.
+    Raises Refusal: a file is of another kind, or the factors are not positive, or not one per frame of the capture.
     """
     product: dict[str, np.ndarray] = {}
     for path in paths:
-        for camera, listed in read_json(path)["factors"].items():
+        content = read_json(path)
+        if "factors" not in content:
+            raise Refusal(f"{path} holds no factors of exposure; run snakemake once with --forcerun survey_decide")
+        for camera, listed in content["factors"].items():
             own = np.asarray(listed, np.float64).reshape(-1, 3)
             if not len(own) or not (np.isfinite(own).all() and (own > 0).all()):
                 raise Refusal(f"{path} has factors of camera {camera} that are no positive numbers; run survey.decide again")
