@@ -236,6 +236,16 @@ def walkers(wildcards):
     return fits(wildcards) if config["depth"]["solids_walked"] else []
 
 
+def sightings(wildcards):
+    """What cameras saw of those people, which nothing can stand in front of."""
+    return detections(wildcards) if walkers(wildcards) else []
+
+
+def sighted(wildcards):
+    """Whose those sightings are."""
+    return [f"results/{wildcards.scene}/people/identities.tsv"] if sightings(wildcards) else []
+
+
 def tracks_of(wildcards):
     """Which tracks are this person's: a file of their own, so that a change of somebody else's is none of theirs."""
     return f"{checkpoints.people_associate.get(scene=wildcards.scene).output.who}/{wildcards.person}.tsv"
