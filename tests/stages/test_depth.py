@@ -16,6 +16,7 @@ from studiorecon.depth.matching import plane_depth
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.planes import wall_yaw
 from studiorecon.depth.room import strong_offsets
+from studiorecon.depth.sight import kept_from
 from studiorecon.depth.solids import read_solids
 from studiorecon.depth.turning import matched_yaw
 from studiorecon.errors import Refusal
@@ -245,7 +246,7 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
     # The others still measure what they share.
     assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
     solids = [solid.numbers for solid in read_solids(tmp_path / "solids.json")]
-    assert not solids or not around(np.stack(solids), inside[None], 0.0).any()
+    assert not solids or not around(np.stack(solids), kept_from(inside[None], 0.0)).any()
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:

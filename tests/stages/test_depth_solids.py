@@ -12,7 +12,7 @@ from studiorecon.depth.evidence import Explained, colour_odds
 from studiorecon.depth.furniture import allowed, around, furnish
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.sheet import sheet
-from studiorecon.depth.sight import looked_through, walked
+from studiorecon.depth.sight import kept_from, looked_through, walked
 from studiorecon.depth.solids import Solid, in_front, read_solids, write_solids
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
@@ -21,7 +21,7 @@ from tests.stages.made_room import Room, made_room, photograph, ring
 
 BOX = Solid("box", (0.3, -0.2), 0.5, (0.8, 0.4), 0.1, 0.9, 0.0)
 POST = Solid("cylinder", (-0.4, 0.3), 0.0, (0.5, 0.5), 0.0, 1.2, 0.0)
-NOBODY = np.zeros((0, 3))
+NOBODY = np.zeros((0, 4))
 
 
 def cupboard(room: Room) -> Solid:
@@ -123,16 +123,16 @@ def test_nothing_is_put_where_somebody_walked_or_a_camera_is(furnished: tuple[Ro
     numbers = np.stack([solid.numbers for solid in found])
     place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
     assert allowed(numbers, room.shell, NOBODY)[0]
-    assert not allowed(numbers, room.shell, place[None])[0]
-    assert not around(numbers, np.stack([p.camera.centre_m for p in pictures]), 0.0).any()
+    assert not allowed(numbers, room.shell, kept_from(place[None], 0.0))[0]
+    assert not around(numbers, kept_from(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
     person = Person("p0", "mpfb", 30.0, np.zeros((3, 72)), np.zeros((3, 3)), np.zeros(10), joints, np.array([True, False, True]),
                     np.zeros((3, 24)), True)  # fmt: skip
     places = walked([person])
     assert len(places) == 1
-    assert np.abs(places[0] - place).max() <= 0.1 + 1e-9
-    assert walked([]).shape == (0, 3)
+    assert np.abs(places[0, :3] - place).max() <= 0.1 + 1e-9
+    assert walked([]).shape == (0, 4)
 
 
 def seen_person(camera: Camera, joints_m: np.ndarray, frames: int = 4) -> tuple[Person, Detections]:
@@ -154,10 +154,10 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     person, seen = seen_person(camera, joints)
     free = looked_through([camera], [person], [seen], {(camera.name, 0): "p0"})
     halfway = 0.5 * (camera.centre_m + joints[10])
-    assert np.linalg.norm(free - halfway, axis=1).min() < 0.2
-    assert np.linalg.norm(free - joints[10], axis=1).min() > 0.1, "a line ends before the joint, which may touch something"
+    assert np.linalg.norm(free[:, :3] - halfway, axis=1).min() < 0.2
+    assert np.linalg.norm(free[:, :3] - joints[10], axis=1).min() > 0.1, "a line ends before the joint, which may touch something"
     unsure = 0.4 * camera.centre_m + 0.6 * joints[-1]
-    assert np.linalg.norm(free - unsure, axis=1).min() > 0.25
+    assert np.linalg.norm(free[:, :3] - unsure, axis=1).min() > 0.25
     box = np.array([[0, *halfway[:2], 0.0, 0.3, 0.3, halfway[2] - 0.3, halfway[2] + 0.3]])
     assert allowed(box, room.shell, NOBODY)[0]
     assert not allowed(box, room.shell, free)[0]
@@ -178,7 +178,7 @@ def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None
         person = replace(person, valid=np.zeros(4, bool))
     if case == "elsewhere in the picture":
         seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
-    assert looked_through([camera], [person], [seen], whose).shape == (0, 3)
+    assert looked_through([camera], [person], [seen], whose).shape == (0, 4)
 
 
 def test_colours_unlike_a_wall_are_told_from_its_own() -> None:

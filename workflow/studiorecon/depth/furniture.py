@@ -12,6 +12,7 @@ from numba import njit
 from studiorecon.depth.evidence import Explained
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.proposals import fronts, standing, tops
+from studiorecon.depth.sight import kept_from
 from studiorecon.depth.solids import Solid
 from studiorecon.scene.shell import Shell
 
@@ -55,23 +56,24 @@ def moves(solid: np.ndarray, step_m: float, turns: bool) -> np.ndarray:
 
 
 def allowed(solids: np.ndarray, shell: Shell, taken: np.ndarray) -> np.ndarray:
-    """(N,) bool: of some size, inside the room, and around none of the points ``taken`` (M, 3)"""
+    """(N,) bool: of some size, inside the room, and away from ``taken`` (M, 4: points and the distance to keep from each, metres)."""
     large = (solids[:, 4:6] >= _LEAST_SIDE_M).all(axis=1) & (solids[:, 7] - solids[:, 6] >= _LEAST_HEIGHT_M)
     centres = np.stack([solids[:, 1], solids[:, 2], (solids[:, 6] + solids[:, 7]) / 2], axis=-1)
     fits = shell.contains(centres) & (solids[:, 6] >= shell.low_m[2] - 0.021) & (solids[:, 7] <= shell.high_m[2] + 0.021)
     fits &= large
-    fits[fits] = ~around(solids[fits], np.ascontiguousarray(taken, np.float64), _CLEARANCE_M)
+    fits[fits] = ~around(solids[fits], np.ascontiguousarray(taken, np.float64))
     return fits
 
 
 @njit(cache=True)
-def around(solids: np.ndarray, points_m: np.ndarray, margin_m: float) -> np.ndarray:
-    """(N,) bool: any of the points (M, 3) is in the solid (N, 8) grown by ``margin_m``."""
+def around(solids: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+    """(N,) bool: any of the points is in the solid (N, 8) grown by that point's distance; ``points_m`` (M, 4): x, y, z, distance."""
     found = np.zeros(len(solids), np.bool_)
     for k in range(len(solids)):
         solid = solids[k]
         c, s = np.cos(solid[3]), np.sin(solid[3])
         for m in range(len(points_m)):
+            margin_m = points_m[m, 3]
             if not solid[6] - margin_m < points_m[m, 2] < solid[7] + margin_m:
                 continue
             x, y = points_m[m, 0] - solid[1], points_m[m, 1] - solid[2]
@@ -112,11 +114,11 @@ def furnish(
     """The solids that explain the pictures better than the bare shell, in the order they were found.
 
     Greedy: of all proposals the best is moved to where it explains most, added when the photos' disagreement falls by ``least_gain``
-    pixels, and the rest are priced anew. Nothing is put where a camera or one of
-    ``free_m`` (M, 3) is: somebody walked there. Costs some 25 s for four pictures 160 pixels wide.
+    pixels, and the rest are priced anew. Nothing is put where a camera or one of ``free_m`` (M, 4: points and distances to keep) is:
+    somebody walked there, or was seen through it. Costs some 25 s for four pictures 160 pixels wide.
     """
     room = Explained.by_shell(pictures, shell, window, mean_weight)
-    taken = np.concatenate([room.centre, free_m])
+    taken = np.concatenate([kept_from(room.centre, _CLEARANCE_M), free_m])
     proposals = np.array([solid for source in (tops, fronts, standing) for _, solid in source(room, shell)]).reshape(-1, 8)
     proposals = proposals[allowed(proposals, shell, taken)]
     gains = room.gains(proposals)

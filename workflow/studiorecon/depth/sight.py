@@ -14,7 +14,9 @@ import numpy as np
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
 
-_CELL_M = 0.2
+_CELL_M, _CLEARANCE_M = 0.2, 0.05
+# A line of sight is a point every so often; of the points in one cell one stays, where it was: rounded, lines would cut corners of tables.
+_LINE_CELL_M, _LINE_STEP_M = 0.1, 0.05
 # Keypoints this sure count; a line ends this far before the joint that it leads to, which may lie on a seat or behind a sleeve.
 _CONFIDENCE, _BEFORE_M = 0.5, 0.3
 # A keypoint belongs to the joint that is projected nearest, within this share of the picture's longer side.
@@ -24,20 +26,25 @@ _LEAST_LINES = 3
 
 
 def walked(people: Sequence[Person]) -> np.ndarray:
-    """(M, 3) places, 20 cm apart at least along an axis, where a joint of somebody was measured at some time: nothing stands there."""
+    """(M, 4) places, 20 cm apart along an axis, where a joint of somebody was measured at some time, and 5 cm to keep from it."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
-    return np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M
+    return kept_from(np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M)
+
+
+def kept_from(places_m: np.ndarray, distance_m: float) -> np.ndarray:
+    """(M, 4): places (M, 3) and the distance that solids keep from each."""
+    return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
 def looked_through(
     cameras: Sequence[Camera], people: Sequence[Person], found: Sequence[Detections], whose: Mapping[tuple[str, int], str]
 ) -> np.ndarray:
-    """(M, 3) places, 20 cm apart along an axis, that at least three sure keypoints were seen through.
+    """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may graze a solid.
 
     ``found`` are detections of any of the cameras in their working pixels, ``whose`` names the person of (camera, track).
     """
     bodies, views = {person.name: person for person in people}, {camera.name: camera for camera in cameras}
-    cells: list[np.ndarray] = [np.zeros((0, 3))]
+    lines: list[np.ndarray] = [np.zeros((0, 3))]
     for detections in found:
         camera = views.get(detections.camera)
         if camera is None:
@@ -46,10 +53,10 @@ def looked_through(
             body = bodies.get(whose.get((detections.camera, int(track)), ""))
             if body is None or not body.valid[int(frame)]:
                 continue
-            targets = _sighted(camera, keypoints, body.joints[int(frame)])
-            cells += [_along(camera.centre_m, target) for target in targets]
-    places, lines = np.unique(np.concatenate(cells), axis=0, return_counts=True)
-    return places[lines >= _LEAST_LINES] * _CELL_M
+            lines += [_along(camera.centre_m, target) for target in _sighted(camera, keypoints, body.joints[int(frame)])]
+    points = np.concatenate(lines)
+    _, first, count = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_counts=True)
+    return kept_from(points[first[count >= _LEAST_LINES]], 0.0)
 
 
 def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
@@ -65,9 +72,10 @@ def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.
 
 
 def _along(centre_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """(L, 3) grid cells from a camera to a little before a joint, each once."""
+    """(L, 3) points from a camera to a little before a joint, one per cell of the line."""
     length = float(np.linalg.norm(target_m - centre_m)) - _BEFORE_M
     if length <= 0:
         return np.zeros((0, 3))
-    steps = np.arange(0.0, length, _CELL_M / 2)[:, None] / (length + _BEFORE_M)
-    return np.unique(np.round((centre_m + steps * (target_m - centre_m)) / _CELL_M), axis=0)
+    points = centre_m + np.arange(0.0, length, _LINE_STEP_M)[:, None] / (length + _BEFORE_M) * (target_m - centre_m)
+    _, first = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True)
+    return points[np.sort(first)]
