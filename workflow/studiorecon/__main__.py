@@ -59,9 +59,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _keep_to_the_threads_given() -> None:
     # The workflow engine announces a job's share of the cores as OMP_NUM_THREADS; numba only reads its own variable, and jobs
-    # that each take every core slow one another down many times over. Must be set before numba is first imported.
+    # that each take every core slow one another down many times over. Must be set before numba is first imported: it refuses later.
     given = os.environ.get("OMP_NUM_THREADS", "")
-    if given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
+    if "numba" not in sys.modules and given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
         os.environ.setdefault("NUMBA_NUM_THREADS", given)
 
 
