@@ -26,9 +26,9 @@ import yaml
 from studiorecon.images.metrics import psnr
 from studiorecon.images.video import read_stack
 from studiorecon.render.canvas import Canvas
-from studiorecon.render.light import floor_points
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.floor import floor_points
 from studiorecon.scene.light import read_light
 from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.studio.room import LAMP_SHARES, LAMPS_M

@@ -12,7 +12,7 @@ from studiorecon.depth.evidence import Explained, colour_odds
 from studiorecon.depth.furniture import allowed, around, furnish
 from studiorecon.depth.pictures import Picture
 from studiorecon.depth.sheet import sheet
-from studiorecon.depth.sight import kept_from, looked_through, walked
+from studiorecon.depth.sight import kept_from, seen_through, walked
 from studiorecon.depth.solids import Solid, in_front, read_solids, write_solids
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
@@ -152,7 +152,7 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     # The last joint stands apart, and its keypoint is not sure.
     joints[-1] += 0.8 * camera.rotation_camera_from_world[0]
     person, seen = seen_person(camera, joints)
-    free = looked_through([camera], [person], [seen], {(camera.name, 0): "p0"})
+    free = seen_through([camera], [person], [seen], {(camera.name, 0): "p0"})
     halfway = 0.5 * (camera.centre_m + joints[10])
     assert np.linalg.norm(free[:, :3] - halfway, axis=1).min() < 0.2
     assert np.linalg.norm(free[:, :3] - joints[10], axis=1).min() > 0.1, "a line ends before the joint, which may touch something"
@@ -178,7 +178,7 @@ def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None
         person = replace(person, valid=np.zeros(4, bool))
     if case == "elsewhere in the picture":
         seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
-    assert looked_through([camera], [person], [seen], whose).shape == (0, 4)
+    assert seen_through([camera], [person], [seen], whose).shape == (0, 4)
 
 
 def test_colours_unlike_a_wall_are_told_from_its_own() -> None:

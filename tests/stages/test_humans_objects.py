@@ -23,6 +23,8 @@ from studiorecon.scene.objects import RigidObject, read_objects, write_objects
 from studiorecon.scene.provenance import MEASURED
 from studiorecon.splatting.rasterise import Rasteriser
 
+from tests.effects.world import looking
+
 WH, FRAMES, FPS = (240, 136), 24, 15.0
 RADIUS_M = 0.12
 
@@ -36,20 +38,13 @@ class Ball:
     colours: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.8, 0.15, 0.1), (0.9, 0.85, 0.2))
 
 
-def looking(name: str, azimuth_deg: float) -> Camera:
+def around(name: str, azimuth_deg: float) -> Camera:
     a = np.radians(azimuth_deg)
-    centre, target = np.array([2.8 * np.cos(a), 2.8 * np.sin(a), 1.6]), np.array([0, 0, 0.9])
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    pose[:3, 3] = -pose[:3, :3] @ centre
-    return Camera(name, WH, np.array([[180.0, 0, WH[0] / 2], [0, 180.0, WH[1] / 2], [0, 0, 1]]), pose)
+    return looking(name, np.array([2.8 * np.cos(a), 2.8 * np.sin(a), 1.6]), np.array([0, 0, 0.9]), WH, 180.0)
 
 
-CAMERAS = [looking(f"c{i}", azimuth) for i, azimuth in enumerate((5, 95, 185, 275))]
-UNSEEN = looking("between", 50)
+CAMERAS = [around(f"c{i}", azimuth) for i, azimuth in enumerate((5, 95, 185, 275))]
+UNSEEN = around("between", 50)
 
 
 def bouncing(frames: int = FRAMES, y_m: float = 0.1) -> np.ndarray:

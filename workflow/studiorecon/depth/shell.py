@@ -17,7 +17,7 @@ from studiorecon.depth.furniture import furnish
 from studiorecon.depth.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures, surface_gains
 from studiorecon.depth.sheet import sheet, write_sheet
-from studiorecon.depth.sight import looked_through, walked
+from studiorecon.depth.sight import seen_through, walked
 from studiorecon.depth.solids import Solid, in_front, write_solids
 from studiorecon.errors import Refusal
 from studiorecon.progress import progress, say
@@ -172,7 +172,7 @@ def run(
     if settings.solids and len(cameras) > 1:
         small = equalised(read_pictures(cameras, plates, settings.solids_width), gains)
         bodies, whose = [read_person(path) for path in people], read_identities(identities[0]) if identities else {}
-        free_m = np.concatenate([walked(bodies), looked_through(cameras, bodies, [read_detections(path) for path in detections], whose)])
+        free_m = np.concatenate([walked(bodies), seen_through(cameras, bodies, [read_detections(path) for path in detections], whose)])
         say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
         furniture = furnish(
             small, fitted, free_m, window=settings.refine_window, mean_weight=settings.mean_weight,

@@ -36,7 +36,7 @@ def kept_from(places_m: np.ndarray, distance_m: float) -> np.ndarray:
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
-def looked_through(
+def seen_through(
     cameras: Sequence[Camera], people: Sequence[Person], found: Sequence[Detections], whose: Mapping[tuple[str, int], str]
 ) -> np.ndarray:
     """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may graze a solid.

@@ -9,16 +9,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from studiorecon.body.model import BodyModel
-from studiorecon.images.silhouette import mesh_depth
+from studiorecon.images.difference import plate_difference
 from studiorecon.images.video import to_float
-from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Person
 
 # What a pixel shows: the room as on the plate, something loose, or no telling (a person, or an unknown plate).
 ROOM, LOOSE, UNKNOWN = 0, 1, 2
-# A body that was only filled in may stand this many times as far off.
-_FILLED_MARGIN = 3.0
 # Width of the neighbourhood that knows how much a thing differs just inside its outline: two pixels each way.
 _EDGE_PX = 5
 _EDGE_SHARE = 0.3
@@ -68,12 +63,10 @@ class Region:
 def difference(rgb: np.ndarray, plate: np.ndarray, settings: LooseSettings) -> np.ndarray:
     """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
 
-    A shadow darkens all channels by one factor; the best such factor is taken out first.
+    A shadow, one factor of all channels, is taken out first.
     """
     picture, empty = cv2.GaussianBlur(to_float(rgb), (3, 3), 0), cv2.GaussianBlur(plate, (3, 3), 0)
-    factor = np.clip((picture * empty).sum(2) / np.maximum((empty * empty).sum(2), 1e-4), settings.shadow, 1.0)
-    lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(empty * factor[..., None], cv2.COLOR_RGB2Lab)
-    return np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
+    return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
 
 
 def unrest(differences: Sequence[np.ndarray], explained: Sequence[np.ndarray]) -> np.ndarray:
@@ -128,20 +121,6 @@ def regions(rgb: np.ndarray, state: np.ndarray, view: int, least_share: float) -
             rgb[box].copy(), around,
         ))  # fmt: skip
     return found
-
-
-def explained_by(people: Sequence[Person], body: BodyModel | None, camera: Camera, frame: int, margin_m: float) -> np.ndarray:
-    """(H, W) bool: the bodies at one frame, grown by ``margin_m`` at their distance; by more where the body was only filled in."""
-    covered = np.zeros(camera.hw, np.uint8)
-    for person in people if body is not None else ():
-        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
-        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
-        if (depth_m > 0).any():
-            margin = margin_m * (1.0 if person.valid[frame] else _FILLED_MARGIN)
-            radius = max(1, round(margin * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))
-            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-            covered |= cv2.dilate((depth_m > 0).astype(np.uint8), disc)
-    return covered > 0
 
 
 def outline_of(state: np.ndarray) -> np.ndarray:

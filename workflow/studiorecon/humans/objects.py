@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 
 from studiorecon.body.model import BodyModel
+from studiorecon.body.outlines import grown_outlines
 from studiorecon.errors import Refusal
 from studiorecon.humans.following import FollowSettings, Track, followed, linked
-from studiorecon.humans.loose import LooseSettings, Region, difference, explained_by, regions, states, unrest
+from studiorecon.humans.loose import LooseSettings, Region, difference, regions, states, unrest
 from studiorecon.humans.rigid import Look, ShapeSettings, looks_at, made
 from studiorecon.humans.sightings import Sighting, sightings
 from studiorecon.images.stills import read_plate, shrink
@@ -31,6 +32,8 @@ from studiorecon.scene.people import Person, read_person
 
 # Pictures from which is learnt what usually differs.
 _REST_FRAMES = 16
+# A body that was only filled in may stand this many times as far off.
+_FILLED_MARGIN = 3.0
 Moments = Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]]
 
 
@@ -153,7 +156,7 @@ def moments_of(
                 p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
                 for p, v in zip(pictures, views)
             ],
-            [explained_by(people, body, view.camera, frame, margin_m) for view in views],
+            [grown_outlines(people, body, view.camera, frame, margin_m, _FILLED_MARGIN) for view in views],
         )
 
 

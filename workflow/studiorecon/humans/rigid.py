@@ -16,6 +16,7 @@ import numpy as np
 from studiorecon.humans.following import Track
 from studiorecon.humans.loose import LOOSE, ROOM, UNKNOWN, Region, outline_of
 from studiorecon.images.video import to_float
+from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.discs import discs
 from studiorecon.scene.gaussians import Gaussians
@@ -104,7 +105,7 @@ def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[Look]) -
         facing = (normals * away).sum(1) / np.linalg.norm(away, axis=1)
         pixels, _ = look.camera.project(points_m)
         core = cv2.erode((look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8))
-        shows = (facing > _FACING) & (_sampled(core, pixels, 0) > 0)
+        shows = (facing > _FACING) & (_sampled(core, pixels[None], 0)[0] > 0)
         column, row = np.floor(pixels[shows]).astype(int).T
         sums[shows] += facing[shows, None] * to_float(look.rgb)[row, column]
         weights[shows] += facing[shows]
@@ -160,11 +161,9 @@ def _from_the_thing(camera: Camera, centre_m: np.ndarray, corner: tuple[int, int
 
 
 def _sampled(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
-    """Values of a picture (H, W) at pixels (..., 2), ``beyond`` outside of it and behind the camera."""
-    at = np.floor(np.nan_to_num(pixels, nan=-1.0)).astype(np.int64)
-    inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(-1)
-    at = np.where(inside[..., None], at, 0)
-    return np.where(inside, picture[at[..., 1], at[..., 0]], beyond)
+    """Values of a picture (H, W) at pixels (N, K, 2), ``beyond`` outside of it and behind the camera."""
+    values, inside = sample(picture, pixels, "nearest")
+    return np.where(inside, values, beyond)
 
 
 def _target(look: Look, index: int) -> Target:

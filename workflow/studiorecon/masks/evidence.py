@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from studiorecon.images.difference import plate_difference
+
 # Log-odds of one pixel's difference never go beyond this: a single pixel is never certain.
 _MOST = 4.0
 # Width of the neighbourhood that knows how much a person differs just inside the outline: two pixels each way.
@@ -56,14 +58,8 @@ def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: Differen
     A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out first and
     counts only by ``shadow_weight``: what is left is what a shadow cannot explain.
     """
-    dot = (rgb * plate_rgb).sum(axis=2)
-    factor = np.clip(dot / np.maximum((plate_rgb * plate_rgb).sum(axis=2), 1e-4), settings.shadow, 1.0)
-    lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab)
-    shadowed = cv2.cvtColor(plate_rgb * factor[..., None], cv2.COLOR_RGB2Lab)
-    lightness = np.square(lab[..., 0] - shadowed[..., 0])
-    chroma = np.square(lab[..., 1:] - shadowed[..., 1:]).sum(axis=2)
-    darkening = settings.shadow_weight * 100 * (1 - factor)
-    return np.sqrt(lightness + settings.chroma_weight**2 * chroma + np.square(darkening))
+    squared, left = plate_difference(rgb, plate_rgb, chroma_weight=settings.chroma_weight, shadow=settings.shadow)
+    return np.sqrt(squared + np.square(settings.shadow_weight * 100 * (1 - left)))
 
 
 def difference_evidence(difference: np.ndarray, plate: Plate, settings: DifferenceSettings) -> np.ndarray:

@@ -30,7 +30,7 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.objects import read_objects
+from studiorecon.scene.objects import RigidObject, read_objects
 from studiorecon.scene.people import Person, read_person
 
 # Pictures from which the plate's unrest is learnt.
@@ -138,8 +138,9 @@ def segment(
     body: BodyModel,
     camera: Camera,
     settings: Settings,
+    things: Sequence[RigidObject] = (),
 ) -> Iterator[np.ndarray]:
-    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8."""
+    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
     chosen = np.unique(np.linspace(0, len(frames) - 1, _UNREST_FRAMES).round().astype(int))
     free = []
@@ -151,7 +152,8 @@ def segment(
     for t, frame in enumerate(progress(frames, "masks")):
         difference = colour_difference(to_float(frame), plate_rgb, settings.difference)
         depths_m = body_depths(people, body, camera, t)
-        yield segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings)
+        labels = segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings)
+        yield without_things(labels, things, depths_m, camera, t)
 
 
 def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> np.ndarray:
@@ -210,11 +212,8 @@ def run(
     else:
         plate_rgb, measured = read_plate(plate)
         steady = read_factors(light or [], len(frames)).even_all(camera, frames)
-        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings)))
         things = [thing for path in objects or () for thing in read_objects(path)]
-        if things:
-            depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))
-            labels = np.stack([without_things(own_labels, things, d, own, t) for t, (own_labels, d) in enumerate(zip(labels, depths))])
+        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings, things)))
         say(describe(camera, labels, [f.name for f in fits], float(measured.mean())))
     write_lossless(masks, iter(labels), fits[0].fps if fits else 30.0)
 

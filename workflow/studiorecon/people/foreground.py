@@ -14,13 +14,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.body.model import BodyModel
+from studiorecon.images.difference import plate_difference
 from studiorecon.images.regions import without_holes
-from studiorecon.images.silhouette import mesh_depth
 from studiorecon.images.stills import read_plate, shrink
 from studiorecon.images.video import read_frames, to_float
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.people import Person
 
 BACKGROUND, FOREGROUND, UNKNOWN = 0, 1, 2
 # Gaps in an outline that are closed, as a share of the longer side; enclosed gaps that are filled, as a share of the picture.
@@ -79,26 +77,11 @@ def pictures(views: Sequence[View], step: int) -> Iterator[tuple[int, list[np.nd
 def labels(rgb: np.ndarray, view: View, known: np.ndarray, settings: ForegroundSettings) -> np.ndarray:
     """(H, W) uint8 labels of a picture (H, W, 3) in [0, 1]; ``known`` (H, W) bool: where people with keypoints stand."""
     picture, plate = cv2.GaussianBlur(rgb, (3, 3), 0), cv2.GaussianBlur(view.rgb, (3, 3), 0)
-    # A shadow darkens all channels by one factor: the best one is taken out first.
-    factor = np.clip((picture * plate).sum(2) / np.maximum((plate * plate).sum(2), 1e-4), settings.shadow, 1.0)
-    lab = cv2.cvtColor(picture, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate * factor[..., None], cv2.COLOR_RGB2Lab)
-    difference = np.sqrt(np.square(lab[..., 0]) + settings.chroma_weight**2 * np.square(lab[..., 1:]).sum(2))
+    squared, _ = plate_difference(picture, plate, chroma_weight=settings.chroma_weight, shadow=settings.shadow)
+    difference = np.sqrt(squared)
     foreground = cv2.medianBlur((difference > settings.difference).astype(np.uint8), 3)
     # Clothes of the wall's colour leave gaps inside an outline that otherwise stands out: closed, and filled where enclosed.
     size = 2 * round(_GAP_SHARE * max(foreground.shape)) + 1
     foreground = cv2.morphologyEx(foreground, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     filled = without_holes((foreground > 0) | known, _HOLE_SHARE * foreground.size)
     return np.where(known | ~view.measured, np.uint8(UNKNOWN), filled.astype(np.uint8))
-
-
-def outline_of(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int, margin_m: float) -> np.ndarray:
-    """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance."""
-    covered = np.zeros(camera.hw, np.uint8)
-    for person in people:
-        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
-        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
-        if (depth_m > 0).any():
-            radius = max(1, round(margin_m * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))
-            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-            covered |= cv2.dilate((depth_m > 0).astype(np.uint8), disc)
-    return covered > 0

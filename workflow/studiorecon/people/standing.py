@@ -15,11 +15,12 @@ import numpy as np
 
 from studiorecon.body.basis import State
 from studiorecon.body.model import BodyModel
+from studiorecon.body.outlines import grown_outlines
 from studiorecon.people import hull, upright
 from studiorecon.people.contour import ContourSettings, Silhouette
 from studiorecon.people.facing import Facing
 from studiorecon.people.following import follow
-from studiorecon.people.foreground import ForegroundSettings, View, labels, outline_of, pictures
+from studiorecon.people.foreground import ForegroundSettings, View, labels, pictures
 from studiorecon.people.hull import HullLimits, Track
 from studiorecon.people.label_film import FilmTargets, LabelFilm
 from studiorecon.people.own_silhouettes import silhouettes
@@ -148,7 +149,7 @@ def _silhouettes(
 def _labels(
     rgbs: Sequence[np.ndarray], frame: int, views: Sequence[View], known: Sequence[Person], body: BodyModel, settings: ForegroundSettings
 ) -> list[np.ndarray]:
-    return [labels(rgb, v, outline_of(known, body, v.camera, frame, settings.margin_m), settings) for rgb, v in zip(rgbs, views)]
+    return [labels(rgb, v, grown_outlines(known, body, v.camera, frame, settings.margin_m), settings) for rgb, v in zip(rgbs, views)]
 
 
 def _place(track: Track, frame: int) -> np.ndarray:

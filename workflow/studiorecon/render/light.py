@@ -21,13 +21,12 @@ from studiorecon.images.seeking import read_frame_at
 from studiorecon.images.stills import read_plate
 from studiorecon.progress import progress, say
 from studiorecon.render.lamps import losses, own_levels, patches, strengths
-from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
+from studiorecon.scene.floor import beside, floor_points
 from studiorecon.scene.light import Lamps, Light, write_light
 from studiorecon.scene.people import Person, read_person
 from studiorecon.scene.shell import Shell, read_shell
 
-_FLOOR_M = 0.06
 # Levels of 255 between which a ratio means something; a change of colour beyond this is no shadow (log).
 _DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
 # Nobody's shadow reaches so far that fewer pixels than these say how bright a picture is.
@@ -87,13 +86,6 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np
     ]
 
 
-def floor_points(camera: Camera, depth_m: np.ndarray, floor_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """World points (H, W, 3) of the floor's pixels, and which those are (H, W): depth and the floor's height must agree."""
-    known = np.isfinite(depth_m) & (depth_m > 0)
-    points = camera.unproject(camera.pixel_centres().reshape(-1, 2), np.where(known, depth_m, 1.0).reshape(-1)).reshape(*camera.hw, 3)
-    return points, known & (np.abs(points[..., 2] - floor_m) < _FLOOR_M)
-
-
 def ratios(
     picture: np.ndarray, plate: np.ndarray, free: np.ndarray, points_m: np.ndarray, near_m: np.ndarray, unsure_m: np.ndarray, reach_m: float
 ) -> np.ndarray:
@@ -110,14 +102,6 @@ def ratios(
     far = usable & ~beside(points_m, np.concatenate([near_m, unsure_m]), reach_m)
     exposure = float(np.median(level[far])) if far.sum() >= _LEAST_PX else 0.0
     return np.where(usable & ~beside(points_m, unsure_m, reach_m), np.exp(level - exposure), np.nan)
-
-
-def beside(points_m: np.ndarray, places_m: np.ndarray, reach_m: float) -> np.ndarray:
-    """(...,) bool: points (..., 3) within ``reach_m`` of any of the places (A, 2), by their horizontal distance."""
-    found = np.zeros(points_m.shape[:-1], bool)
-    for x, y in places_m:
-        found |= np.hypot(points_m[..., 0] - x, points_m[..., 1] - y) < reach_m
-    return found
 
 
 def estimate(

@@ -11,11 +11,12 @@ import numpy as np
 from studiorecon.body.avatar import Avatar
 from studiorecon.body.occluders import Occluder, occluder
 from studiorecon.geometry import rotations
+from studiorecon.scene.floor import FLOOR_M
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.scene.light import Light
 
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
-_FLOOR_M, _FURNITURE_M = 0.06, 1.0
+_FURNITURE_M = 1.0
 _LEAST_FACING = 0.05
 # Moments at which the plates' own shade is looked at, and how far colours of one surface differ there, as a share.
 _MOMENTS, _SAME = 24, 0.06
@@ -87,7 +88,7 @@ def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:
     turned = rotations.from_quaternion(room.quaternions.astype(np.float64))
     up = np.take_along_axis(turned[:, 2], shortest[:, None], axis=1)[:, 0] ** 2
     height = room.means_m[:, 2] - floor_m
-    return np.where(height < _FLOOR_M, 1.0, np.where(height < _FURNITURE_M, up, 0.0)).astype(np.float32)
+    return np.where(height < FLOOR_M, 1.0, np.where(height < _FURNITURE_M, up, 0.0)).astype(np.float32)
 
 
 def dimmed(room: Gaussians, at: np.ndarray, factor: np.ndarray) -> Gaussians:

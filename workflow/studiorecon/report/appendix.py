@@ -46,7 +46,7 @@ def warnings(found: Sequence[tuple[str, str]]) -> str:
 
 def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
     """What the numbers were computed with."""
-    told = {**{f"{k}": v for k, v in provenance["libraries"].items()}, **{k: v for k, v in machine.items() if k != "python"}}
+    told = machine | provenance["libraries"]
     told |= {"commit of the code": provenance["revision"] or "not from a repository", "masks of people": provenance["masks"]}
     return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
 

@@ -11,11 +11,12 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision, decide
+from studiorecon.scene.floor import beside, floor_points
 from studiorecon.scene.intervals import NOTHING, Estimate, share
 
 # A shadow darkens by this share, changes no channel's part by more than that, and lasts for so many frames on end.
 _DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
-_RING_M, _FLOOR_M = 1.0, 0.06
+_RING_M = 1.0
 _SIGMAS = 5.0
 # Regions below this share of the picture are not followed.
 _LEAST_REGION = 0.00025
@@ -48,15 +49,11 @@ def floor_ring(camera: Camera, depth_m: np.ndarray, floor_m: float, feet_m: np.n
 
     ``camera`` has the size of ``depth_m``.
     """
-    require("depth_m", depth_m, camera.hw)
-    known = np.isfinite(depth_m) & (depth_m > 0)
-    pixels = camera.pixel_centres().reshape(-1, 2)
-    points = camera.unproject(pixels, np.where(known, depth_m, 1.0).reshape(-1)).reshape(*camera.hw, 3)
-    floor = known & (np.abs(points[..., 2] - floor_m) < _FLOOR_M)
+    points, floor = floor_points(camera, depth_m, floor_m)
     ring = np.zeros((feet_m.shape[1], *camera.hw), bool)
     for feet in feet_m:
         for t in np.flatnonzero(np.isfinite(feet).all(-1)):
-            ring[t] |= floor & (np.hypot(points[..., 0] - feet[t, 0], points[..., 1] - feet[t, 1]) < _RING_M)
+            ring[t] |= floor & beside(points, feet[t : t + 1, :2], _RING_M)
     return ring
 
 
