@@ -7,7 +7,7 @@ the share in which another effect's verdict turns though nothing of it was plant
 nothing. Asked: at least 0.95 on the diagonal and at most 0.05 beside it, but for the pairs in ``BY_NATURE``.
 
 Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/stages alone. Prints
-the matrix and writes tests/bench/results/effects.json. 50 seconds of processor time a seed.
+the matrix and writes tests/bench/results/effects.json and, from it, tests/effects/README.md. 50 seconds of processor time a seed.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import platform
 import time
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -30,6 +31,7 @@ from tests.effects.world import PLANTED, scene
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).resolve().parent / "results" / "effects.json"
+PAGE = ROOT / "tests" / "effects" / "README.md"
 LEAST, MOST = 0.95, 0.05
 # What one planting changes by its nature, and why.
 BY_NATURE = {
@@ -49,6 +51,32 @@ def verdicts(seed: int, settings: Settings, **planted: object) -> tuple[dict[str
 def turned(before: str, after: str) -> bool:
     """A verdict that says the opposite; what cannot be told says nothing."""
     return after != "undetermined" and after != before and not (before == "undetermined" and after == "off")
+
+
+def page(result: dict[str, Any]) -> str:
+    """The result as a page of the docs: effects in rows, decisions in columns, only what is not 0."""
+    matrix, judged = result["matrix"], list(result["usual"])
+    letters = {e: f"{k + 1}" for k, e in enumerate(judged)}
+    lines = [
+        "# Which effect turns which decision",
+        "",
+        f"`python -m tests.bench.effects --seeds {result['seeds']}` printed this on {result['date']}: each effect planted alone in a made "
+        "scene that has none of",
+        "them, and the share of seeds in which a decision turned. Asked: at least 0.95 on the diagonal, at most 0.05 beside it.",
+        "A dot is 0. Scenes are made (`world.py`): no threshold is calibrated on real captures.",
+        "",
+        "| planted | " + " | ".join(f"{letters[e]}" for e in judged) + " |",
+        "|---|" + "---|" * len(judged),
+    ]
+    for planted in sorted(matrix, key=lambda e: judged.index(e) if e in letters else -1):
+        row = matrix[planted]
+        name = f"{letters[planted]} {planted.replace('_', ' ')}" if planted in letters else planted
+        lines.append(f"| {name} | " + " | ".join("·" if row[e] == 0 else f"{row[e]:.2f}" for e in judged) + " |")
+    by_nature = "; ".join(f"{pair.replace('_', ' ')} ({why})" for pair, why in result["by_nature"].items())
+    lines += ["", f"Beside the diagonal by nature: {by_nature}."]
+    never = ", ".join(f"{letters[e]} {e.replace('_', ' ')}" for e in result["never_planted"])
+    lines += [f"Never planted here: {never}. Decisions about trained scenes are planted in `tests/stages/test_survey_trained.py`."]
+    return "\n".join(lines) + "\n"
 
 
 def main(seeds: int) -> int:
@@ -78,6 +106,7 @@ def main(seeds: int) -> int:
         "survey_processor_s": {"least": min(seconds), "median": float(np.median(seconds))},
     }  # fmt: skip
     write_json(RESULT, result)
+    PAGE.write_text(page(result), encoding="utf-8")
     print(f"usual verdicts: {usual}")
     print(f"diagonal below {LEAST}: {missed or 'none'}; beside it above {MOST}: {false or 'none'}")
     return 0 if not missed and not false else 1
