@@ -39,6 +39,8 @@ from studiorecon.views import synthesize
 from studiorecon.views.forward import blend, source
 
 ROOT = Path(__file__).resolve().parents[2]
+# Cases in which the settings differ: without boxes and cylinders, with planes of regions, with these alone.
+CHANGES = {"bare": ["solids=0"], "regions": ["regions=100"], "bare regions": ["solids=0", "regions=100"]}
 
 
 def section(stage: str, preset: str, changes: list[str]) -> dict:
@@ -191,7 +193,7 @@ def main() -> None:
     parser.add_argument("--rooms", type=Path, nargs="*", default=[])
     parser.add_argument("--posed", type=Path)
     parser.add_argument("--views", type=int, nargs="*", default=[], help="of the posed renderings, only these")
-    parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="bare = without boxes and cylinders")
+    parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="see CHANGES")
     parser.add_argument("--preset", default="")
     parser.add_argument("--set", nargs="*", default=[], dest="changes")
     parser.add_argument("--pictures", type=Path, default=None, help="folder for depth, views and solids")
@@ -202,10 +204,11 @@ def main() -> None:
     rooms = [made_room(folder) for folder in given.rooms] + ([posed(given.posed, given.views)] if given.posed else [])
     for what in given.cases:
         for room in rooms:
-            values = section("depth", given.preset, given.changes + (["solids=0"] if what == "bare" else []))
+            values = section("depth", given.preset, given.changes + CHANGES.get(what, []))
             # Every room its own errors, the same in every run.
             rng = np.random.default_rng([len(what), *room.name.encode()])
-            result = measure(disturbed(room, what, rng), values, given.pictures if what == "plain" else None)
+            shown = given.pictures / what if given.pictures and what in ("plain", "regions") else None
+            result = measure(disturbed(room, what, rng), values, shown)
             told = {"changes": given.changes} | ({} if room.made else {"views": given.views})
             stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in told.items() if v}
             print(room.name, what, json.dumps(result), flush=True)

@@ -2,7 +2,8 @@
 """One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along edges.
 
 Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge them
-have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/solids.json``) stands before all of it.
+have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/solids.json``) stands before all of it,
+and planes of regions that nothing explains (``regions``) replace what is there.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -17,6 +19,7 @@ from studiorecon.depth.evidence import Explained
 from studiorecon.depth.free_space import back_to_the_shell
 from studiorecon.depth.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.regions import explain_regions
 from studiorecon.depth.solids import Solid, in_front, read_solids
 from studiorecon.errors import Refusal
 from studiorecon.images.exr import write_depth
@@ -37,6 +40,9 @@ class Settings(PassSettings):
 
     refine_width: int
     default_confidence: float
+    window: int
+    regions: int
+    regions_share: float
 
 
 def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float) -> np.ndarray:
@@ -139,6 +145,25 @@ def furnished(
     return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
 
 
+def patched(
+    camera: Camera, rgb: np.ndarray, index: int, pictures: list[Picture], depths: list[np.ndarray], shell: Shell, depth_m: np.ndarray,
+    certain: np.ndarray, settings: Settings,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Depth, confidence (H, W) and (H, W) bool ``patch`` of one camera at full size with the planes of regions that explain the photos
+    better than ``depths`` (one (h, w) per picture) do."""
+    found = explain_regions(
+        pictures, index, depths, shell, window=settings.window, mean_weight=settings.mean_weight, penalty=settings.refine_penalty,
+        near_m=settings.near_m, most_share=settings.regions_share, most=settings.regions,
+    )  # fmt: skip
+    planes = np.concatenate([np.zeros((1, 4)), found.planes])
+    small_m = np.where(found.chosen > 0, pictures[index].depth_of(planes[found.chosen]), depths[index])
+    labelled = Labelled(found.chosen, small_m, found.cost, found.judged)
+    patch_m, source = at_full_size(camera, rgb, pictures[index], labelled, planes)
+    stated = confidence(replace(labelled, plane=found.chosen + 6), np.zeros(6, bool), settings.default_confidence).ravel()[source]
+    patch = found.chosen.ravel()[source] > 0
+    return np.where(patch, patch_m, depth_m), np.where(patch, stated, certain), patch
+
+
 def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes: Path, shell: Path, solids: Path, depth: Path) -> None:
     """Write one camera's depth and confidence."""
     cameras = read_model(model.parent)
@@ -162,5 +187,12 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes
     depth_m, certainty, shown = furnished(
         cameras[index], index, pictures, room, read_solids(solids), depth_m, certainty.reshape(depth_m.shape), settings
     )
+    if settings.regions:
+        depths = [cv2.resize(a, p.camera.wh, interpolation=cv2.INTER_NEAREST) for a, p in zip(agreed, pictures)]
+        depths[index] = in_front(read_solids(solids), pictures[index].camera, labelled.depth_m)[0]
+        even = rgb / gains[index].astype(np.float32)
+        depth_m, certainty, patch = patched(cameras[index], even, index, pictures, depths, room, depth_m, certainty, settings)
+        shown &= ~patch
+        say(f"{patch.mean():.1%} of {camera} is planes of regions that room and furniture did not explain")
     say(f"{shown.mean():.0%} of {camera} is boxes and cylinders, {(labelled.plane >= 6).mean():.0%} other surfaces inside the room")
     write_depth(depth, depth_m, certainty)
