@@ -337,6 +337,25 @@ class TestPlate:
         np.testing.assert_allclose(rgb[15:55, 56:82] * 255, background[15:55, 56:82], atol=12)
         np.testing.assert_allclose(rgb[12:28, 7:18] * 255, background[12:28, 7:18], atol=4)
 
+    def test_whoever_keeps_to_a_spot_and_waves_is_not_painted_into_a_given_plate(self, tmp_path: Path, default_settings) -> None:
+        background = smooth_pictures(1, seed=4)[0]
+        pictures = np.repeat(background[None], 24, axis=0)
+        pictures[:, 10:55, 60:78] = (20, 200, 90)
+        for t, picture in enumerate(pictures):
+            picture[16:40, 67 + round(5 * np.sin(t)) : 75] = (200, 150, 120)  # an arm before the chest: it bares no wall
+        pictures[:, 35:55, 10:25] = (30, 30, 160)  # a crate that was put there after the plate
+        write_lossless(tmp_path / "a.mkv", iter(pictures), 12)
+        write_footage(tmp_path / "a.json", footage("a", 24))
+        write_plate(tmp_path / "given.png", background, np.ones(background.shape[:2], bool))
+        options = load(plate_step.Settings, default_settings("capture"), "capture")
+        plate_step.run(
+            options, tmp_path / "a.mkv", tmp_path / "a.json", calibrated(tmp_path), [], [tmp_path / "given.png"], tmp_path / "plate.png"
+        )
+        rgb, measured = read_plate(tmp_path / "plate.png")
+        assert measured[10:55, 58:80].all()
+        np.testing.assert_allclose(rgb[10:55, 58:80] * 255, background[10:55, 58:80], atol=12)
+        np.testing.assert_allclose(rgb[37:53, 12:23] * 255, np.broadcast_to((30, 30, 160), (16, 11, 3)), atol=4)
+
     def test_a_plate_of_another_room_is_refused(self, tmp_path: Path, default_settings) -> None:
         frames, _ = passing_block(20, smooth_pictures(1, seed=4)[0], 1.0)
         write_lossless(tmp_path / "a.mkv", iter(frames), 30)

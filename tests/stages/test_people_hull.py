@@ -113,6 +113,40 @@ class TestHull:
         assert stolen < 0.3 * worn
         assert kept > 0.6 * own
 
+    def test_people_whose_hulls_touch_are_told_apart(self, body, cameras, options) -> None:
+        poses, trans = poses_of(body, 1)
+        true_m = np.array([[0.25, -0.2], [-0.25, 0.2]])
+        alone = [silhouettes(body, cameras, poses[0], np.append(place, trans[0, 2])) for place in true_m]
+        both = [np.maximum(a, b) for a, b in zip(*alone)]
+        cells_m, shape = hull.watched_cells(cameras, VOXEL_M, 3)
+        plan = (hull._carved(cells_m, cameras, both)[2].reshape(shape).sum(2) * VOXEL_M >= 0.4).astype(np.uint8)
+        assert cv2.connectedComponents(plan)[0] == 2, "the case has one part"
+        found = sorted(self.people(cameras, both, options), key=lambda p: -p.place_m[0])
+        np.testing.assert_allclose([p.place_m for p in found], true_m, atol=0.12)
+
+    def test_a_person_with_an_arm_of_nobody_stands_where_the_person_does(self, cameras) -> None:
+        cells_m = hull.watched_cells(cameras, VOXEL_M, 3)[0]
+        trunk = np.linalg.norm(cells_m[:, :2] - [0.2, 0.1], axis=1) < 0.2
+        arm = (np.abs(cells_m[:, 1] - 0.1) < 0.12) & (cells_m[:, 0] > 0.2) & (cells_m[:, 0] < 1.4) & (cells_m[:, 2] > 0.6)
+        occupied = (trunk | arm) & (cells_m[:, 2] > 0) & (cells_m[:, 2] < 1.7)
+        shown = np.tile(occupied[:, None], 4)
+        part = hull._part(cells_m, shown, ~shown, occupied)
+        np.testing.assert_allclose(part.place_m, [0.2, 0.1], atol=0.12)
+        assert np.median(cells_m[occupied, 0]) > 0.4, "the case has an arm"
+
+    def test_who_pass_each_other_keep_their_ways(self, options) -> None:
+        """Two people meet and are one part for a moment, while a ghost appears beside them."""
+        seen, cell = [], np.zeros((1, 3))
+        for t in range(24):
+            ways = [np.array([-1.2 + 0.1 * t, 0.1]), np.array([1.2 - 0.1 * t, -0.1])]
+            if 11 <= t <= 13:
+                ways = [np.array([0.0, 0.0])]
+            if 9 <= t <= 14:
+                ways = [np.array([0.0, -0.5]), *ways]
+            seen.append((t, [hull.Part(place, cell, np.ones(4, bool), np.zeros((1, 4), bool)) for place in ways]))
+        first, second = hull.tracks(seen, 12.0, options.hull.limits)
+        np.testing.assert_allclose([first.places_m[-1], second.places_m[-1]], [[1.1, 0.1], [-1.1, -0.1]], atol=1e-9)
+
     def test_a_low_thing_is_nobody(self, cameras, pictured, options) -> None:
         sat = []
         for picture in pictured:

@@ -15,6 +15,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.occluders import occluder
 from studiorecon.errors import Refusal
 from studiorecon.geometry.occlusion import hidden, nearness, sky_hidden
+from studiorecon.geometry.rotations import exp
 from studiorecon.images.exr import write_depth
 from studiorecon.images.plate import write_plate
 from studiorecon.images.video import read_stack, write_lossless
@@ -23,8 +24,10 @@ from studiorecon.render import shot as render_shot
 from studiorecon.render.lamps import patches
 from studiorecon.render.shading import dimmed, facing_up, most_agreed, shading
 from studiorecon.scene.colmap import write_model
+from studiorecon.scene.discs import discs
 from studiorecon.scene.gaussians import SH_C0, Gaussians, sh_from_rgb
 from studiorecon.scene.light import Lamps, Light, read_light, write_light
+from studiorecon.scene.objects import RigidObject
 from studiorecon.scene.people import Person, write_person
 from studiorecon.scene.shell import Shell, write_shell
 
@@ -323,6 +326,53 @@ def test_stand_ins_throw_their_own_shadow_and_broken_poses_none(body: BodyModel)
     assert (broken.sh - static.sh).min() > -1e-6, "nothing is darkened"
     assert shading(lit(), static, [], []) is None
     assert shading(lit(kept=False), static, [filmed], [filmed]) is None
+
+
+def thing(centres_m: np.ndarray, half_m: tuple[float, float, float], turns: np.ndarray | None = None) -> RigidObject:
+    """An ellipsoid of 400 discs that goes along ``centres_m`` (T, 3), turned by ``turns`` (T, 3, 3) if given."""
+    k = np.arange(400) + 0.5
+    level, turn = np.arccos(1 - k / 200), np.pi * (1 + np.sqrt(5)) * k
+    normals = np.stack([np.cos(turn) * np.sin(level), np.sin(turn) * np.sin(level), np.cos(level)], axis=1)
+    gaussians = discs(normals * half_m, normals, np.full((400, 3), 0.5), 0.02, 0.3, 0.95, 0)
+    known = np.isfinite(centres_m).all(axis=1)
+    about = () if turns is None else (turns, "measured")
+    return RigidObject("o0", gaussians, np.zeros(400, np.uint8), centres_m, known, known, float(np.mean(half_m)), *about)
+
+
+def test_things_throw_shadows_and_those_of_a_board_turn_with_it() -> None:
+    """Against the lamp's hidden share sampled ray by ray behind true balls and capsules."""
+    points, moments = floor_grid(0.1), np.linspace([-1.0, 0.2, 0.5], [1.0, 0.2, 0.5], 9)
+    floor = Gaussians(points, np.tile([1.0, 0, 0, 0], (len(points), 1)), np.full((len(points), 3), -3.0), np.zeros(len(points)),
+                      np.zeros((len(points), 1, 3)))  # fmt: skip
+    light = replace(lit(), sky=0.0, contact=0.0, share=np.array([0.8]))
+    part = 0.8 * light.lamps.falloff(points)[:, 0] / light.usual
+    part /= 1 + part - 0.8
+
+    def found(what: RigidObject, frame: float) -> np.ndarray:
+        shade = shading(light, floor, [], [], [what])
+        assert shade is not None
+        return 1 - (0.5 + SH_C0 * shade.room_at(frame).sh[:, 0, 0]) / 0.5
+
+    def planted(ends_m: np.ndarray, radius_m: float) -> np.ndarray:
+        return part * sampled_shade(points, np.array([[*ends_m.ravel(), radius_m]]))
+
+    ball = found(thing(moments, (0.2, 0.2, 0.2)), 4)
+    true = planted(np.tile(moments[4], (2, 1)), 0.2)
+    assert true.max() > 0.4
+    assert np.sqrt(np.mean((ball - true)[true > 0.02] ** 2)) < 0.08
+    assert ball[true == 0].max() < 0.05
+    gone = moments.copy()
+    gone[4:] = np.nan
+    assert found(thing(gone, (0.2, 0.2, 0.2)), 6).max() == 0, "what is nobody knows where throws none"
+    across = exp(np.linspace(0, np.pi / 2, 9)[:, None] * [0, 0, 1.0])
+    stick = thing(moments, (0.45, 0.06, 0.06), across)
+    for frame, way in ((0, [1.0, 0, 0]), (8, [0, 1.0, 0])):
+        ends = moments[frame] + 0.39 * np.array([[-1.0], [1.0]]) * way
+        shadow, true = found(stick, frame), planted(ends, 0.06)
+        assert (shadow * true).sum() / np.sqrt((shadow**2).sum() * (true**2).sum()) > 0.9
+        shadow = shadow.clip(0)
+        spread = np.sqrt(np.average((points - np.average(points, axis=0, weights=shadow)) ** 2, axis=0, weights=shadow))
+        assert (spread[0] > 2 * spread[1]) == (frame == 0), "it lies as the stick does"
 
 
 def test_films_show_the_shadow_on_the_floor_alone_and_the_same_truth(tmp_path: Path, root: Path, default_settings: Callable) -> None:

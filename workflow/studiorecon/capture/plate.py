@@ -3,8 +3,9 @@
 
 Every pixel keeps the colour that most pictures agree on, counting only those in which no detected person stands there. A pixel
 that people cover all the time stays unknown: a guess would be a ghost. A plate that the user brings fills those pixels; it is
-matched to the footage first. Where the two show different things one of them shows somebody: the part that moves during the clip is
-a person whom no detector found, and the user's plate wins; the part that never moves is the room, and somebody stood in the plate.
+matched to the footage first. Where the two show different things one of them shows somebody: the part that moves during the clip, if
+only an arm of it, is a person whom no detector found, and the user's plate wins; the part that never moves is the room, and somebody
+stood in the plate.
 
 Reads the section ``plate``.
 """
@@ -36,6 +37,10 @@ _DOUBT_SHARE = 0.025
 # A given plate has come to light at a pixel when this share of its pictures agree with it to these levels. Of the places where a
 # person hides it, who stays on her feet for 1.7 s, 0.2 to 0.27 do so; none of those where somebody stood in the plate does.
 _SAME_LEVELS, _REVEALED, _MOVING = 20.0, 0.1, 0.1
+# Who keeps to a spot hides the same wall all the time, and still sways and waves: this share of the part leaves its usual colour in a
+# tenth of the pictures (somebody who waves: 0.15 to 0.27; a thing: none). An outline is drawn by the picture that somebody is in: its
+# edges there are this many times those of the other picture (measured: 2.1 to 5.2).
+_UNSTEADY, _EDGE_RATIO = 0.1, 1.5
 # Parts of one person that happen to have the room's colour between them are joined over this share of the longer side.
 _JOIN_SHARE = 0.01
 # Steps of the tone curve from a given plate to the footage; the fewest pixels, and their widest middle half in levels, that make one.
@@ -173,15 +178,21 @@ def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndar
 
 
 def merge(
-    colour: np.ndarray, measured: np.ndarray, matched: np.ndarray, known: np.ndarray, seen: np.ndarray, shown: np.ndarray
+    colour: np.ndarray,
+    measured: np.ndarray,
+    matched: np.ndarray,
+    known: np.ndarray,
+    seen: np.ndarray,
+    shown: np.ndarray,
+    usual: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The footage's plate and a given one in its exposure (``matched``) as one: colours, where either knows, and where somebody moves.
 
     The footage counts where measured, the given plate elsewhere. ``seen`` (H, W): not always occupied; ``shown`` (H, W): how often the
-    footage shows the given plate. Where the two clearly differ there are two cases. When the given plate comes to light along the
-    edges of such a part, the part is a person in the footage whom nobody detected: the given plate counts there. When it never does,
-    somebody or something stood in the given plate; what of that reaches into unmeasured pixels cannot be told from the room, so a
-    border around it stays unknown.
+    footage shows the given plate, ``usual`` (H, W) its own ``colour``. Where the two clearly differ there are two cases. When the given
+    plate comes to light along the edges of such a part, or the part is unsteady and outlined in the footage and not in the plate, it is
+    a person in the footage whom nobody detected: the given plate counts there. Else somebody or something stood in the given plate, or
+    was put into the room later; what of that reaches into unmeasured pixels cannot be told from the room, so a border stays unknown.
     """
     differs = (seen & known & (np.abs(matched - colour).max(axis=-1) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
@@ -190,11 +201,23 @@ def merge(
     count, labels = cv2.connectedComponents(joined, connectivity=8)
     total = np.bincount(labels[differs > 0], minlength=count)
     revealed = np.bincount(labels[(differs > 0) & (shown > _REVEALED)], minlength=count)
-    moving = (revealed > _MOVING * total)[labels] & (labels > 0)
+    unsteady = np.bincount(labels[(differs > 0) & (usual < 1 - _REVEALED)], minlength=count)
+    drawn = _edges(colour, labels, count) > _EDGE_RATIO * _edges(matched, labels, count)
+    moving = ((revealed > _MOVING * total) | ((unsteady > _UNSTEADY * total) & drawn))[labels] & (labels > 0)
     person = (cv2.dilate(moving.astype(np.uint8), _disc(longer * _JOIN_SHARE)) > 0) & known
     doubtful = cv2.dilate(differs * ~moving, _disc(longer * _DOUBT_SHARE)) > 0
     footage = measured & ~person
     return np.where(footage[..., None], colour, matched), footage | person | (known & ~doubtful), person
+
+
+def _edges(picture: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
+    """(count,) mean strength of the edges of ``picture`` (H, W, 3) along the border of every part of ``labels`` (H, W)."""
+    smooth = picture.astype(np.float32)
+    strength = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)).sum(axis=-1)
+    parts = labels.astype(np.float32)
+    border = (cv2.dilate(parts, np.ones((3, 3))) != cv2.erode(parts, np.ones((3, 3)))) & (labels > 0)
+    at = labels[border]
+    return np.bincount(at, strength[border], minlength=count) / np.maximum(np.bincount(at, minlength=count), 1)
 
 
 def _disc(radius_px: float) -> np.ndarray:
@@ -258,7 +281,9 @@ def _add_given(
     )
     say(f"{about.camera}: {given.name} {agrees} and fills {filled:.1%} of the picture")
     matched = matched_exposure(colour, measured & known, rgb)
-    colour, both, person = merge(colour, measured, matched, known, ~occupied.all(axis=0), showing(frames, ~occupied, matched))
+    free = ~occupied
+    told = showing(frames, free, matched), showing(frames, free, colour)
+    colour, both, person = merge(colour, measured, matched, known, free.any(axis=0), *told)
     if moving := float((person & measured).mean()):
         warn(f"{about.camera}: {moving:.1%} of the picture hides what {given.name} shows, and moves: somebody undetected; the plate counts")
     return colour, both

@@ -17,6 +17,8 @@ from studiorecon.scene.camera import Camera
 _ONE_SIZE = 2.0
 # A sphere whose outlines are off by more than this is not where they are, pixels.
 _WORST_PX = 3.0
+# What is round has outlines that are a sphere's but for this, pixels or a share of its radius, whichever is more.
+_ROUND_PX, _ROUND = 1.2, 0.12
 
 
 @dataclass(frozen=True)
@@ -36,13 +38,17 @@ class FollowSettings:
 
 @dataclass(frozen=True)
 class Track:
-    """A thing over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``: its sightings by frame."""
+    """A thing over time: ``centres_m`` (T, 3), ``valid`` and ``present`` (T,) as in ``RigidObject``; ``seen``: its sightings by frame.
+
+    ``round`` is whether its outlines are those of a sphere; other things are where the middles of their regions meet.
+    """
 
     centres_m: np.ndarray
     valid: np.ndarray
     present: np.ndarray
     radius_m: float
     seen: tuple[tuple[int, Sighting], ...]
+    round: bool = True
 
 
 def linked(found: Sequence[tuple[int, list[Sighting]]], fps: float, settings: FollowSettings) -> list[list[tuple[int, Sighting]]]:
@@ -86,26 +92,64 @@ def followed(
             f"two cameras see it in {len(track)} frames, with nobody before it in {len(free)}; "
             f"{settings.least_frames} and half as many are needed"
         )
-    radii = np.array([sphere(cameras, sighting)[1] for sighting in free])
-    if not np.isfinite(radii).any():
-        return "its outlines fit no sphere"
-    radius_m = float(np.nanmedian(radii))
-    centres = np.full((frames, 3), np.nan)
-    for frame, sighting in track:
-        centre, _, error_px = sphere(cameras, sighting, radius_m)
-        if np.isfinite(centre).all() and error_px <= _WORST_PX:
-            centres[frame] = centre
+    radius_m, centres, is_round = _spheres(track, free, cameras, frames)
+    if not is_round:
+        radius_m, centres = _middles(track, free, cameras, frames)
+    whole = [frame for frame, sighting in track if sighting.free >= 2]
     valid = np.isfinite(centres).all(axis=1)
     if valid.sum() < settings.least_frames:
         return f"only {int(valid.sum())} frames agree with a thing of {100 * radius_m:.0f} cm radius; {settings.least_frames} are needed"
-    if sum(valid[frame] and sighting.free >= 2 for frame, sighting in track) < settings.least_frames / 2:
+    if sum(valid[frame] for frame in whole) < settings.least_frames / 2:
         return f"fewer than {settings.least_frames / 2:.0f} frames that agree show the whole of it"
     reach = np.ptp(centres[valid], axis=0)
     if np.linalg.norm(reach) <= radius_m:
         return "it stands still: what the plate lacks belongs on the plate"
-    present = _present(valid, round(settings.gap_s * fps))
+    present = held(valid, fps, settings)
     filled = np.where(present[:, None], fill_vectors(np.nan_to_num(centres), valid), np.nan)
-    return Track(filled, valid, present, radius_m, tuple(track))
+    return Track(filled, valid, present, radius_m, tuple(track), is_round)
+
+
+def _spheres(
+    track: Sequence[tuple[int, Sighting]], free: Sequence[Sighting], cameras: Sequence[Camera], frames: int
+) -> tuple[float, np.ndarray, bool]:
+    """Radius that free sightings agree on, (T, 3) middles of the spheres of that radius, NaN where there is none, and whether it is one."""
+    centres = np.full((frames, 3), np.nan)
+    fits = np.array([sphere(cameras, sighting)[1:] for sighting in free])
+    fits = fits[np.isfinite(fits).all(axis=1)]
+    if 2 * len(fits) < len(free):
+        return float("nan"), centres, False
+    radius_m, error_px = np.median(fits, axis=0).tolist()
+    radius_px = np.median([radius_m * c.focal_px[0] / c.project(s.centre_m)[1] for s in free for c in (cameras[v] for v in s.regions)])
+    for frame, sighting in track:
+        centre, _, error_px = sphere(cameras, sighting, radius_m)
+        if np.isfinite(centre).all() and error_px <= _WORST_PX:
+            centres[frame] = centre
+    return radius_m, centres, error_px <= max(_ROUND_PX, _ROUND * radius_px)
+
+
+def _middles(
+    track: Sequence[tuple[int, Sighting]], free: Sequence[Sighting], cameras: Sequence[Camera], frames: int
+) -> tuple[float, np.ndarray]:
+    """Radius of the disc with the regions' usual area, and (T, 3) points nearest to the rays through their middles.
+
+    Uncovered regions alone say where the middle is where two cameras show such; a part of a thing has another.
+    """
+    radius_m = float(np.median([sighting.radius_m for sighting in free]))
+    centres = np.full((frames, 3), np.nan)
+    for frame, sighting in track:
+        used = [(v, r) for v, r in sorted(sighting.regions.items()) if r.free or sighting.free < 2]
+        across, at = np.zeros((3, 3)), np.zeros(3)
+        for view, region in used:
+            ray = cameras[view].unproject(region.centre_px, np.ones(())) - cameras[view].centre_m
+            ray /= np.linalg.norm(ray)
+            across += np.eye(3) - np.outer(ray, ray)
+            at += (np.eye(3) - np.outer(ray, ray)) @ cameras[view].centre_m
+        # Rays of a sighting meet at an angle, or it were none.
+        centre = np.linalg.solve(across, at)
+        off_px = [np.linalg.norm(cameras[view].project(centre)[0] - region.centre_px) for view, region in used]
+        if np.sqrt(np.mean(np.square(off_px))) <= _WORST_PX:
+            centres[frame] = centre
+    return radius_m, centres
 
 
 def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
@@ -117,10 +161,10 @@ def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
     return last.centre_m + (last.centre_m - before.centre_m) * (frame - last_frame) / (last_frame - before_frame)
 
 
-def _present(valid: np.ndarray, gap_frames: int) -> np.ndarray:
-    """(T,) bool: measured frames and gaps of at most ``gap_frames`` between them."""
+def held(valid: np.ndarray, fps: float, settings: FollowSettings) -> np.ndarray:
+    """(T,) bool: measured frames, and gaps between them that are short enough to be filled."""
     present, at = valid.copy(), np.flatnonzero(valid)
     for a, b in pairwise(at):
-        if b - a - 1 <= gap_frames:
+        if b - a - 1 <= round(settings.gap_s * fps):
             present[a:b] = True
     return present

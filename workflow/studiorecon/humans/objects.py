@@ -6,7 +6,7 @@ Writes ``humans/objects.npz`` (``scene/objects.py``), maybe without any object: 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,10 +16,12 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.body.outlines import grown_outlines
 from studiorecon.errors import Refusal
-from studiorecon.humans.following import FollowSettings, Track, followed, linked
+from studiorecon.humans import carving
+from studiorecon.humans.following import FollowSettings, Track, followed, held, linked
 from studiorecon.humans.loose import LooseSettings, Region, difference, regions, states, unrest
-from studiorecon.humans.rigid import Look, ShapeSettings, looks_at, made
+from studiorecon.humans.rigid import Look, ShapeSettings, at_pose, kept_apart, looks_at, made, misfit, skin
 from studiorecon.humans.sightings import Sighting, sightings
+from studiorecon.humans.turning import TurnSettings, turned
 from studiorecon.images.stills import read_plate, shrink
 from studiorecon.images.video import read_frames
 from studiorecon.progress import progress, say
@@ -27,7 +29,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.factors import NONE, Factors, read_factors
-from studiorecon.scene.objects import RigidObject, write_objects
+from studiorecon.scene.objects import MEASURED_TURNS, RigidObject, write_objects
 from studiorecon.scene.people import Person, read_person
 
 # Pictures from which is learnt what usually differs.
@@ -54,6 +56,7 @@ class ObjectSettings:
     radius_m: tuple[float, float]
     follow: FollowSettings
     shape: ShapeSettings
+    turn: TurnSettings
     seed: int
 
 
@@ -108,7 +111,7 @@ def objects_in(
         where = f"frames {track[0][0]} to {track[-1][0]}"
         looks = looks_at(result, cameras) if isinstance(result, Track) else []
         if isinstance(result, Track) and looks:
-            made_objects.append(_made(f"o{len(made_objects)}", result, looks, settings, threads))
+            made_objects.append(_made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads))
         elif len(track) > 2:
             say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no look shows the whole of it'}")
     if not made_objects:
@@ -119,16 +122,53 @@ def objects_in(
     return made_objects
 
 
-def _made(name: str, track: Track, looks: Sequence[Look], settings: ObjectSettings, threads: int) -> RigidObject:
+def _made(
+    name: str, track: Track, looks: Sequence[Look], cameras: Sequence[Camera], fps: float, settings: ObjectSettings, threads: int
+) -> RigidObject:
+    apart = kept_apart(looks)
+    keys = {(look.frame, look.view) for look in apart}
+    taught = [look for look in looks if (look.frame, look.view) not in keys]
     rng = np.random.default_rng([settings.seed, int(name[1:])])
-    gaussians, provenance, agreement_db = made(looks, track.radius_m, settings.shape, rng, threads, name)
-    between, unknown = int((track.present & ~track.valid).sum()), int((~track.present).sum())
+    start = skin(taught, track.radius_m, settings.shape.gaussians)
+    gaussians, provenance = made(taught, start, track.radius_m, settings.shape, rng, threads, name)
+    still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
+    thing, told = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (still, "how it turns is not determined")
+    judged = [at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
+    agreement_db = -10 * np.log10(max(misfit(thing.gaussians, judged, threads)[0], 1e-10))
+    between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
     say(
-        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(track.valid.sum())} frames, between measured ones in {between}, "
-        f"unknown and left out in {unknown}; {gaussians.count} Gaussians from {len(looks)} looks, {agreement_db:.1f} dB in looks kept "
-        "apart; how it turns is not determined"
+        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} frames, between measured ones in {between}, "
+        f"unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from {len(looks)} looks, {agreement_db:.1f} dB in looks "
+        f"kept apart; {told}"
     )
-    return RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
+    return thing
+
+
+def _turning(
+    still: RigidObject, track: Track, looks: Sequence[Look], apart: Collection[tuple[int, int]], cameras: Sequence[Camera], fps: float,
+    settings: ObjectSettings, threads: int,
+) -> tuple[RigidObject, str] | None:  # fmt: skip
+    """A thing as one that turns, and a sentence; None where ``still`` explains the looks kept ``apart`` as well."""
+    rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
+    motion = turned(track, cameras, apart, fps, settings.turn, rng, threads)
+    if motion is None:
+        return None
+    known = [look for look in looks if motion.measured[look.frame]]
+    judged = [look for look in known if (look.frame, look.view) in apart]
+    taught = [at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in known if (look.frame, look.view) not in apart]
+    start = carving.skin(taught, settings.shape.gaussians)
+    if start is None or not judged:
+        return None
+    gaussians, seen = made(taught, start, carving.reach_m(taught), settings.shape, rng, threads, f"{still.person}, turning")
+    moved = [at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
+    gain_db = 10 * np.log10(misfit(still.gaussians, judged, threads)[1] / max(misfit(gaussians, moved, threads)[1], 1e-10))
+    if not gain_db >= settings.turn.gain_db:
+        return None
+    present = held(motion.measured, fps, settings.follow)
+    centres = np.where(present[:, None], motion.world_from_thing[:, :3, 3], np.nan)
+    turns = motion.world_from_thing[:, :3, :3]
+    thing = RigidObject(still.person, gaussians, seen, centres, motion.measured, present, still.radius_m, turns, MEASURED_TURNS)
+    return thing, f"it turns, which explains those looks {gain_db:.1f} dB better, outlines included"
 
 
 def rested(views: Sequence[View], moments: Moments, settings: LooseSettings) -> list[View]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shape and colours of a thing that was followed: discs on the hull of its outlines over all frames, trained on crops around it.
 
-All pictures are taken as seen from the thing: its translation is taken out of the cameras, so that one still set of Gaussians is trained
-on all frames. It is taken not to turn; where it does, its colours and its hull are the mean of what was seen.
+All pictures are taken as seen from the thing: its motion is taken out of the cameras, so that one still set of Gaussians is trained on all
+frames. Whose turning is unknown (``turning`` seeks it) is taken not to turn: its colours and its hull are then the mean of what was seen.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _WIDTH, _FLATNESS, _OPACITY = 0.6, 0.3, 0.9
 # Cosine between the surface's normal and the way to the camera from which colours are taken.
 _FACING = 0.35
 # Areas of a thing's regions differ from its sphere's by at most this factor.
-_ONE_AREA = 1.6
+_ONE_AREA, _ONE_AREA_OBLONG = 1.6, 6.0
 _NEAR_M = 0.05
 
 
@@ -54,24 +54,50 @@ class ShapeSettings:
 
 @dataclass(frozen=True)
 class Look:
-    """A crop in which nobody covers the thing: the camera as seen from the thing's middle, ``rgb`` and ``state`` as in ``Region``."""
+    """A crop in which nobody covers the thing, and whose it is.
 
+    Attributes:
+        frame, view: moment and index of the camera.
+        corner: (2,) column and row of the crop's first pixel.
+        camera: the crop's camera as seen from the thing.
+        rgb: (h, w, 3) uint8; ``state`` (h, w) uint8 as in ``Region``.
+    """
+
+    frame: int
+    view: int
+    corner: tuple[int, int]
     camera: Camera
     rgb: np.ndarray
     state: np.ndarray
 
 
 def looks_at(track: Track, cameras: Sequence[Camera]) -> list[Look]:
-    """The uncovered looks at a thing, at most 160 of them spread over its frames."""
+    """The uncovered looks at a thing that moves without turning, at most 160 of them spread over its frames."""
     found = []
     for frame, sighting in track.seen:
         if not track.valid[frame]:
             continue
+        still = np.eye(4)
+        still[:3, 3] = track.centres_m[frame]
         for view, region in sorted(sighting.regions.items()):
             if region.free and _whole(region, track, frame, cameras[view]):
-                camera = _from_the_thing(cameras[view], track.centres_m[frame], region.corner, region.state.shape)
-                found.append(Look(camera, region.rgb, region.state))
+                look = Look(frame, view, region.corner, cameras[view], region.rgb, region.state)
+                found.append(at_pose(look, cameras, still))
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(_LOOKS, len(found))).astype(int))]
+
+
+def at_pose(look: Look, cameras: Sequence[Camera], world_from_thing: np.ndarray) -> Look:
+    """A look with its camera as seen from the thing at a pose (4, 4)."""
+    camera = cameras[look.view]
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:2, 2] -= look.corner
+    wh = (look.state.shape[1], look.state.shape[0])
+    return replace(look, camera=Camera(camera.name, wh, intrinsics, camera.camera_from_world @ world_from_thing))
+
+
+def kept_apart(looks: Sequence[Look]) -> list[Look]:
+    """Every eighth look: what a thing is judged by is not what it is made from."""
+    return list(looks[_JUDGED - 1 :: _JUDGED])
 
 
 def hull(looks: Sequence[Look], radius_m: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -92,9 +118,17 @@ def hull(looks: Sequence[Look], radius_m: float, count: int) -> tuple[np.ndarray
         outside += _sampled(look.state, pixels, ROOM) == ROOM
     inside = np.logical_and.accumulate(outside / max(len(looks), 1) <= _OUTSIDE, axis=1)
     last = np.maximum(inside.sum(axis=1) - 1, 0)
-    reached = np.concatenate([_reached_m(look) for look in looks])
+    reached = np.concatenate([reached_m(look) for look in looks])
     nearest_m, farthest_m = np.quantile(reached, _BETWEEN) if len(reached) else (radius_m, radius_m)
     return directions * np.clip(steps_m[last], nearest_m, farthest_m)[:, None], directions
+
+
+def reached_m(look: Look) -> np.ndarray:
+    """(K,) how far from the middle the rays through a look's outline pass."""
+    points = outline_of(look.state)
+    rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
 
 
 def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[Look]) -> tuple[np.ndarray, np.ndarray]:
@@ -115,49 +149,50 @@ def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[Look]) -
 
 
 def made(
-    looks: Sequence[Look], radius_m: float, settings: ShapeSettings, rng: np.random.Generator, threads: int, label: str
-) -> tuple[Gaussians, np.ndarray, float]:
-    """Gaussians of a thing around its middle, their provenance (N,), and the PSNR in dB inside it in looks that were not trained on.
-
-    NaN when there are too few looks to keep any apart.
-    """
-    judged = looks[_JUDGED - 1 :: _JUDGED]
-    taught = [look for i, look in enumerate(looks) if i % _JUDGED != _JUDGED - 1]
-    points, normals = hull(taught, radius_m, settings.gaussians)
-    rgb, seen = coloured(points, normals, taught)
-    size_m = np.linalg.norm(points, axis=1)
-    width_m = _WIDTH * np.sqrt(4 * np.pi / len(points)) * size_m
-    start = discs(points, normals, rgb, width_m, _FLATNESS, _OPACITY, 0)
-    targets = [_target(look, i) for i, look in enumerate(taught)]
-    schedule = _schedule(settings.iterations, float(2 * width_m.max()))
-    trained = train(start, targets, schedule, rng, extent_m=radius_m, threads=threads, label=label)
+    looks: Sequence[Look], start: tuple[Gaussians, np.ndarray], radius_m: float, settings: ShapeSettings, rng: np.random.Generator,
+    threads: int, label: str,
+) -> tuple[Gaussians, np.ndarray]:  # fmt: skip
+    """Gaussians of a thing in its own frame, trained on looks from a ``start`` (``skin``), and their provenance (N,)."""
+    discs_there, seen = start
+    targets = [_target(look, i) for i, look in enumerate(looks)]
+    largest_m = float(2 * np.exp(discs_there.log_scales.max()))
+    trained = train(discs_there, targets, _schedule(settings.iterations, largest_m), rng, extent_m=radius_m, threads=threads, label=label)
     provenance = np.where(seen, MEASURED, INFERRED).astype(np.uint8)[trained.source]
     # What no look shows was trained on outlines alone.
-    sh = np.where((provenance == MEASURED)[:, None, None], trained.gaussians.sh, start.sh[trained.source])
-    gaussians = replace(trained.gaussians, sh=sh)
-    return gaussians, provenance, _agreement_db(gaussians, judged, threads)
+    sh = np.where((provenance == MEASURED)[:, None, None], trained.gaussians.sh, discs_there.sh[trained.source])
+    return replace(trained.gaussians, sh=sh), provenance
 
 
-def _reached_m(look: Look) -> np.ndarray:
-    """(K,) how far from the middle the rays through a look's outline pass."""
-    points = outline_of(look.state)
-    rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
+def skin(looks: Sequence[Look], radius_m: float, count: int) -> tuple[Gaussians, np.ndarray]:
+    """Discs on the hull of a round thing in the colours of the looks, and (N,) bool which of them any look shows."""
+    points, normals = hull(looks, radius_m, count)
+    rgb, seen = coloured(points, normals, looks)
+    width_m = _WIDTH * np.sqrt(4 * np.pi / len(points)) * np.linalg.norm(points, axis=1)
+    return discs(points, normals, rgb, width_m, _FLATNESS, _OPACITY, 0), seen
+
+
+def misfit(gaussians: Gaussians, looks: Sequence[Look], threads: int) -> tuple[float, float]:
+    """Mean squared error of looks: inside the thing, and of the whole crop, outlines and what lies beside included; NaN without any."""
+    rasteriser, squares, counts = Rasteriser(near_m=_NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
+    for look in looks:
+        target = _target(look, 0)
+        drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
+        errors = np.square(drawn - target.rgb).mean(axis=-1)
+        for k, chosen in enumerate(((target.weight > 0) & (look.state == LOOSE), look.state != UNKNOWN)):
+            squares[k] += float(errors[chosen].sum())
+            counts[k] += int(chosen.sum())
+    inside, whole = np.where(counts > 0, squares / np.maximum(counts, 1), np.nan)
+    return float(inside), float(whole)
 
 
 def _whole(region: Region, track: Track, frame: int, camera: Camera) -> bool:
-    """Whether a region has about the area of the thing: another thing may be before it, or beside it and of one region with it."""
+    """Whether a region has about the area of the thing: another thing may be before it, or beside it and of one region with it.
+
+    What is not round shows areas of all sizes.
+    """
+    most = _ONE_AREA if track.round else _ONE_AREA_OBLONG
     radius_px = track.radius_m * camera.focal_px[0] / float(camera.project(track.centres_m[frame])[1])
-    return 1 / _ONE_AREA < region.area_px / (np.pi * radius_px**2) < _ONE_AREA
-
-
-def _from_the_thing(camera: Camera, centre_m: np.ndarray, corner: tuple[int, int], hw: tuple[int, int]) -> Camera:
-    """A camera's crop with the thing's middle as the world's origin."""
-    intrinsics, pose = camera.intrinsics.copy(), camera.camera_from_world.copy()
-    intrinsics[:2, 2] -= corner
-    pose[:3, 3] += pose[:3, :3] @ centre_m
-    return Camera(camera.name, (hw[1], hw[0]), intrinsics, pose)
+    return 1 / most < region.area_px / (np.pi * radius_px**2) < most
 
 
 def _sampled(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
@@ -174,17 +209,6 @@ def _target(look: Look, index: int) -> Target:
     rgb = np.where(loose[..., None] > 0, to_float(look.rgb), behind).astype(np.float32)
     weight = (~seam & (look.state != UNKNOWN)).astype(np.float32)
     return Target(look.camera, rgb, weight, background_rgb=(float(behind),) * 3)
-
-
-def _agreement_db(gaussians: Gaussians, looks: Sequence[Look], threads: int) -> float:
-    rasteriser, squares, count = Rasteriser(near_m=_NEAR_M, threads=threads), 0.0, 0
-    for look in looks:
-        target = _target(look, 0)
-        chosen = (target.weight > 0) & (look.state == LOOSE)
-        drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
-        squares += float(np.square(drawn[chosen] - target.rgb[chosen]).sum())
-        count += 3 * int(chosen.sum())
-    return float(-10 * np.log10(max(squares / count, 1e-10))) if count else float("nan")
 
 
 def _schedule(iterations: int, largest_m: float) -> TrainingSettings:

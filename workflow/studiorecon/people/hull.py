@@ -3,7 +3,8 @@
 
 A point is inside the hull when at least two cameras show somebody there and no camera that sees it shows the room, or one does
 against three: clothes of the wall's colour leave holes in a silhouette. Parts are told apart on the ground plan, since people stand
-beside each other, not on each other.
+beside each other, not on each other: around its tops, because hulls of people near each other touch, and lines of sight that cross
+leave arms of nobody between them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,15 @@ from studiorecon.scene.camera import Camera
 _REACH_M, _TOP_M, _BELOW_M = 6.0, 2.4, 0.3
 # A column of less than this is no part of a person's ground plan: shadows, cables, the edge of a mat.
 _COLUMN_M = 0.4
+# Two people's tops on the ground plan lie this far apart at least; a top is this share of the plan's highest near it, over a plan
+# blurred by so much; metres. Between two tops the plan falls to less than this share of the lower one.
+_TOPS_APART_M, _TOP_SHARE, _TOP_BLUR_M, _SADDLE_SHARE = 0.45, 0.5, 0.1, 0.85
+# What stands within this of where most stands above each other says where a person is; metres.
+_TRUNK_M = 0.3
+
+# A part's middle jumps by this without anybody moving; a way is told from the last so many seconds; metres that a second unseen counts,
+# and that having been seen only once does.
+_JITTER_M, _HEADING_S, _UNSEEN_M_S, _ONCE_M, _NEVER_M = 0.2, 0.5, 0.5, 0.3, 1e3
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,12 @@ def whole_person(
 
 
 def _part(cells_m: np.ndarray, shown: np.ndarray, denied: np.ndarray, chosen: np.ndarray) -> Part:
-    return Part(np.median(cells_m[chosen, :2], axis=0), cells_m[chosen], shown[chosen].mean(0) > 0.3, denied[chosen])
+    own_m = cells_m[chosen]
+    # Where most stands above each other, not in the middle: lines of sight that cross leave long arms.
+    columns, count = np.unique(own_m[:, :2], axis=0, return_counts=True)
+    crowd = np.array([count[np.linalg.norm(columns - c, axis=1) < 2 * _TOP_BLUR_M].sum() for c in columns])
+    near = np.linalg.norm(own_m[:, :2] - columns[crowd.argmax()], axis=1) < _TRUNK_M
+    return Part(np.median(own_m[near, :2], axis=0), own_m, shown[chosen].mean(0) > 0.3, denied[chosen])
 
 
 def _carved(cells_m: np.ndarray, cameras: Sequence[Camera], labels: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -143,9 +158,37 @@ def _carved(cells_m: np.ndarray, cameras: Sequence[Camera], labels: Sequence[np.
 
 def _ground_plan(occupied: np.ndarray, shape: tuple[int, int, int], voxel_m: float) -> tuple[np.ndarray, int]:
     """(N,) the number of the region of the ground plan that a cell stands in, 0 for none, and how many numbers there are."""
-    plan = (occupied.reshape(shape).sum(2) * voxel_m >= _COLUMN_M).astype(np.uint8)
-    count, regions = cv2.connectedComponents(plan, connectivity=8)
-    return np.repeat(regions.reshape(-1), shape[2]), count
+    height_m = occupied.reshape(shape).sum(2) * voxel_m
+    regions = _around_tops(height_m, voxel_m)
+    return np.repeat(regions.reshape(-1), shape[2]), int(regions.max(initial=0)) + 1
+
+
+def _around_tops(height_m: np.ndarray, voxel_m: float) -> np.ndarray:
+    """(X, Y) regions from 1 on of the columns of ``height_m`` (X, Y): connected ones, and of those each around its own top."""
+    plan = (height_m >= _COLUMN_M).astype(np.uint8)
+    connected = cv2.connectedComponents(plan, connectivity=8)[1]
+    smooth = scipy.ndimage.gaussian_filter(height_m * plan, _TOP_BLUR_M / voxel_m)
+    reach = round(_TOPS_APART_M / voxel_m)
+    highest = scipy.ndimage.maximum_filter(smooth, footprint=cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
+    regions, count = np.zeros(plan.shape, np.int64), 0
+    for k in range(1, connected.max(initial=0) + 1):
+        here = connected == k
+        tops = np.argwhere(here & (smooth == highest) & (smooth >= _TOP_SHARE * smooth[here].max()))
+        tops = _with_saddles(tops, smooth)
+        apart = np.linalg.norm(np.argwhere(here)[:, None] - tops[None], axis=-1) if len(tops) > 1 else np.zeros((int(here.sum()), 1))
+        regions[here] = count + 1 + apart.argmin(axis=1)
+        count += max(1, len(tops))
+    return regions
+
+
+def _with_saddles(tops: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """Those of ``tops`` (N, 2), highest first, between which and every higher one the plan falls: a ridge has one top."""
+    kept: list[np.ndarray] = []
+    for top in sorted(tops, key=lambda p: -smooth[tuple(p)]):
+        between = [np.linspace(top, other, 20).round().astype(int) for other in kept]
+        if all(smooth[tuple(line.T)].min() < _SADDLE_SHARE * smooth[tuple(top)] for line in between):
+            kept.append(top)
+    return np.array(kept)
 
 
 def is_person(part: Part, voxel_m: float, limits: HullLimits) -> bool:
@@ -165,19 +208,14 @@ def tracks(found: Sequence[tuple[int, list[Part]]], fps: float, limits: HullLimi
     """Parts of human size, followed through the frames; only those that last, in order of appearance."""
     open_tracks: list[list[tuple[int, Part]]] = []
     for frame, people in found:
-        pairs = sorted(
-            (float(np.linalg.norm(part.place_m - track[-1][1].place_m)), k, i)
-            for k, track in enumerate(open_tracks)
-            for i, part in enumerate(people)
-        )
         used: set[int] = set()
-        grown: set[int] = set()
-        for distance_m, k, i in pairs:
-            elapsed_s = (frame - open_tracks[k][-1][0]) / fps
-            if k not in grown and i not in used and distance_m <= 0.2 + limits.speed_m_s * elapsed_s:
-                open_tracks[k].append((frame, people[i]))
-                grown.add(k)
-                used.add(i)
+        if open_tracks and people:
+            # Everybody at once, from where they were going: two who pass each other do not take each other's place.
+            cost_m = np.array([[_off_m(track, frame, part, fps, limits) for part in people] for track in open_tracks])
+            for k, i in zip(*scipy.optimize.linear_sum_assignment(np.where(np.isfinite(cost_m), cost_m, _NEVER_M))):
+                if np.isfinite(cost_m[k, i]):
+                    open_tracks[k].append((frame, people[i]))
+                    used.add(int(i))
         open_tracks += [[(frame, part)] for i, part in enumerate(people) if i not in used]
     lasting = [t for t in open_tracks if len(t) >= max(2, limits.share * len(found))]
     return [
@@ -188,6 +226,21 @@ def tracks(found: Sequence[tuple[int, list[Part]]], fps: float, limits: HullLimi
         )
         for t in lasting
     ]
+
+
+def _off_m(track: Sequence[tuple[int, Part]], frame: int, part: Part, fps: float, limits: HullLimits) -> float:
+    """How far a part is from where a track was going, metres; inf where nobody gets to from where it was."""
+    last, place_m = track[-1][0], track[-1][1].place_m
+    elapsed_s = (frame - last) / fps
+    if np.linalg.norm(part.place_m - place_m) > _JITTER_M + limits.speed_m_s * elapsed_s:
+        return np.inf
+    recent = [(t, p.place_m) for t, p in track if (last - t) / fps <= _HEADING_S]
+    if len(recent) > 2 and elapsed_s <= _HEADING_S:
+        times, places_m = np.array([t for t, _ in recent]) / fps, np.array([p for _, p in recent])
+        slope, level = np.polyfit(times - last / fps, places_m, 1)
+        place_m = level + slope * elapsed_s
+    # Somebody seen just now goes on before somebody long unseen comes back, and before what was seen once and may be nobody.
+    return float(np.linalg.norm(part.place_m - place_m) + _UNSEEN_M_S * elapsed_s + _ONCE_M / len(track))
 
 
 def _middle(cameras: Sequence[Camera]) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room in people's shadow: its Gaussians that face up, dimmed by what posed bodies keep from them."""
+"""The room in the shadow of people and things: its Gaussians that face up, dimmed by what posed bodies and capsules keep from them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from studiorecon.geometry import rotations
 from studiorecon.scene.floor import FLOOR_M
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.scene.light import Light
+from studiorecon.scene.objects import RigidObject
 
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
 _FURNITURE_M = 1.0
@@ -32,6 +33,7 @@ class Shading:
         at: (M,) those that can be shaded; ``facing`` (M,) how far each faces up, 0..1.
         usual: (M,) share of its light that each had in the plates.
         casters: people with their capsules: whoever a shot shows, stand-ins for themselves.
+        things: loose things.
     """
 
     light: Light
@@ -40,27 +42,31 @@ class Shading:
     facing: np.ndarray
     usual: np.ndarray
     casters: Sequence[tuple[Avatar, Occluder]]
+    things: Sequence[RigidObject] = ()
 
     def room_at(self, frame: float) -> Gaussians:
-        """The room as people at a (fractional) frame shade it."""
-        left = self.light.factor(self.room.means_m[self.at], _bodies(self.casters, frame)) / self.usual
+        """The room as people and things at a (fractional) frame shade it."""
+        left = self.light.factor(self.room.means_m[self.at], _bodies(self.casters, self.things, frame)) / self.usual
         return dimmed(self.room, self.at, 1 - self.facing * (1 - left))
 
 
-def shading(light: Light, room: Gaussians, people: Sequence[Avatar], filmed: Sequence[Avatar]) -> Shading | None:
-    """How ``people`` shade the room; None when the light was not kept or nobody is there.
+def shading(
+    light: Light, room: Gaussians, people: Sequence[Avatar], filmed: Sequence[Avatar], things: Sequence[RigidObject] = ()
+) -> Shading | None:
+    """How ``people`` and ``things`` shade the room; None when the light was not kept or nothing is there.
 
-    ``filmed`` are the people of the footage: where they shade the floor most of the time, a clean plate shows that shade, and the room
-    with it. What a plate would show is therefore found by its own rule and divided by.
+    ``filmed`` are the people of the footage: where they, or things, shade the floor most of the time, a clean plate shows that shade, and
+    the room with it. What a plate would show is therefore found by its own rule and divided by.
     """
-    if not light.kept or not people:
+    if not light.kept or not (people or things):
         return None
     facing = facing_up(room, light.floor_m)
     at = np.flatnonzero(facing > _LEAST_FACING)
     casters = [(person, occluder(person.model, person.betas)) for person in filmed]
-    moments = np.unique(np.linspace(0, filmed[0].frames - 1, _MOMENTS).round())
-    usual = most_agreed(np.stack([light.factor(room.means_m[at], _bodies(casters, float(m))) for m in moments]))
-    return Shading(light, room, at, facing[at], usual, [(person, occluder(person.model, person.betas)) for person in people])
+    last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
+    moments = np.unique(np.linspace(0, last, _MOMENTS).round())
+    usual = most_agreed(np.stack([light.factor(room.means_m[at], _bodies(casters, things, float(m))) for m in moments]))
+    return Shading(light, room, at, facing[at], usual, [(person, occluder(person.model, person.betas)) for person in people], things)
 
 
 def most_agreed(left: np.ndarray) -> np.ndarray:
@@ -71,12 +77,12 @@ def most_agreed(left: np.ndarray) -> np.ndarray:
     return (left * agree).sum(axis=0) / agree.sum(axis=0)
 
 
-def _bodies(casters: Sequence[tuple[Avatar, Occluder]], frame: float) -> list[np.ndarray]:
+def _bodies(casters: Sequence[tuple[Avatar, Occluder]], things: Sequence[RigidObject], frame: float) -> list[np.ndarray]:
     posed = []
     for person, capsules in casters:
         pose, trans = person.pose_at(frame)
         posed.append(capsules.posed(person.model.joint_transforms(pose[None], person.betas, trans[None])[0]))
-    return posed
+    return [*posed, *(thing.capsule(frame) for thing in things)]
 
 
 def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:

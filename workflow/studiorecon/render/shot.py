@@ -62,7 +62,7 @@ def read_composite(
     background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping,
     light: Sequence[Path] = (), objects: Sequence[Path] = (),
 ) -> Composite:  # fmt: skip
-    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, people shade the room.
+    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they shade the room.
 
     Raises Refusal when the provenance is another background's.
     """
@@ -75,7 +75,8 @@ def read_composite(
     people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
     things = [thing for path in objects for thing in read_objects(path)]
-    return Composite(static, classes, cast, shading(read_light(light[0]), static, cast, people) if light else None, things)
+    shade = shading(read_light(light[0]), static, cast, people, things) if light else None
+    return Composite(static, classes, cast, shade, things)
 
 
 def run(
@@ -98,7 +99,7 @@ def run(
     objects: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
-    """Render one shot; without people files the film shows the background alone, without ``light`` nobody throws a shadow."""
+    """Render one shot; without people files the film shows the background alone, without ``light`` nobody and nothing throws a shadow."""
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
