@@ -37,6 +37,7 @@ LEAST, MOST = 0.95, 0.05
 BY_NATURE = {
     ("face", "hands"): "pictures in which faces are large show large hands",
     ("depth_shift", "closed_path"): "cameras in a row before a wall are no ring",
+    ("depth_shift", "face"): "there they stand nearer to people, whose faces are larger",
 }
 
 
