@@ -16,7 +16,7 @@ from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.geometry import rotations
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.people import fit, following, hull, own_silhouettes, upright
-from studiorecon.people.contour import Silhouette
+from studiorecon.people.contour import Silhouette, Targets
 from studiorecon.people.foreground import FOREGROUND, UNKNOWN
 from studiorecon.people.label_film import FilmTargets, LabelFilm
 from studiorecon.people.standing import Standing, read_standing, write_standing
@@ -221,6 +221,26 @@ def test_an_arm_that_cameras_miss_is_no_background_to_the_others(body: BodyModel
     assert carved[arm].mean() < 0.6, "the case has an arm outside the hull"
     assert (label[arm] == FOREGROUND).mean() > 0.9
     assert (label[shadow & ~carved] != FOREGROUND).all()
+
+
+def test_one_arm_hangs_while_the_other_is_up(body: BodyModel, cameras, options) -> None:
+    """The left hand is cut from all silhouettes and the forearm starts folded before the chest; the right arm is raised."""
+    poses, trans = poses_of(body, 1)
+    poses[0, 48:60] = [0, 0, -1.2, 0, 0, 0.3, 0, 0, 0, 0, 1.5, 0]
+    pictured = silhouettes(body, cameras, poses[0], trans[0])
+    joints = body.joints(poses, np.zeros(10), trans)[0]
+    for camera, label in zip(cameras, pictured):
+        wrist = camera.project(joints[[20]])[0][0]
+        cv2.circle(label, tuple(int(x) for x in wrist), 5, int(UNKNOWN), cv2.FILLED)
+    targets = Targets.of(pictured)
+    surface = Silhouette(body, cameras, options.hull.contour)
+    true = State(rotations.exp(poses.reshape(-1, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((0, 3)))
+    folded = true.local.copy()
+    folded[0, 18] = rotations.exp(np.array([0.0, -2.3, 0.0]))
+    start = State(folded, trans, np.zeros(10), 0.0, np.zeros((0, 3)))
+    found = surface.joints(following.arms_settled(surface, targets, start))
+    assert np.linalg.norm(surface.joints(start) - joints, axis=-1)[20] > 0.2
+    assert np.linalg.norm(found - joints, axis=-1)[[18, 19, 20, 21]].max() < 0.12
 
 
 def test_legs_that_start_exchanged_come_out_right(body: BodyModel, cameras, options) -> None:

@@ -141,6 +141,10 @@ class Silhouette:
                 shares.append(int((region & there).sum()) / union)
         return float(np.mean(shares)) if shares else 0.0
 
+    def strain(self, state: State) -> float:
+        """What the pose prior says against a state, nats."""
+        return float(0.5 * (self.precision * prior.bend(state.local)[0] ** 2).sum())
+
     def refine(
         self, state: State, targets: Targets, steps: int, *, free: str, reach_px: tuple[float, float], before: Before | None = None
     ) -> State:

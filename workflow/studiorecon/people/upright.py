@@ -18,7 +18,7 @@ from studiorecon.body.model import JOINT_NAMES, OTHER_SIDE, upright_global_orien
 from studiorecon.geometry import rotations
 from studiorecon.people.contour import Silhouette, Targets
 from studiorecon.people.facing import Facing, compare, witness
-from studiorecon.people.following import follow
+from studiorecon.people.following import arms_settled, follow
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.
@@ -158,4 +158,5 @@ def shaped(surface: Silhouette, walk: Walk, found: Found) -> Found:
         betas.append(fitted.betas)
     state = State(found.state.local, found.state.trans, np.median(betas, axis=0), 0.0, found.state.corrections)
     state = surface.refine(state, walk.targets[found.frame], _SHAPE_STEPS, free="pose", reach_px=(reach[0] / 3, reach[1]))
+    state = arms_settled(surface, walk.targets[found.frame], state)
     return Found(found.frame, state, found.agreement, found.facing)
