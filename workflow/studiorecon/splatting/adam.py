@@ -26,7 +26,7 @@ from collections.abc import Mapping
 import numpy as np
 from numba import float32, int64, njit, prange
 
-from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, LOG2_E, OPACITY, SCALE
+from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, LOG2_E, OPACITY, PIECE, SCALE
 from studiorecon.splatting.simd import (
     below,
     bits_from_mask,
@@ -120,20 +120,15 @@ def step_arrays(parameter, gradient, first, second, rows, width, rate, beta1, be
     return refused
 
 
-@njit(parallel=True, **KERNEL)
-def step_blocks(
-    parameters, raw, gradient, first, second, rates, epsilons, beta1, beta2, correction1, correction2, visible, rows, opacity_pull,
-    log_scale_max, refused,
+@njit(**KERNEL)
+def _step_some_blocks(
+    begin, end, parameters, raw, gradient, first, second, rates, epsilons, beta1, beta2, correction1, correction2, visible, rows,
+    opacity_pull, log_scale_max, refused,
 ):  # fmt: skip
-    """One Adam step of all visible Gaussians, with the activations: ``raw`` holds log scales and logits, ``parameters`` their values.
-
-    ``rates`` and ``epsilons`` are per row (59), ``rows`` is how many rows move, ``opacity_pull`` is added to the gradient by opacity,
-    log scales stay at or below ``log_scale_max``. ``refused`` (blocks) counts gradients that were not finite. corrections: 1 − β^t.
-    """
     b1, b2 = broadcast(beta1), broadcast(beta2)
     a1, a2 = broadcast(float32(1) - beta1), broadcast(float32(1) - beta2)
     unbias, infinity, sixty = broadcast(float32(1) / correction2), broadcast(float32(np.inf)), broadcast(float32(60))
-    for block in prange(len(visible) // LANES):
+    for block in range(begin, end):
         bits = int64(0)
         for lane in range(LANES):
             bits |= int64(visible[block * LANES + lane]) << lane
@@ -172,3 +167,22 @@ def step_blocks(
                     store(parameters, at, exp2(most(least(x * LOG2_E, sixty), -sixty)))
             else:
                 store(parameters, at, p - change)
+
+
+@njit(parallel=True, **KERNEL)
+def step_blocks(
+    parameters, raw, gradient, first, second, rates, epsilons, beta1, beta2, correction1, correction2, visible, rows, opacity_pull,
+    log_scale_max, refused,
+):  # fmt: skip
+    """One Adam step of all visible Gaussians, with the activations: ``raw`` holds log scales and logits, ``parameters`` their values.
+
+    ``rates`` and ``epsilons`` are per row (59), ``rows`` is how many rows move, ``opacity_pull`` is added to the gradient by opacity,
+    log scales stay at or below ``log_scale_max``. ``refused`` (blocks) counts gradients that were not finite. corrections: 1 − β^t.
+    """
+    blocks = len(visible) // LANES
+    for piece in prange(-(-blocks // PIECE)):
+        begin = piece * PIECE
+        _step_some_blocks(
+            begin, min(begin + PIECE, blocks), parameters, raw, gradient, first, second, rates, epsilons, beta1, beta2, correction1,
+            correction2, visible, rows, opacity_pull, log_scale_max, refused,
+        )  # fmt: skip

@@ -50,6 +50,9 @@ SANE = np.float32(1e7)
 PAIRS_MAX = 1 << 28
 """Splat–tile pairs of one image; beyond 2 GB of lists the scene is broken, not detailed."""
 
+PIECE = 32
+"""Blocks that one thread takes at a time. The loop over them is a function of its own: a parallel one takes twice as long to compile."""
+
 # No reassociation: sums replay bit for bit. No nnan/ninf: NaN inputs must be caught by comparisons, not be undefined.
 KERNEL: dict[str, Any] = {"cache": True, "fastmath": {"nsz", "contract"}, "error_model": "numpy", "boundscheck": False}
 # parallel=True is for loops that run at every step: it doubles a kernel's time to compile.

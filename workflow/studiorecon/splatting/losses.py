@@ -85,13 +85,11 @@ class Photometric:
                 self._statistics = (aligned(3 * self._plane), aligned(3 * self._plane))
             mean, square = self._statistics
             similarity.target_statistics(target.padded, height, self._wide, self._taps, mean, square)
-        size = (height, self._wide, self._taps)
         share = 1.0 / (3 * target.weighted_pixels) if target.weighted_pixels else 0.0
-        similarity.pad_rendering(planes, target.padded, target.weight, self._wide, self._image)
-        similarity.similarity_maps(self._image, target.padded, mean, square, target.weight, *size, self._slopes, self._sums)
         weights = (np.float32(self.l1 * share), np.float32(self.ssim * share))
-        similarity.photometric_gradient(
-            self._image, target.padded, target.weight, *size, self._slopes, *weights, gradient[:3], self._sums
+        similarity.photometric_terms(
+            planes, target.padded, mean, square, target.weight, height, self._wide, self._taps, *weights, self._image, self._slopes,
+            gradient[:3], self._sums,
         )  # fmt: skip
         dissimilarity, absolute, squared = (self._sums.sum(axis=0, dtype=np.float64) * share).tolist()
         psnr_db = -10 * np.log10(max(squared, 1e-12))

@@ -28,6 +28,7 @@ from studiorecon.splatting.conventions import (
     LOG2_E,
     NEAR,
     OPACITY,
+    PIECE,
     PRINCIPAL,
     QUATERNION,
     RECORD,
@@ -148,15 +149,11 @@ def _sane_parameters(parameters, base, square):
     return sane
 
 
-@njit(parallel=True, **KERNEL)
-def project(parameters, camera, degree, splats, depth_m, visible, refused):
-    """Fills records (N·16), depths (N) and visibility (N, 0/1); ``refused`` (N/16) counts Gaussians with absurd values.
-
-    Lanes that are not visible keep whatever their record held before.
-    """
+@njit(**KERNEL)
+def _project_blocks(begin, end, parameters, camera, degree, splats, depth_m, visible, refused):
     left, right, top, bottom = camera[LIMITS], camera[LIMITS + 1], camera[LIMITS + 2], camera[LIMITS + 3]
     one, zero, limit = broadcast(np.float32(1)), zeros(), broadcast(SANE)
-    for block in prange(len(visible) // LANES):
+    for block in range(begin, end):
         first, base = block * LANES, block * BLOCK_FLOATS
         x, y, z = in_camera(parameters, base, camera)
         front = above(z, broadcast(camera[NEAR]))
@@ -205,3 +202,15 @@ def project(parameters, camera, degree, splats, depth_m, visible, refused):
             visible[first + lane] = (bits >> lane) & 1
             count += (insane >> lane) & 1
         refused[block] = count
+
+
+@njit(parallel=True, **KERNEL)
+def project(parameters, camera, degree, splats, depth_m, visible, refused):
+    """Fills records (N·16), depths (N) and visibility (N, 0/1); ``refused`` (N/16) counts Gaussians with absurd values.
+
+    Lanes that are not visible keep whatever their record held before.
+    """
+    blocks = len(visible) // LANES
+    for piece in prange(-(-blocks // PIECE)):
+        begin = piece * PIECE
+        _project_blocks(begin, min(begin + PIECE, blocks), parameters, camera, degree, splats, depth_m, visible, refused)

@@ -19,6 +19,7 @@ from studiorecon.splatting.conventions import (
     LIMITS,
     NEAR,
     OPACITY,
+    PIECE,
     QUATERNION,
     RECORD,
     RED,
@@ -93,17 +94,13 @@ def _quaternion_gradient(w, x, y, z, t0, t1, t2):
     )  # fmt: skip
 
 
-@njit(parallel=True, **KERNEL)
-def project_gradient(parameters, camera, degree, splats, visible, moments, gradient, screen):
-    """Fills ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in pixels).
-
-    Gradients are by the stored (activated) scale and opacity. Blocks without a visible Gaussian are left as they are.
-    """
+@njit(**KERNEL)
+def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible, moments, gradient, screen):
     size = len(visible)
     shares = len(moments) // (RECORD * size)
     left, right, top, bottom = camera[LIMITS], camera[LIMITS + 1], camera[LIMITS + 2], camera[LIMITS + 3]
     fx, fy = camera[FOCAL], camera[FOCAL + 1]
-    for block in prange(size // LANES):
+    for block in range(begin, end):
         first, base = block * LANES, block * BLOCK_FLOATS
         bits = int64(0)
         for lane in range(LANES):
@@ -190,3 +187,15 @@ def project_gradient(parameters, camera, degree, splats, visible, moments, gradi
         store(gradient, base, where(seen, wx))
         store(gradient, base + LANES, where(seen, wy))
         store(gradient, base + 2 * LANES, where(seen, wz))
+
+
+@njit(parallel=True, **KERNEL)
+def project_gradient(parameters, camera, degree, splats, visible, moments, gradient, screen):
+    """Fills ``gradient`` (layout of the parameter blocks) and ``screen`` (2·N: dL/dx then dL/dy of the centre in pixels).
+
+    Gradients are by the stored (activated) scale and opacity. Blocks without a visible Gaussian are left as they are.
+    """
+    blocks = len(visible) // LANES
+    for piece in prange(-(-blocks // PIECE)):
+        begin = piece * PIECE
+        _gradients_of_blocks(begin, min(begin + PIECE, blocks), parameters, camera, degree, splats, visible, moments, gradient, screen)

@@ -8,7 +8,7 @@ SSIM uses the usual 11×11 Gaussian window (σ 1.5) and zeros outside the image,
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit, prange
+from numba import float32, int64, njit, prange
 
 from studiorecon.splatting.conventions import INLINE, KERNEL, LANES
 from studiorecon.splatting.simd import above, below, broadcast, madd, magnitude, select, where, zeros
@@ -69,57 +69,55 @@ def target_statistics(target, height, wide, taps, mean, square):
             store(square, out + x, _across(line, wide, x, taps))
 
 
-@njit(parallel=True, **KERNEL)
-def pad_rendering(planes, target, weight, wide, padded):
+@njit(**KERNEL)
+def _pad_row(j, planes, target, weight, wide, padded):
     """Rendering (5, H, W) → padded planes; where the weight (H, wide − 32) is 0 the target stands in and disturbs no window."""
     height, width = planes.shape[1], planes.shape[2]
     rows, inner = height + 2 * RADIUS, wide - 2 * PAD
-    for j in prange(3 * height):
-        channel, y = j // height, j % height
-        at = (channel * rows + y + RADIUS) * wide + PAD
-        for x in range(width):
-            padded[at + x] = planes[channel, y, x] if weight[y * inner + x] > float32(0) else target[at + x]
+    channel, y = j // height, j % height
+    at = (channel * rows + y + RADIUS) * wide + PAD
+    for x in range(width):
+        padded[at + x] = planes[channel, y, x] if weight[y * inner + x] > float32(0) else target[at + x]
 
 
-@njit(parallel=True, **KERNEL)
-def similarity_maps(image, target, mean, square, weight, height, wide, taps, slopes, sums):
+@njit(**KERNEL)
+def _similarity_row(j, image, target, mean, square, weight, height, wide, taps, slopes, sums):
     """Fills ``slopes`` (three padded images: w·dSSIM by windowed mean, square and product) and sums[:, 0] = Σ w·(1 − SSIM)."""
     rows, inner, size = height + 2 * RADIUS, wide - 2 * PAD, len(image)
     one, two, c1, c2 = broadcast(float32(1)), broadcast(float32(2)), broadcast(C1), broadcast(C2)
-    for j in prange(3 * height):
-        y = j % height
-        first = (j // height) * rows + y
-        line, scratch = np.zeros(3 * wide, np.float32), np.empty(LANES, np.float32)
-        for x in range(PAD, wide - PAD, LANES):
-            a, b, d = zeros(), zeros(), zeros()
-            for k in range(TAPS):
-                at = (first + k) * wide + x
-                value = load(image, at)
-                tapped = value * broadcast(taps[k])
-                a, b, d = a + tapped, madd(tapped, value, b), madd(tapped, load(target, at), d)
-            store(line, x, a)
-            store(line, wide + x, b)
-            store(line, 2 * wide + x, d)
-        out = (first + RADIUS) * wide
-        total = zeros()
-        for x in range(PAD, wide - PAD, LANES):
-            mx, xx, xy = _across(line, 0, x, taps), _across(line, wide, x, taps), _across(line, 2 * wide, x, taps)
-            my, yy, w = load(mean, out + x), load(square, out + x), load(weight, y * inner + x - PAD)
-            product, squares = mx * my, madd(mx, mx, my * my)
-            a, b = madd(two, product, c1), madd(two, xy - product, c2)
-            inverse_p, inverse_q = one / (squares + c1), one / (xx + yy - squares + c2)
-            similarity = a * b * inverse_p * inverse_q
-            total = madd(w, one - similarity, total)
-            # By the mean with mean square and mean product held, through a, b, p and q.
-            by_mean = two * my * (b - a) * inverse_p * inverse_q + two * mx * similarity * (inverse_q - inverse_p)
-            store(slopes, out + x, w * by_mean)
-            store(slopes, size + out + x, -(w * similarity * inverse_q))
-            store(slopes, 2 * size + out + x, w * two * a * inverse_p * inverse_q)
-        sums[j, 0] = _sum_of_lanes(total, scratch)
+    y = j % height
+    first = (j // height) * rows + y
+    line, scratch = np.zeros(3 * wide, np.float32), np.empty(LANES, np.float32)
+    for x in range(PAD, wide - PAD, LANES):
+        a, b, d = zeros(), zeros(), zeros()
+        for k in range(TAPS):
+            at = (first + k) * wide + x
+            value = load(image, at)
+            tapped = value * broadcast(taps[k])
+            a, b, d = a + tapped, madd(tapped, value, b), madd(tapped, load(target, at), d)
+        store(line, x, a)
+        store(line, wide + x, b)
+        store(line, 2 * wide + x, d)
+    out = (first + RADIUS) * wide
+    total = zeros()
+    for x in range(PAD, wide - PAD, LANES):
+        mx, xx, xy = _across(line, 0, x, taps), _across(line, wide, x, taps), _across(line, 2 * wide, x, taps)
+        my, yy, w = load(mean, out + x), load(square, out + x), load(weight, y * inner + x - PAD)
+        product, squares = mx * my, madd(mx, mx, my * my)
+        a, b = madd(two, product, c1), madd(two, xy - product, c2)
+        inverse_p, inverse_q = one / (squares + c1), one / (xx + yy - squares + c2)
+        similarity = a * b * inverse_p * inverse_q
+        total = madd(w, one - similarity, total)
+        # By the mean with mean square and mean product held, through a, b, p and q.
+        by_mean = two * my * (b - a) * inverse_p * inverse_q + two * mx * similarity * (inverse_q - inverse_p)
+        store(slopes, out + x, w * by_mean)
+        store(slopes, size + out + x, -(w * similarity * inverse_q))
+        store(slopes, 2 * size + out + x, w * two * a * inverse_p * inverse_q)
+    sums[j, 0] = _sum_of_lanes(total, scratch)
 
 
-@njit(parallel=True, **KERNEL)
-def photometric_gradient(image, target, weight, height, wide, taps, slopes, l1, ssim, gradient, sums):
+@njit(**KERNEL)
+def _gradient_row(j, image, target, weight, height, wide, taps, slopes, l1, ssim, gradient, sums):
     """Fills gradient (3, H, W) by the image for l1·Σ w|x−y| + ssim·Σ w(1−SSIM).
 
     sums[:, 1:] = Σ w|x−y| and Σ over w > 0 of (x−y)², per row.
@@ -127,34 +125,47 @@ def photometric_gradient(image, target, weight, height, wide, taps, slopes, l1, 
     rows, inner, size, width = height + 2 * RADIUS, wide - 2 * PAD, len(image), gradient.shape[2]
     two, one, by_ssim = broadcast(float32(2)), broadcast(float32(1)), broadcast(-ssim)
     flat = gradient.reshape(-1)
+    y = j % height
+    first = (j // height) * rows + y
+    line, scratch = np.zeros(3 * wide, np.float32), np.empty(LANES, np.float32)
+    for x in range(PAD, wide - PAD, LANES):
+        a, b, d = zeros(), zeros(), zeros()
+        for k in range(TAPS):
+            at, tap = (first + k) * wide + x, broadcast(taps[k])
+            a, b = madd(load(slopes, at), tap, a), madd(load(slopes, size + at), tap, b)
+            d = madd(load(slopes, 2 * size + at), tap, d)
+        store(line, x, a)
+        store(line, wide + x, b)
+        store(line, 2 * wide + x, d)
+    out = (first + RADIUS) * wide
+    absolute, squared = zeros(), zeros()
+    for x in range(PAD, wide - PAD, LANES):
+        value, wanted, w = load(image, out + x), load(target, out + x), load(weight, y * inner + x - PAD)
+        error = value - wanted
+        sign = select(above(error, zeros()), one, select(below(error, zeros()), -one, zeros()))
+        absolute, squared = madd(w, magnitude(error), absolute), squared + where(above(w, zeros()), error * error)
+        similar = _across(line, 0, x, taps) + two * value * _across(line, wide, x, taps) + wanted * _across(line, 2 * wide, x, taps)
+        slope = where(above(w, zeros()), madd(by_ssim, similar, broadcast(l1) * w * sign))
+        column = x - PAD
+        if column + LANES <= width:
+            store(flat, j * width + column, slope)
+        else:
+            store(scratch, 0, slope)
+            for lane in range(width - column):
+                flat[j * width + column + lane] = scratch[lane]
+    sums[j, 1] = _sum_of_lanes(absolute, scratch)
+    sums[j, 2] = _sum_of_lanes(squared, scratch)
+
+
+@njit(parallel={"fusion": False}, **KERNEL)
+def photometric_terms(planes, target, mean, square, weight, height, wide, taps, l1, ssim, image, slopes, gradient, sums):
+    """Rendering (5, H, W) against a padded target: fills ``gradient`` (3, H, W) and the rows' ``sums`` (3·H, 3), see the rows' functions.
+
+    Three loops in one kernel, since each parallel kernel takes a second to compile; not fused, since rows need their neighbours.
+    """
     for j in prange(3 * height):
-        y = j % height
-        first = (j // height) * rows + y
-        line, scratch = np.zeros(3 * wide, np.float32), np.empty(LANES, np.float32)
-        for x in range(PAD, wide - PAD, LANES):
-            a, b, d = zeros(), zeros(), zeros()
-            for k in range(TAPS):
-                at, tap = (first + k) * wide + x, broadcast(taps[k])
-                a, b = madd(load(slopes, at), tap, a), madd(load(slopes, size + at), tap, b)
-                d = madd(load(slopes, 2 * size + at), tap, d)
-            store(line, x, a)
-            store(line, wide + x, b)
-            store(line, 2 * wide + x, d)
-        out = (first + RADIUS) * wide
-        absolute, squared = zeros(), zeros()
-        for x in range(PAD, wide - PAD, LANES):
-            value, wanted, w = load(image, out + x), load(target, out + x), load(weight, y * inner + x - PAD)
-            error = value - wanted
-            sign = select(above(error, zeros()), one, select(below(error, zeros()), -one, zeros()))
-            absolute, squared = madd(w, magnitude(error), absolute), squared + where(above(w, zeros()), error * error)
-            similar = _across(line, 0, x, taps) + two * value * _across(line, wide, x, taps) + wanted * _across(line, 2 * wide, x, taps)
-            slope = where(above(w, zeros()), madd(by_ssim, similar, broadcast(l1) * w * sign))
-            column = x - PAD
-            if column + LANES <= width:
-                store(flat, j * width + column, slope)
-            else:
-                store(scratch, 0, slope)
-                for lane in range(width - column):
-                    flat[j * width + column + lane] = scratch[lane]
-        sums[j, 1] = _sum_of_lanes(absolute, scratch)
-        sums[j, 2] = _sum_of_lanes(squared, scratch)
+        _pad_row(int64(j), planes, target, weight, wide, image)
+    for j in prange(3 * height):
+        _similarity_row(int64(j), image, target, mean, square, weight, height, wide, taps, slopes, sums)
+    for j in prange(3 * height):
+        _gradient_row(int64(j), image, target, weight, height, wide, taps, slopes, l1, ssim, gradient, sums)

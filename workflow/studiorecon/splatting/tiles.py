@@ -100,6 +100,41 @@ def _columns_in_row(x, y, k, c, reach, inverse_root_a, tip, half_h, row, columns
     return first, last
 
 
+@njit(**KERNEL)
+def _scatter_share(share, count, order, splats, columns, rows, shares, cursor, rectangles, pairs, fill):
+    offset = share * columns * rows
+    for i in range(count * share // shares, count * (share + 1) // shares):
+        at = int64(order[i]) * RECORD
+        if fill:
+            row0, row1 = int64(rectangles[4 * i]), int64(rectangles[4 * i + 1])
+            column0, column1 = int64(rectangles[4 * i + 2]), int64(rectangles[4 * i + 3])
+        else:
+            if i + 8 < count:
+                prefetch(splats, int64(order[i + 8]) * RECORD)
+            row0, row1 = _tile_range(splats[at + Y], splats[at + HALF_HEIGHT], rows)
+            column0, column1 = _tile_range(splats[at + X], splats[at + HALF_WIDTH], columns)
+            rectangles[4 * i], rectangles[4 * i + 1], rectangles[4 * i + 2], rectangles[4 * i + 3] = row0, row1, column0, column1
+        if row0 > row1 or column0 > column1:
+            continue
+        strip = row0 == row1 or column0 == column1
+        x, y, k, c = splats[at + X], splats[at + Y], splats[at + ELLIPSE_K], splats[at + ELLIPSE_C]
+        reach = splats[at + OPACITY_LOG2] - ALPHA_LOG2_MIN
+        half_w, half_h = splats[at + HALF_WIDTH], splats[at + HALF_HEIGHT]
+        inverse_root_a, tip = float32(0), float32(0)
+        if not strip:
+            inverse_root_a = float32(1) / math.sqrt(splats[at + ELLIPSE_A])
+            tip = k * half_h * half_h / half_w
+        for row in range(row0, row1 + 1):
+            first, last = column0, column1
+            if not strip:
+                first, last = _columns_in_row(x, y, k, c, reach, inverse_root_a, tip, half_h, row, columns)
+            for cell in range(offset + row * columns + first, offset + row * columns + last + 1):
+                place = cursor[cell]
+                if fill:
+                    pairs[place] = order[i]
+                cursor[cell] = place + np.uint32(1)
+
+
 @njit(parallel=True, **KERNEL)
 def scatter_into_tiles(count, order, splats, columns, rows, shares, cursor, rectangles, pairs, fill):
     """Pass one (``fill`` False) counts pairs per share and tile; pass two writes splat indices where ``cursor`` points.
@@ -108,37 +143,7 @@ def scatter_into_tiles(count, order, splats, columns, rows, shares, cursor, rect
     A bounding box one tile wide or high needs no ellipse test: a convex splat meets every tile of such a strip.
     """
     for share in prange(shares):
-        offset = share * columns * rows
-        for i in range(count * share // shares, count * (share + 1) // shares):
-            at = int64(order[i]) * RECORD
-            if fill:
-                row0, row1 = int64(rectangles[4 * i]), int64(rectangles[4 * i + 1])
-                column0, column1 = int64(rectangles[4 * i + 2]), int64(rectangles[4 * i + 3])
-            else:
-                if i + 8 < count:
-                    prefetch(splats, int64(order[i + 8]) * RECORD)
-                row0, row1 = _tile_range(splats[at + Y], splats[at + HALF_HEIGHT], rows)
-                column0, column1 = _tile_range(splats[at + X], splats[at + HALF_WIDTH], columns)
-                rectangles[4 * i], rectangles[4 * i + 1], rectangles[4 * i + 2], rectangles[4 * i + 3] = row0, row1, column0, column1
-            if row0 > row1 or column0 > column1:
-                continue
-            strip = row0 == row1 or column0 == column1
-            x, y, k, c = splats[at + X], splats[at + Y], splats[at + ELLIPSE_K], splats[at + ELLIPSE_C]
-            reach = splats[at + OPACITY_LOG2] - ALPHA_LOG2_MIN
-            half_w, half_h = splats[at + HALF_WIDTH], splats[at + HALF_HEIGHT]
-            inverse_root_a, tip = float32(0), float32(0)
-            if not strip:
-                inverse_root_a = float32(1) / math.sqrt(splats[at + ELLIPSE_A])
-                tip = k * half_h * half_h / half_w
-            for row in range(row0, row1 + 1):
-                first, last = column0, column1
-                if not strip:
-                    first, last = _columns_in_row(x, y, k, c, reach, inverse_root_a, tip, half_h, row, columns)
-                for cell in range(offset + row * columns + first, offset + row * columns + last + 1):
-                    place = cursor[cell]
-                    if fill:
-                        pairs[place] = order[i]
-                    cursor[cell] = place + np.uint32(1)
+        _scatter_share(int64(share), count, order, splats, columns, rows, shares, cursor, rectangles, pairs, fill)
 
 
 @njit(**KERNEL)
