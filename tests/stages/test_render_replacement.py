@@ -17,10 +17,13 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.temporal import TemporalNetwork
 from studiorecon.errors import Refusal
 from studiorecon.humans import plain as humans_plain
-from studiorecon.images.video import read_stack
+from studiorecon.images.video import read_stack, to_bytes
 from studiorecon.render import shot as render_shot
+from studiorecon.render.canvas import Canvas
 from studiorecon.render.replacement import donor_of, performing, replaced
+from studiorecon.render.shot import read_composite
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.path import read_path
 from studiorecon.scene.people import Person, write_person
 
 from tests.stages.made_scene import avatar, render_options, ring, write_scene
@@ -130,6 +133,19 @@ def test_a_canonical_file_takes_a_persons_place_in_a_film(scene: Path, default_s
     masks = [greenish(p) for p in (pictures, film(scene, default_settings, {"p0": str(tmp_path / "own/green.ply")})[0])]
     overlap = (masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum()
     assert overlap > 0.8, "the new person covers what the performer covered"
+
+
+def test_who_is_left_out_leaves_the_room_behind(scene: Path, default_settings: Callable) -> None:
+    files, section = render_options(scene, "swap"), default_settings("render")
+    filmed, _ = film(scene, default_settings, {})
+    path = files["path"].read_bytes()
+    without, _ = film(scene, default_settings, {"p0": "nobody"})
+    assert files["path"].read_bytes() == path, "the camera goes where it would have gone"
+    assert (np.abs(without.astype(int) - filmed).max(axis=-1) > 20).sum() > 200, "somebody stood there"
+    canvas = Canvas(read_composite(files["background"], files["provenance"], [], [], None, "swap", {}), section["near_m"])
+    for picture, step in zip(without, read_path(files["path"])[0]):
+        rendering, _ = canvas.draw(step.camera, step.frame, section["background_rgb"])
+        np.testing.assert_array_equal(picture, to_bytes(rendering.rgb))
 
 
 def greenish(pictures: np.ndarray) -> np.ndarray:

@@ -374,7 +374,7 @@ def shot_path(wildcards):
 def stand_ins(wildcards):
     """Files of the people who stand in for others in a shot; people of this scene are inputs anyway."""
     wanted = config["render"]["shots"].get(wildcards.shot, {}).get("replace", {})
-    files = [Path(source) for source in wanted.values() if not re.fullmatch(r"p\d+", source)]
+    files = [Path(source) for source in wanted.values() if not re.fullmatch(r"p\d+|nobody", source)]
     return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
 
 

@@ -42,6 +42,7 @@ class Composite:
         people: one posable set per person.
         shading: how people shade the room; None leaves it in the open.
         objects: one posable set per loose thing.
+        absent: people who were captured and are left out of this film; its camera still knows where they were.
     """
 
     background: Gaussians
@@ -49,6 +50,7 @@ class Composite:
     people: Sequence[Posed]
     shading: Shading | None = None
     objects: Sequence[Posed] = ()
+    absent: Sequence[Posed] = ()
 
     @property
     def moving(self) -> list[Posed]:

@@ -2,7 +2,7 @@
 """Somebody else in a person's place (paper: human replacement): their looks and build, this person's performance.
 
 A shot's ``replace: {p0: p1}`` takes another person of the same capture, ``replace: {p0: FILE.ply}`` any person in the rest pose: LHM's, or
-``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights along.
+``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights along. ``{p0: nobody}`` leaves p0 out.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import INVENTED, MEASURED
 
+NOBODY = "nobody"
+"""In somebody's place: the room as it is without that person."""
 # Moments over which what the donor's colours do over time is averaged.
 _MOMENTS = 8
 
@@ -82,7 +84,7 @@ def performing(donor: Donor, performer: Avatar) -> Avatar:
 
 
 def replaced(people: Sequence[Avatar], wanted: Mapping[str, str], shot: str) -> list[Avatar]:
-    """The people of a shot, with those that ``wanted`` names (person → person or path of a ``.ply``) replaced.
+    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or ``NOBODY``) replaced or left out.
 
     Names always mean the people as they were captured, so ``{p0: p1, p1: p0}`` swaps two. Raises Refusal for names of nobody and for files
     that hold no person in the rest pose.
@@ -96,6 +98,9 @@ def replaced(people: Sequence[Avatar], wanted: Mapping[str, str], shot: str) -> 
         source = wanted.get(person.person)
         if source is None:
             done.append(person)
+            continue
+        if source == NOBODY:
+            say(f"shot {shot}: {person.person} is left out")
             continue
         donor = donor_of(cast[source]) if source in cast else read_donor(Path(source), person.model)
         done.append(performing(donor, person))

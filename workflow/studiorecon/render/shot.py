@@ -76,7 +76,8 @@ def read_composite(
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
     things = [thing for path in objects for thing in read_objects(path)]
     shade = shading(read_light(light[0]), static, cast, people, things) if light else None
-    return Composite(static, classes, cast, shade, things)
+    names = {person.person for person in cast}
+    return Composite(static, classes, cast, shade, things, [person for person in people if person.person not in names])
 
 
 def run(
@@ -104,7 +105,8 @@ def run(
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
     scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ())
-    subjects = subjects_of(scene.people, training, capture.frames, capture.fps)
+    captured = sorted([*scene.people, *scene.absent], key=lambda person: person.person)
+    subjects = subjects_of(captured, training, capture.frames, capture.fps)
     steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
     say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")
     for thing in scene.objects:
