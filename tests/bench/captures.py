@@ -6,7 +6,7 @@
 Reconstructs ``pose2sim_balancing/single`` (one man, four real cameras 49 to 120 degrees apart) once with all cameras, for masks of the
 man in every camera, then once without each camera in turn, with the default settings and with ``config/presets/fourview.yaml`` (the
 photos alone, random start). Pictures of the camera that was left out are measured as ``report.score`` measures them. DIR keeps the
-runs: stopped and started again, it goes on where it was. About six minutes per camera on two cores; writes
+runs: stopped and started again, it goes on where it was. Eight to fifteen minutes per camera on two cores; writes
 tests/bench/results/captures.json after every camera.
 """
 
@@ -36,17 +36,26 @@ UNASSIGNED = 255
 FILMS = {"ours": "enhance/heldout.mkv", "render": "render/heldout.mkv"}
 
 
-def workflow(folder: Path, scene: str, held_out: list[str], frames: int, cores: str, targets: list[str], overlays: list[str]) -> None:
+def workflow(
+    folder: Path, scene: str, held_out: list[str], frames: int, cores: str, targets: list[str], overlays: list[str], *, take: str = TAKE,
+    first: int = 0,
+) -> None:  # fmt: skip
     """Make ``targets`` (below results/<scene>) of the take without ``held_out``; raises with the end of the log when that fails."""
-    told = yaml.safe_load((ROOT / "tests/captures/pose2sim_single.yaml").read_text(encoding="utf-8"))
-    told |= {"held_out": held_out, "frames": {"first": 0, "count": frames}}
+    told = yaml.safe_load((ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8"))
+    told |= {"held_out": held_out, "frames": {"first": first, "count": frames}}
     description = folder / f"{scene}.yaml"
     description.write_text(yaml.safe_dump(told), encoding="utf-8")
-    take = Path(os.environ.get("STUDIORECON_REAL_DATA", "../shared/data")).resolve() / TAKE
+    dataset = Path(os.environ.get("STUDIORECON_REAL_DATA", "../shared/data")).resolve() / take
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--directory", str(folder), "--cores", cores]
     command += ["--configfile", str(ROOT / "config/config.yaml"), *(str(ROOT / overlay) for overlay in overlays)]
-    command += ["--config", f"dataset={take}", f"capture_yaml={description}", f"scene={scene}", "body=" + str(ROOT / "resources/body.npz")]
+    command += [
+        "--config",
+        f"dataset={dataset}",
+        f"capture_yaml={description}",
+        f"scene={scene}",
+        "body=" + str(ROOT / "resources/body.npz"),
+    ]
     command += ["--", *(f"results/{scene}/{target}" for target in targets)]
     log = folder / f"{scene}.log"
     with open(log, "a", encoding="utf-8") as file:
