@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.images.colours import colour_map, mapped_squared_error
 from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity_map, squared_error
 from studiorecon.images.temporal import change
 from studiorecon.images.video import to_bytes
@@ -73,14 +74,11 @@ def colour_corrected_psnr(prediction: np.ndarray, truth: np.ndarray) -> float | 
     Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
-    a, b = levels(prediction).reshape(-1, 3).astype(np.float32), levels(truth).reshape(-1, 3).astype(np.float32)
-    if len(a) < SMALLEST_MASK_PX:
+    shown, wanted = np.ascontiguousarray(levels(prediction)), np.ascontiguousarray(levels(truth))
+    count = shown.shape[0] * shown.shape[1]
+    if count < SMALLEST_MASK_PX:
         return None
-    design = np.column_stack([a / 255, np.ones(len(a), np.float32)])
-    # Sums of at most 1 over a million pixels: the normal equations are conditioned well enough in float64.
-    normal, right = design.T.astype(np.float64) @ design, design.T.astype(np.float64) @ (b / 255)
-    solution = np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
-    return psnr((design @ solution.astype(np.float32)).reshape(truth.shape), truth)
+    return decibels(mapped_squared_error(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
 
 
 def ssim_map(prediction: np.ndarray, truth: np.ndarray, dtype: type = np.float64) -> np.ndarray:

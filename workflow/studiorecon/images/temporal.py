@@ -26,11 +26,12 @@ def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
             if not (at_x >= -_SLACK_PX and at_y >= -_SLACK_PX and at_x <= width - 1 + _SLACK_PX and at_y <= height - 1 + _SLACK_PX):
                 continue
             at_x, at_y = min(max(at_x, 0.0), width - 1.0), min(max(at_y, 0.0), height - 1.0)
-            left, top = min(int(at_x), width - 2), min(int(at_y), height - 2)
+            # Unsigned, so that no index is checked for counting from the end.
+            left, top = np.uint64(min(int(at_x), width - 2)), np.uint64(min(int(at_y), height - 2))
             wx, wy = at_x - left, at_y - top
             back_u, back_v = 0.0, 0.0
-            for dy in range(2):
-                for dx in range(2):
+            for dy in range(np.uint64(2)):
+                for dx in range(np.uint64(2)):
                     weight = (wx if dx else 1 - wx) * (wy if dy else 1 - wy)
                     if weight > 0:
                         back_u += weight * reverse_flow[top + dy, left + dx, 0]
@@ -47,21 +48,23 @@ def change(current: np.ndarray, previous: np.ndarray, flow: np.ndarray, valid: n
     In units of the range (levels / 255); the previous picture is read bilinearly at p + flow(p), which ``valid`` promises to lie inside.
     NaN outside ``valid``.
     """
-    height, width, channels = current.shape
-    absolute, square = np.full((height, width), np.nan), np.full((height, width), np.nan)
+    height, width, _ = current.shape
+    absolute, square = np.empty((height, width)), np.empty((height, width))
+    one = np.uint64(1)
     for y in range(height):
         for x in range(width):
             if not valid[y, x]:
+                absolute[y, x] = square[y, x] = np.nan
                 continue
             at_x, at_y = x + np.float64(flow[y, x, 0]), y + np.float64(flow[y, x, 1])
-            left, top = min(max(int(at_x), 0), width - 2), min(max(int(at_y), 0), height - 2)
+            left, top = np.uint64(min(max(int(at_x), 0), width - 2)), np.uint64(min(max(int(at_y), 0), height - 2))
             wx, wy = at_x - left, at_y - top
             sum_absolute, sum_square = 0.0, 0.0
-            for c in range(channels):
-                above = (1 - wx) * previous[top, left, c] + wx * previous[top, left + 1, c]
-                below = (1 - wx) * previous[top + 1, left, c] + wx * previous[top + 1, left + 1, c]
-                gap = (current[y, x, c] - (1 - wy) * above - wy * below) / 255
+            for c in range(3):
+                above = (1 - wx) * previous[top, left, c] + wx * previous[top, left + one, c]
+                below = (1 - wx) * previous[top + one, left, c] + wx * previous[top + one, left + one, c]
+                gap = (current[y, x, c] - (1 - wy) * above - wy * below) * (1 / 255)
                 sum_absolute += abs(gap)
                 sum_square += gap * gap
-            absolute[y, x], square[y, x] = sum_absolute / channels, sum_square / channels
+            absolute[y, x], square[y, x] = sum_absolute * (1 / 3), sum_square * (1 / 3)
     return absolute, square

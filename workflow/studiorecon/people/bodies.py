@@ -37,7 +37,7 @@ class Settings:
 
 def detections_of(bodies: Iterable[tuple[int, Bodies]], footage: Footage, settings: Settings) -> Detections:
     """Detections from (frame, bodies); points outside the picture, and bodies with too few points inside, are left out."""
-    frames, tracks, points, poses, pelvises = [], [], [], [], []
+    frames, tracks, points, poses, pelvises, shapes = [], [], [], [], [], []
     for frame, found in bodies:
         for k in range(len(found.tracks)):
             inside = ((found.joints_px[k] >= 0) & (found.joints_px[k] <= footage.wh)).all(axis=-1)
@@ -48,17 +48,21 @@ def detections_of(bodies: Iterable[tuple[int, Bodies]], footage: Footage, settin
             tracks.append(int(found.tracks[k]))
             pixels = np.where(inside[:, None], found.joints_px[k], np.nan)
             points.append(np.concatenate([pixels, np.where(inside, sure, 0.0)[:, None]], axis=-1))
-            poses.append(found.poses_rad[k, 1:])
+            poses.append(found.poses_rad[k])
+            shapes.append(found.shapes[k])
             pelvises.append([*found.joints_px[k, 0], found.pelvises_m[k, 2]])
     count = len(frames)
+    turned = np.array(poses, dtype=np.float64).reshape(count, 24, 3)
     return Detections(
         footage.camera,
         LAYOUT,
         np.array(frames, dtype=np.int64),
         np.array(tracks, dtype=np.int64),
         np.array(points, dtype=np.float64).reshape(count, comotion.JOINTS, 3),
-        np.array(poses, dtype=np.float64).reshape(count, 23, 3),
+        turned[:, 1:],
         np.array(pelvises, dtype=np.float64).reshape(count, 3),
+        turned[:, 0],
+        np.array(shapes, dtype=np.float64).reshape(count, 10),
     )
 
 

@@ -19,6 +19,7 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.people.points import Points, Triangulation, lift, observations
+from studiorecon.people.skin import surface_of
 from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
@@ -228,9 +229,16 @@ def run(
     if missing:
         raise Refusal(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
     body_model = BodyModel.load(body)
-    names, keypoints = observations(person, seen, read_identities(identities), body_model, footage.frames)
+    whose = read_identities(identities)
+    names, keypoints = observations(person, seen, whose, body_model, footage.frames)
     points = lift(names, keypoints, [cameras[d.camera] for d in seen], settings.triangulation, settings.fit.unverified_sigma_m)
-    fitted, result = fit_person(person, points, body_model, footage.fps, settings)
+    surface = None
+    if settings.fit.vertex_weight > 0:
+        surface = surface_of(
+            person, seen, whose, [cameras[d.camera] for d in seen], body_model, footage.frames, settings.triangulation,
+            settings.fit.unverified_sigma_m,
+        )  # fmt: skip
+    fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
         f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen by up to {points.cameras.max()} cameras; "

@@ -56,7 +56,7 @@ def frames_of(source: Path) -> Iterator[np.ndarray]:
 def masks_of(source: Path) -> Iterator[np.ndarray]:
     """(H, W) bool: where a mask video or picture is not black."""
     for frame in frames_of(source):
-        yield frame.any(axis=-1)
+        yield (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
 
 
 def digest(source: Path) -> str:

@@ -31,6 +31,7 @@ class Detections:
         body_pose: (D, 23, 3) axis-angle of a monocular body's joints without the root, NaN where a detection has none;
             None when the detector estimates no bodies.
         pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown; or None.
+        body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's; or None.
     """
 
     camera: str
@@ -40,6 +41,8 @@ class Detections:
     keypoints: np.ndarray
     body_pose: np.ndarray | None = None
     pelvis: np.ndarray | None = None
+    body_root: np.ndarray | None = None
+    body_shape: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 def read_detections(path: Path) -> Detections:
     with _open(path) as data:
-        body = (data[name] if name in data.files else None for name in ("body_pose", "pelvis"))
+        body = (data[name] if name in data.files else None for name in ("body_pose", "pelvis", "body_root", "body_shape"))
         return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body)
 
 

@@ -127,7 +127,7 @@ def judge(material: Material, settings: Settings, was_on: Collection[str] = ()) 
         *_parts(material, limit, was_on),
         not_measured(
             "vertex_term", "median triangulation residual of surface points over that of joints", limit["vertex_term"],
-            "keypoints bring no surface points; a monocular body's vertices per picture are needed", on_above=False,
+            "only a network's bodies bring surface points; what they count for is people.fit.vertex_weight", on_above=False,
         ),
         *_events(material, small, light, limit, was_on),
     ]  # fmt: skip

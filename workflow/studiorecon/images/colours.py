@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The affine map of colours between two pictures, from whole-number sums, and what is left after it."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def colour_sums(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(4, 4) and (4, 3) int64: Σ d dᵀ and Σ d sᵀ over the pixels of two (H, W, 3) uint8 pictures, d = (first's colour, 1). Exact."""
+    own, both = np.zeros((4, 4), np.int64), np.zeros((4, 3), np.int64)
+    for y in range(first.shape[0]):
+        # Sums of a row first: they fit registers.
+        rr, rg, rb, gg, gb, bb = 0, 0, 0, 0, 0, 0
+        r_sum, g_sum, b_sum = 0, 0, 0
+        across = np.zeros((4, 3), np.int64)
+        for x in range(first.shape[1]):
+            r, g, b = np.int64(first[y, x, 0]), np.int64(first[y, x, 1]), np.int64(first[y, x, 2])
+            rr, rg, rb, gg, gb, bb = rr + r * r, rg + r * g, rb + r * b, gg + g * g, gb + g * b, bb + b * b
+            r_sum, g_sum, b_sum = r_sum + r, g_sum + g, b_sum + b
+            for c in range(3):
+                wanted = np.int64(second[y, x, c])
+                across[0, c] += r * wanted
+                across[1, c] += g * wanted
+                across[2, c] += b * wanted
+                across[3, c] += wanted
+        own += np.array([[rr, rg, rb, r_sum], [rg, gg, gb, g_sum], [rb, gb, bb, b_sum], [r_sum, g_sum, b_sum, first.shape[1]]])
+        both += across
+    return own, both
+
+
+@numba.njit(cache=True, nogil=True)
+def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) -> int:
+    """Σ over pixels and channels of the squared difference of levels once ``by`` (4, 3) has moved ``first``'s colours; clamped, rounded."""
+    total = np.int64(0)
+    for y in range(first.shape[0]):
+        for x in range(first.shape[1]):
+            r, g, b = np.float64(first[y, x, 0]), np.float64(first[y, x, 1]), np.float64(first[y, x, 2])
+            for c in range(3):
+                level = np.rint(min(max(by[0, c] * r + by[1, c] * g + by[2, c] * b + by[3, c], 0.0), 255.0))
+                gap = np.int64(level) - np.int64(second[y, x, c])
+                total += gap * gap
+    return total
+
+
+def colour_map(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(4, 3) least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell it."""
+    own, both = colour_sums(first, second)
+    # In units of the range: sums of at most 1 over a million pixels are conditioned well enough in float64.
+    unit = np.array([255.0, 255.0, 255.0, 1.0])
+    solution = np.linalg.pinv(own / np.outer(unit, unit), rcond=1e-10, hermitian=True) @ (both / np.outer(unit, np.full(3, 255.0)))
+    return solution * 255 / unit[:, None]
