@@ -88,7 +88,7 @@ def whose(found: list[Detections]) -> dict[tuple[str, int], str]:
     return {(d.camera, 0): "p0" for d in found}
 
 
-def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings, tmp_path: Path) -> float:
+def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings) -> float:
     """Mean error of the joints after the step's own arithmetic."""
     names, keypoints = fit.observations("p0", found, whose(found), body, FRAMES)
     points = fit.lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
@@ -116,10 +116,10 @@ def test_pixels_of_the_skin_are_those_of_the_body(body: BodyModel, truth, camera
 
 
 def test_surfaces_help_where_keypoints_are_few(
-    body: BodyModel, truth, cameras: list[Camera], found: list[Detections], settings: fit.Settings, tmp_path: Path
+    body: BodyModel, truth, cameras: list[Camera], found: list[Detections], settings: fit.Settings
 ) -> None:
     alone = replace(settings, fit=replace(settings.fit, vertex_weight=0.0))
-    without, with_skin = (joints_off_m(body, truth, cameras, found, s, tmp_path) for s in (alone, settings))
+    without, with_skin = (joints_off_m(body, truth, cameras, found, s) for s in (alone, settings))
     assert with_skin < 0.6 * without, f"{1000 * with_skin:.0f} mm with the surface, {1000 * without:.0f} mm without"
 
 
