@@ -121,8 +121,8 @@ def _spheres(
     radius_m, error_px = np.median(fits, axis=0).tolist()
     radius_px = np.median([radius_m * c.focal_px[0] / c.project(s.centre_m)[1] for s in free for c in (cameras[v] for v in s.regions)])
     for frame, sighting in track:
-        centre, _, error_px = sphere(cameras, sighting, radius_m)
-        if np.isfinite(centre).all() and error_px <= _WORST_PX:
+        centre, _, off_px = sphere(cameras, sighting, radius_m)
+        if np.isfinite(centre).all() and off_px <= _WORST_PX:
             centres[frame] = centre
     return radius_m, centres, error_px <= max(_ROUND_PX, _ROUND * radius_px)
 
