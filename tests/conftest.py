@@ -13,6 +13,17 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
+# Files that share one run of the smallest studio to its end; it takes longest, so it starts first.
+FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("reruns", "identities", "shadows")}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keeps the tests of a file on one worker, where what they share is made once; whole runs of the workflow come first."""
+    for item in items:
+        file = item.nodeid.partition("::")[0]
+        item.add_marker(pytest.mark.xdist_group("finished studio" if file in FINISHED_STUDIO else file))
+    items.sort(key=lambda item: (item.nodeid.partition("::")[0] not in FINISHED_STUDIO, "tests/workflow/" not in item.nodeid))
 
 
 @pytest.fixture(scope="session")

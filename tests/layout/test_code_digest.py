@@ -20,14 +20,17 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def edit(path: Path, text: str) -> None:
     path.write_text(path.read_text() + text)
-    code._read.cache_clear()
+
+
+def memory(copy: Path) -> Path:
+    (file,) = (copy / "__pycache__").glob("digests.*.json")
+    return file
 
 
 def test_comments_and_docstrings_change_nothing(copy: Path) -> None:
     before = code.digest("capture.manifest")
     source = (copy / "capture" / "manifest.py").read_text()
     (copy / "capture" / "manifest.py").write_text(source.replace('"""', '"""More words. ', 1) + "\n# a comment\n")
-    code._read.cache_clear()
     assert code.digest("capture.manifest") == before
 
 
@@ -47,3 +50,31 @@ def test_an_edit_in_an_imported_foundation_is_seen(copy: Path) -> None:
 def test_an_unknown_step_is_an_error() -> None:
     with pytest.raises(FileNotFoundError):
         code.digest("capture.nothing")
+
+
+def test_sources_are_parsed_once_and_remembered_by_what_they_hold(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = code.digest("capture.manifest")
+    edit(copy / "capture" / "manifest.py", "\nEXTRA = 1\n")
+    edited = code.digest("capture.manifest")
+    source = (copy / "capture" / "manifest.py").read_text()
+    (copy / "capture" / "manifest.py").write_text(source.removesuffix("\nEXTRA = 1\n"))
+    code._known.cache_clear()
+    monkeypatch.setattr(code.ast, "parse", lambda source: pytest.fail("parsed again"))
+    assert code.digest("capture.manifest") == before != edited
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"[1, 2]", b"\xff"], ids=["empty", "cut", "a list", "no text"])
+def test_a_damaged_memory_is_made_anew(copy: Path, damage: bytes) -> None:
+    before = code.digest("capture.manifest")
+    memory(copy).write_bytes(damage)
+    code._known.cache_clear()
+    assert code.digest("capture.manifest") == before
+    assert memory(copy).read_bytes() != damage
+
+
+def test_where_nothing_can_be_remembered_sources_are_parsed(copy: Path) -> None:
+    before = code.digest("capture.manifest")
+    shutil.rmtree(copy / "__pycache__")
+    (copy / "__pycache__").touch()
+    code._known.cache_clear()
+    assert code.digest("capture.manifest") == before

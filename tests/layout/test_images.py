@@ -102,27 +102,16 @@ def test_a_networks_image_has_what_its_table_says(name: str) -> None:
 @pytest.mark.parametrize(("step", "network"), [(step, network) for step, networks in STEPS.items() for network in networks])
 def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> None:
     has = pins(MODELS[network].runtime.image)
-    for module in reachable(step):
+    for module, path in code.reached([step]).items():
         if module.startswith("models."):
             continue
-        for node in ast.parse(code.module_path(module).read_text()).body:
+        for node in ast.parse(path.read_text()).body:
             names = (
                 [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module] if isinstance(node, ast.ImportFrom) else []
             )
             for top in {str(n).split(".")[0] for n in names} - set(sys.stdlib_module_names) - {"studiorecon", "__future__"}:
                 packages = PACKAGES.get(top, (top,))
                 assert any(canonicalize_name(p) in has for p in packages), f"{module} imports {top}, which image {network} lacks"
-
-
-def reachable(step: str) -> set[str]:
-    seen: set[str] = set()
-    waiting = [step]
-    while waiting:
-        module = waiting.pop()
-        if module not in seen:
-            seen.add(module)
-            waiting += code.imports(ast.parse(code.module_path(module).read_text()))
-    return seen
 
 
 def test_every_rules_container_exists() -> None:

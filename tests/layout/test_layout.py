@@ -8,6 +8,7 @@ import importlib
 import inspect
 import re
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,7 @@ def name_of(path: Path) -> str:
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_imports_go_one_way(path: Path) -> None:
     room = path.relative_to(PACKAGE).parts[0]
-    for module in code.imports(ast.parse(path.read_text())):
+    for module in code.imported_by(path):
         other = module.split(".")[0]
         if room in FOUNDATIONS:
             assert other not in [*STAGES, "studio", "models"], f"{name_of(path)} is a foundation and imports {module}"
@@ -148,11 +149,15 @@ def test_no_registry_addresses_or_machine_paths() -> None:
 ON_REQUEST = {"splatting.cuda_training"}
 
 
+@cache
+def body_of(path: Path) -> list[ast.stmt]:
+    return ast.parse(path.read_text()).body
+
+
 def test_steps_without_torch_do_not_import_it() -> None:
     for _, step, _ in rules():
-        for module in reachable(step):
-            tree = ast.parse(code.module_path(module).read_text())
-            for node in tree.body:
+        for module, path in code.reached([step], without=ON_REQUEST).items():
+            for node in body_of(path):
                 names = (
                     [a.name for a in node.names]
                     if isinstance(node, ast.Import)
@@ -167,15 +172,4 @@ def test_steps_without_torch_do_not_import_it() -> None:
 def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
     for path in MODULES:
         outside = [node for node in ast.parse(path.read_text()).body if isinstance(node, (ast.Import, ast.ImportFrom))]
-        assert not code.imports(ast.Module(outside, [])) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"
-
-
-def reachable(step: str) -> set[str]:
-    seen: set[str] = set()
-    waiting = [step]
-    while waiting:
-        module = waiting.pop()
-        if module not in seen | ON_REQUEST:
-            seen.add(module)
-            waiting += code.imports(ast.parse(code.module_path(module).read_text()))
-    return seen
+        assert not code.imported_at(outside) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,16 +45,10 @@ def test_the_owner_of_a_held_row_is_a_module_that_its_test_runs(found: dict[str,
     assert not wrong, "\n".join(wrong)
 
 
+@cache
 def reached(test_file: Path) -> set[str]:
     """Modules of the package that a test file imports, and what those import in turn."""
-    seen: set[str] = set()
-    waiting = list(code.imports(ast.parse(test_file.read_text())))
-    while waiting:
-        module = waiting.pop()
-        if module not in seen and table.module_path(module).is_file():
-            seen.add(module)
-            waiting += code.imports(ast.parse(table.module_path(module).read_text()))
-    return seen
+    return set(code.reached(code.imported_by(test_file)))
 
 
 def test_the_file_is_up_to_date(found: dict[str, Counter[str]]) -> None:

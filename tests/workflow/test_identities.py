@@ -4,20 +4,23 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
 import yaml
 
-from .conftest import House, make_house
+from .conftest import House
 
 RESULTS = tuple(f"results/tiny/people/{name}" for name in ("desk.html", "p0.npz", "p1.npz"))
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> House:
-    """A house in which everybody was found and fitted."""
-    made = make_house(tmp_path_factory.mktemp("identities"), "resources/studio/tiny.yaml")
+def fitted(finished: House, tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A house of its own in which everybody was found and fitted; where a house stands is in none of its results."""
+    folder = tmp_path_factory.mktemp("identities") / "house"
+    shutil.copytree(finished.folder, folder)
+    made = House(folder, finished.dataset)
     made.snakemake(*RESULTS, "--cores", "2")
     return made
 

@@ -10,28 +10,45 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator, Set
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
+# Sources read before; more than this many are forgotten, oldest first.
+_REMEMBERED = 4000
 
 
 def digest(step: str) -> str:
     """Sixteen hex digits for ``"stage.step"``; raises FileNotFoundError when there is no such module."""
-    seen: dict[str, str] = {}
     # The command line reads the settings of every step, so it belongs to each of them.
-    waiting = ["__main__", step]
+    files = reached(["__main__", step])
+    text = "\n".join(f"{name} {_read(files[name])[0]}" for name in sorted(files))
+    _remember()
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str, Path]:
+    """Files of modules and of all they import, directly or not, by name; what only ``without`` imports is not among them.
+
+    Raises FileNotFoundError when one of ``modules`` is none of ours.
+    """
+    files: dict[str, Path] = {}
+    waiting = list(modules)
     while waiting:
         module = waiting.pop()
-        if module in seen:
+        if module in files or module in without:
             continue
         path = module_path(module)
         if path is None:
             raise FileNotFoundError(f"no module studiorecon.{module}")
-        seen[module], imported = _read(path, path.stat().st_mtime_ns)
-        waiting += [m for m in imported if m not in seen]
-    text = "\n".join(f"{name} {seen[name]}" for name in sorted(seen))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+        files[module] = path
+        waiting += imported_by(path)
+    return files
 
 
 def module_path(module: str) -> Path | None:
@@ -43,31 +60,81 @@ def module_path(module: str) -> Path | None:
     return None
 
 
+def imported_by(path: Path) -> list[str]:
+    """Names (relative to the package, sorted) of our own modules that a source file imports, anywhere in it."""
+    return [name for name in _read(path)[1] if module_path(name) is not None]
+
+
+def imported_at(statements: list[ast.stmt]) -> set[str]:
+    """The same of statements, whether such modules are there or not."""
+    found: set[str] = set()
+    for statement in _statements(statements):
+        if isinstance(statement, ast.Import):
+            found.update(alias.name for alias in statement.names)
+        elif isinstance(statement, ast.ImportFrom) and statement.module and statement.level == 0:
+            found.update((statement.module, *(f"{statement.module}.{alias.name}" for alias in statement.names)))
+    return {name.removeprefix("studiorecon.") for name in found if name.startswith("studiorecon.")}
+
+
+def _read(path: Path) -> tuple[str, list[str]]:
+    """Digest of a source file's syntax tree without docstrings, and what of ``studiorecon`` it imports."""
+    source = path.read_bytes()
+    known, mark = _known(_memory()), hashlib.sha256(source).hexdigest()
+    if mark not in known:
+        tree = ast.parse(source)
+        names = sorted(imported_at(tree.body))
+        known[mark] = hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest(), names
+    return known[mark]
+
+
+def _memory() -> Path:
+    """What is remembered of sources lies beside their byte code; trees look different to another Python."""
+    return PACKAGE / "__pycache__" / f"digests.{sys.implementation.cache_tag}.json"
+
+
+class _Known(dict):
+    """Digest and imports by the hash of a source's bytes; ``stored`` of them are in the file."""
+
+    stored = 0
+
+
 @cache
-def _read(path: Path, _mtime_ns: int) -> tuple[str, tuple[str, ...]]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return hashlib.sha256(ast.dump(_without_docstrings(tree)).encode()).hexdigest(), tuple(sorted(imports(tree)))
+def _known(memory: Path) -> _Known:
+    known = _Known()
+    # Parsing every source takes seconds, which Snakemake would spend at every start. No file, or none that can be read: they are parsed.
+    with suppress(OSError, ValueError):
+        stored = json.loads(memory.read_text(encoding="ascii"))
+        known.update(stored if isinstance(stored, dict) else {})
+        known.stored = len(known)
+    return known
 
 
-def imports(tree: ast.AST) -> set[str]:
-    """Names (relative to the package) of our own modules that a syntax tree imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(tree):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        for name in names:
-            if name.startswith("studiorecon."):
-                module = name.removeprefix("studiorecon.")
-                if module_path(module) is not None:
-                    found.add(module)
-    return found
+def _remember() -> None:
+    memory = _memory()
+    known = _known(memory)
+    if len(known) == known.stored:
+        return
+    # As Python does for byte code: where nothing can be written, nothing is remembered.
+    with suppress(OSError):
+        memory.parent.mkdir(exist_ok=True)
+        partial = memory.with_suffix(f".{os.getpid()}.partial")
+        partial.write_text(json.dumps(dict(list(known.items())[-_REMEMBERED:])), encoding="ascii")
+        partial.replace(memory)
+    known.stored = len(known)
 
 
-def _without_docstrings(tree: ast.AST) -> ast.AST:
-    for node in ast.walk(tree):
+def _statements(body: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Every statement of a body and of the bodies in it; no expression holds one."""
+    for statement in body:
+        yield statement
+        for field in ("body", "orelse", "finalbody"):
+            yield from _statements(getattr(statement, field, []))
+        for part in (*getattr(statement, "handlers", []), *getattr(statement, "cases", [])):
+            yield from _statements(part.body)
+
+
+def _without_docstrings(tree: ast.Module) -> ast.Module:
+    for node in (tree, *_statements(tree.body)):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             first = node.body[0] if node.body else None
             if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
