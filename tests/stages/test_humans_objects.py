@@ -14,6 +14,7 @@ from studiorecon import settings as settings_module
 from studiorecon.humans.loose import LOOSE, ROOM, UNKNOWN, difference, regions, states, unrest
 from studiorecon.humans.objects import Settings, View, objects_in, rested, run
 from studiorecon.humans.sightings import sightings
+from studiorecon.humans.turning import NEVER_DB
 from studiorecon.images.video import write_lossless
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
@@ -95,15 +96,17 @@ def moments(balls: list[Ball], hidden: Hidden, showing: tuple[str, ...]) -> Iter
 @pytest.fixture(scope="module")
 def settings(default_settings: Callable) -> Settings:
     loaded = settings_module.load(Settings, default_settings("humans"), "humans")
-    return replace(loaded, objects=replace(loaded.objects, shape=replace(loaded.objects.shape, gaussians=300, iterations=150)))
+    # That things turn is another file's subject.
+    turn, shape = replace(loaded.objects.turn, gain_db=NEVER_DB), replace(loaded.objects.shape, gaussians=300, iterations=150)
+    return replace(loaded, objects=replace(loaded.objects, turn=turn, shape=shape))
 
 
 def found(
     settings: Settings, balls: list[Ball], hidden: Hidden = nobody, showing: tuple[str, ...] = ("c0", "c1", "c2", "c3")
 ) -> list[RigidObject]:
     views = [View(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
-    views = rested(views, moments(balls, hidden, showing), settings.objects.loose)
-    return objects_in(moments(balls, hidden, showing), views, FRAMES, FPS, settings.objects, 1)
+    seen = list(moments(balls, hidden, showing))
+    return objects_in(iter(seen), rested(views, iter(seen), settings.objects.loose), FRAMES, FPS, settings.objects, 1)
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations
 from studiorecon.humans.objects import Settings, View, objects_in, rested
+from studiorecon.humans.turning import NEVER_DB
 from studiorecon.masks.things import without_things
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.objects import MEASURED_TURNS, NO_TURNS, RigidObject, read_objects, write_objects
@@ -40,7 +41,8 @@ class Board:
         start, along = (origin - self.path_m[frame]) @ turn, rays @ turn
         half = np.array(self.half_m)
         with np.errstate(divide="ignore"):
-            near, far = np.sort([(-half - start) / along, (half - start) / along], axis=0)
+            low, high = (-half - start) / along, (half - start) / along
+            near, far = np.minimum(low, high), np.maximum(low, high)
         enters, leaves = near.max(axis=-1), far.min(axis=-1)
         point = start + enters[..., None] * along
         return np.where((enters < leaves)[..., None], COLOURS[(point[..., 0] > 0).astype(int)], picture)
@@ -72,12 +74,9 @@ def settings(default_settings: Callable) -> Settings:
 
 
 def found(settings: Settings, pictured: Callable[[Camera, int], np.ndarray]) -> list[RigidObject]:
-    def moments() -> Iterator[tuple[list[np.ndarray], list[np.ndarray]]]:
-        for frame in range(FRAMES):
-            yield [pictured(camera, frame) for camera in CAMERAS], [nobody(camera, frame) for camera in CAMERAS]
-
+    moments = [([pictured(c, frame) for c in CAMERAS], [nobody(c, frame) for c in CAMERAS]) for frame in range(FRAMES)]
     views = [View(c, Path(), plate_of(c), np.ones(c.hw, bool), np.zeros(c.hw, np.float32)) for c in CAMERAS]
-    return objects_in(moments(), rested(views, moments(), settings.objects.loose), FRAMES, FPS, settings.objects, 1)
+    return objects_in(iter(moments), rested(views, iter(moments), settings.objects.loose), FRAMES, FPS, settings.objects, 1)
 
 
 def pictured(camera: Camera, frame: int) -> np.ndarray:
@@ -121,7 +120,7 @@ def seen_db(thing: RigidObject | None, pictured: Callable[[Camera, int], np.ndar
 
 
 def test_a_thing_that_turns_looks_better_for_it(settings: Settings, tumbled: RigidObject, capsys: pytest.CaptureFixture) -> None:
-    never = replace(settings, objects=replace(settings.objects, turn=replace(settings.objects.turn, gain_db=99.0)))
+    never = replace(settings, objects=replace(settings.objects, turn=replace(settings.objects.turn, gain_db=NEVER_DB)))
     (still,) = found(never, pictured)
     assert still.turns == NO_TURNS
     assert (still.world_from_object == np.eye(3)).all()

@@ -21,7 +21,7 @@ from studiorecon.humans.following import FollowSettings, Track, followed, held, 
 from studiorecon.humans.loose import LooseSettings, Region, difference, regions, states, unrest
 from studiorecon.humans.rigid import Look, ShapeSettings, at_pose, kept_apart, looks_at, made, misfit, skin
 from studiorecon.humans.sightings import Sighting, sightings
-from studiorecon.humans.turning import TurnSettings, turned
+from studiorecon.humans.turning import NEVER_DB, TurnSettings, turned
 from studiorecon.images.stills import read_plate, shrink
 from studiorecon.images.video import read_frames
 from studiorecon.progress import progress, say
@@ -148,7 +148,9 @@ def _turning(
     still: RigidObject, track: Track, looks: Sequence[Look], apart: Collection[tuple[int, int]], cameras: Sequence[Camera], fps: float,
     settings: ObjectSettings, threads: int,
 ) -> tuple[RigidObject, str] | None:  # fmt: skip
-    """A thing as one that turns, and a sentence; None where ``still`` explains the looks kept ``apart`` as well."""
+    """A thing as one that turns, and a sentence; None where ``still`` explains the looks kept ``apart`` as well, or no gain is enough."""
+    if settings.turn.gain_db >= NEVER_DB:
+        return None
     rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
     motion = turned(track, cameras, apart, fps, settings.turn, rng, threads)
     if motion is None:

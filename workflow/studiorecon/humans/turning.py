@@ -33,6 +33,8 @@ _LOST = 3.0
 _PLACE = 0.15
 # A thing whose turn never differs by more than this from its middle one does not turn.
 _LEAST_RAD = np.radians(6.0)
+# Nothing gains as much as this.
+NEVER_DB = 100.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class TurnSettings:
 
     Attributes:
         rad_s2: nothing changes the speed of its turning faster than about this.
-        gain_db: so much better the looks kept apart must be explained by a thing that turns.
+        gain_db: so much better the looks kept apart must be explained by a thing that turns; with NEVER_DB nothing is sought.
     """
 
     rad_s2: float
