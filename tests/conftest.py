@@ -14,7 +14,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 # Files that share one run of the smallest studio to its end; it takes longest, so it starts first.
-FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("reruns", "identities", "shadows")}
+FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("reruns", "identities", "shadows", "precomputed")}
 
 
 @pytest.hookimpl(tryfirst=True)

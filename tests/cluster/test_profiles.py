@@ -86,7 +86,7 @@ def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
     """Without the plugin: what is Snakemake's own in the profile, understood by Snakemake."""
     own = {key: value for key, value in profile("slurm").items() if key != "executor" and not key.startswith("slurm-")}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump({**own, "cores": 64}))
-    text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "views={synthesizer: gen3c}")
+    text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "views={synthesizer: gen3c}", "survey={force: {view_synthesis: on}}")
     asked = {}
     for block in text.split("\nrule ")[1:]:
         resources = re.search(r"resources: (.*)", block)

@@ -89,6 +89,35 @@ def test_without_enhancer_and_history_the_render_comes_out(scene: Path, settings
     np.testing.assert_array_equal(read_stack(options["video"]), read_stack(options["render"]))
 
 
+def test_a_film_that_was_made_elsewhere_stands_as_it_is(scene: Path, settings: enhance_shot.Settings, tmp_path: Path) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    theirs = 255 - read_stack(options["render"])
+    write_lossless(tmp_path / "heldout.mkv", theirs, 24.0)
+    enhance_shot.run(replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
+    np.testing.assert_array_equal(read_stack(options["video"]), theirs)
+    assert options["film"].read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda film: film[:-1], r"heldout\.mkv has \d+ pictures and .*heldout\.mkv has \d+; enhance every picture"),
+        (lambda film: np.concatenate([film, film[:1]]), r"has \d+ pictures and .* has \d+; enhance every picture"),
+        (lambda film: film[:, :, :-2], r"is \d+×\d+ and .*heldout\.mkv \d+×\d+; enhance what was rendered"),
+    ],
+    ids=["short", "long", "narrow"],
+)
+def test_a_film_of_another_length_or_size_is_refused(
+    scene: Path, settings: enhance_shot.Settings, tmp_path: Path, change: Callable, words: str
+) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    options |= {"video": tmp_path / "out.mkv", "film": tmp_path / "out.mp4"}
+    write_lossless(tmp_path / "heldout.mkv", np.ascontiguousarray(change(read_stack(options["render"]))), 24.0)
+    with pytest.raises(Refusal, match=words):
+        enhance_shot.run(replace(settings, enhancer="precomputed"), **options, made=[tmp_path / "heldout.mkv"])
+    assert not (tmp_path / "out.mkv").exists()
+
+
 def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: enhance_shot.Settings) -> None:
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
     with pytest.raises(Refusal, match="render the shot train again"):

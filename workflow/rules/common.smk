@@ -396,6 +396,13 @@ def edited_reference(wildcards):
     return [local(file)] if file else []
 
 
+def film_of_elsewhere(wildcards):
+    """The film of a shot that was enhanced elsewhere, if that is where films come from."""
+    if config["enhance"]["enhancer"] != "precomputed" or FORCED.get("enhancement") == "off":
+        return []
+    return [brought(config["enhance"]["precomputed"], wildcards.shot, (".mkv", ".mp4"), "enhance.precomputed")]
+
+
 def every_core(wildcards):
     """All that --cores allows. Asked only when the job is planned: --unlock and --lint are given no number."""
     return workflow.cores

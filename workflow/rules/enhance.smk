@@ -14,6 +14,7 @@ rule enhance_shot:
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         truth=truth_of_replaced,
         edited=edited_reference,
+        made=film_of_elsewhere,
         gains=gains,
         light=lights_course,
     output:
@@ -40,7 +41,7 @@ rule enhance_shot:
         " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --render-depth {input.render_depth}"
         " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
         " --model {input.model} --manifest {input.manifest} --videos {input.videos:q}"
-        " --truth {input.truth:q} --edited {input.edited:q} --exposure {input.gains:q} {input.light:q} --video {output.video} --film {output.film}"
+        " --truth {input.truth:q} --edited {input.edited:q} --made {input.made:q} --exposure {input.gains:q} {input.light:q} --video {output.video} --film {output.film}"
 
 
 # On request: snakemake results/SCENE/enhance/orbit.37.steps.png shows how picture 37 was made.

@@ -34,7 +34,7 @@ _VIDEOS = {".mkv", ".mp4", ".mov", ".avi", ".webm"}
 
 @dataclass(frozen=True)
 class Settings:
-    enhancer: Literal["residual", "difix", "fixer", "none"]
+    enhancer: Literal["residual", "difix", "fixer", "precomputed", "none"]
     injection: Injection
     flow: Literal["dis", "raft"]
     flow_preset: Preset
@@ -82,6 +82,8 @@ def run(
             "the enhancer residual needs cameras, depth and renders of the training photos, which a folder of pictures does not have; "
             "set enhance.enhancer to none, which injects earlier outputs only, or to a network"
         )
+    if settings.enhancer == "precomputed":
+        raise Refusal("the enhancer precomputed stands for films of a scene's shots; set enhance.enhancer to none or to a network")
     total = sum(1 for _ in pictures_of(pictures))
     wanted = min(count or total, total - first)
     if wanted < 1:

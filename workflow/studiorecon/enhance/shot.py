@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,7 @@ from studiorecon.enhance.recursion import enhanced, for_path, stands_still
 from studiorecon.enhance.residual import ResidualTransfer
 from studiorecon.errors import Refusal
 from studiorecon.images.stills import read_plate
-from studiorecon.images.streams import writing
+from studiorecon.images.streams import Writer, writing
 from studiorecon.images.transfer import Source, Transfer, best_strength, carried_over, source
 from studiorecon.images.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer
@@ -35,7 +35,7 @@ _LEAST_EVIDENCE = 0.01
 
 @dataclass(frozen=True)
 class Settings:
-    enhancer: Literal["residual", "difix", "fixer", "none"]
+    enhancer: Literal["residual", "difix", "fixer", "precomputed", "none"]
     strength: float | Literal["auto"]
     judged_frames: int
     transfer: Transfer
@@ -113,6 +113,7 @@ def run(
     film: Path,
     truth: list[Path] | None = None,
     edited: list[Path] | None = None,
+    made: list[Path] | None = None,
     weights: Path = Path("resources/weights"),
     device: str = "cpu",
     exposure: list[Path] | None = None,
@@ -124,9 +125,15 @@ def run(
 
     A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never photographed, so no photo
     corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of the photos (paper: one edited reference).
+    A film that was ``made`` of this shot elsewhere stands as it is.
     """
     capture = read_manifest(manifest)
     steps, fps = read_path(render_path)
+    writers = (lambda frames: write_lossless(video, frames, fps), lambda frames: write_watchable(film, frames, fps, settings.crf))
+    if made:
+        _write(writers, made_elsewhere(made[0], render, len(steps)), shot, len(steps))
+        say(f"shot {shot}: the pictures are those of {made[0]}")
+        return
     training = training_of(read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames)
     training = replace(training, exposure=read_factors(exposure or [], capture.frames))
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
@@ -154,9 +161,28 @@ def run(
         depths = (np.where(level > 0, depth, 0) for depth, level in zip(depths, read_frames(truth[0], 0, len(steps)), strict=True))
     pictures = read_frames(render, 0, len(steps))
     outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, search)
-    writers = (lambda frames: write_lossless(video, frames, fps), lambda frames: write_watchable(film, frames, fps, settings.crf))
+    _write(writers, outputs, shot, len(steps))
+
+
+def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[np.ndarray]:
+    """(h, w, 3) uint8 pictures of a film that was made from a shot's render; raises Refusal when it is of another number or size."""
+    (drawn,) = read_frames(render, 0, 1)
+    pictures = read_frames(film)
+    number = -1
+    for number, picture in enumerate(pictures):
+        if picture.shape != drawn.shape:
+            raise Refusal(
+                f"{film} is {picture.shape[1]}×{picture.shape[0]} and {render} {drawn.shape[1]}×{drawn.shape[0]}; enhance what was rendered"
+            )
+        if number < count:
+            yield picture
+    if number + 1 != count:
+        raise Refusal(f"{film} has {number + 1} pictures and {render} has {count}; enhance every picture of the shot as it is now")
+
+
+def _write(writers: Sequence[Writer], outputs: Iterable[np.ndarray], shot: str, count: int) -> None:
     with writing(writers) as put:
-        for output in progress(outputs, f"pictures of {shot}", total=len(steps)):
+        for output in progress(outputs, f"pictures of {shot}", total=count):
             put(output, output)
 
 

@@ -46,9 +46,14 @@ class TrackGraph:
 
 
 def stable_indices(layout: str) -> list[int]:
-    """Where the stable keypoints stand in a layout; -1 for missing ones. Raises KeyError for a layout that nobody wrote down."""
+    """Where the stable keypoints stand in a layout; -1 for missing ones. Raises KeyError for a layout that nobody wrote down.
+
+    A body's joints do where a network brings nothing else. No detector's hip is SMPL's (M07), but all cameras of a capture have the one
+    or the other, and who is who does not turn on centimetres.
+    """
     names = LAYOUTS[layout].keypoints
-    return [names.index(k) if k in names else -1 for k in STABLE_KEYPOINTS]
+    at = {name: index for index, name in enumerate(names)}
+    return [at.get(k, at.get(f"{k}_joint", -1)) for k in STABLE_KEYPOINTS]
 
 
 def stable_detections(detections: Sequence[Detections], frames: np.ndarray | None = None) -> list[Detections]:

@@ -94,6 +94,8 @@ def run(
     write_people(people, rows)
     write_identities(identities, table)
     write_json(association, _as_json(verdicts, given, bool(corrected)) | {"unusable_keypoints": sum(unusable)})
+    # Also where nobody is.
+    who.mkdir(parents=True, exist_ok=True)
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
         write_standing(who / f"{name}.npz", [p for p in upright if p.name == name])
