@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -199,6 +200,22 @@ def run_association(tmp_path: Path, cameras, found, options, videos=(), correcte
     return read_people(tmp_path / "people.tsv"), read_identities(tmp_path / "identities.tsv")
 
 
+def test_bodies_of_a_network_are_told_apart_by_their_joints(tmp_path, people_settings, two_people):
+    """CoMotion brings SMPL's joints, and of a detector's points only the face's."""
+    cameras, names = ring(), LAYOUTS["comotion27"].keypoints
+    found = []
+    for d in detect(cameras, two_people, 1.0, np.random.default_rng(0)):
+        own = LAYOUTS[d.layout].keypoints
+        points = np.full((len(d.frame), len(names), 3), [np.nan, np.nan, 0.0])
+        for k, name in enumerate(names):
+            if name.removesuffix("_joint") in own:
+                points[:, k] = d.keypoints[:, own.index(name.removesuffix("_joint"))]
+        found.append(replace(d, layout="comotion27", keypoints=points))
+    people, identities = run_association(tmp_path, cameras, found, people_settings(associate.Settings, source="precomputed"))
+    assert people == ["p0", "p1"]
+    assert sorted(identities.values()) == ["p0"] * 4 + ["p1"] * 4
+
+
 def test_two_walking_people_come_out_and_a_bystander_in_two_views_does_not(tmp_path, people_settings, two_people, capsys):
     cameras, rng = ring(), np.random.default_rng(0)
     planted = [*two_people, walk([-1.0, 0.3, 0], [0, 0, 0], FRAMES)]
@@ -231,6 +248,7 @@ def test_nobody_is_an_empty_table(tmp_path, people_settings):
     assert people == []
     assert identities == {}
     assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\n"
+    assert (tmp_path / "who").is_dir(), "Snakemake waits for the folder"
 
 
 def test_no_keypoints_and_no_plates_are_nobody_and_say_so(tmp_path, people_settings, capsys):
