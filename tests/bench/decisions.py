@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the survey's decisions save: whole runs as decided, and again with everything that plans and steps obey forced on.
+
+    python -m tests.bench.decisions [CASE ...] [--cores 2]
+
+Cases are an empty room, a ring of eight cameras around one person, and the demo. Both runs are of one house, so that the second does again
+only what the force changes, and every job's processor seconds (Snakemake's benchmarks, without the filming of the studio) are counted in
+full for both. Held-out PSNR says what the savings cost. Writes tests/bench/results/decisions.json; cases not asked for stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tests.workflow.conftest import ROOT, House, make_house
+
+RESULTS = Path(__file__).parent / "results" / "decisions.json"
+DEMO = yaml.safe_load((ROOT / "resources/studio/demo.yaml").read_text(encoding="utf-8"))
+CASES: dict[str, dict[str, Any]] = {
+    "empty room": {"seed": 5, "people": 0},
+    "ring of eight": {**DEMO, "people": 1, "cameras": {"training": 8, "held_out": 4}},
+    "demo": DEMO,
+}
+OBEYED = (
+    "exposure", "changing_light", "view_synthesis", "view_dependent_colour", "temporal_appearance", "moving_shadows", "dynamic_objects",
+)  # fmt: skip
+"""Effects whose verdict changes what is done."""
+
+
+def spent_s(house: House, scene: str) -> Counter[str]:
+    """Processor seconds of every stage's jobs."""
+    found: Counter[str] = Counter()
+    folder = house.folder / "benchmarks" / scene
+    for path in sorted(folder.rglob("*.tsv")):
+        with path.open(encoding="utf-8", newline="") as file:
+            (row,) = csv.DictReader(file, delimiter="\t")
+        # Snakemake has nothing to say of jobs shorter than its first look.
+        found[path.relative_to(folder).parts[0]] += 0.0 if row["cpu_time"] == "NA" else float(row["cpu_time"])
+    return found
+
+
+def told(house: House, scene: str) -> dict[str, Any]:
+    """Seconds, score, and what was on, of the run that a house has just finished."""
+    results = house.folder / "results" / scene
+    stages = spent_s(house, scene)
+    pictures = json.loads((results / "report/metrics.json").read_text())["pictures"]["enhanced"]
+    decided = json.loads((results / "survey/decisions.json").read_text())["decisions"]
+    return {
+        "cpu_s": round(sum(stages.values()), 1),
+        "stages_cpu_s": {stage: round(seconds, 1) for stage, seconds in stages.items()},
+        "heldout_psnr_db": round(pictures["psnr"]["value"], 3),
+        "on": [d["effect"] for d in decided if d["verdict"] == "on" and d["effect"] in OBEYED],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(CASES)}")
+    parser.add_argument("--cores", default="2")
+    options = parser.parse_args()
+    if unknown := set(options.cases) - set(CASES):
+        parser.error(f"there is no case {sorted(unknown)[0]}; there are {', '.join(CASES)}")
+    table = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    for case in options.cases or CASES:
+        scene = case.replace(" ", "_")
+        with tempfile.TemporaryDirectory() as folder:
+            house = make_house(Path(folder) / "house", f"{scene}.yaml")
+            (house.folder / f"{scene}.yaml").write_text(yaml.safe_dump(CASES[case]))
+            house.snakemake("--cores", options.cores)
+            rows = {"as decided": told(house, scene)}
+            force = house.overlay(survey={"force": dict.fromkeys(OBEYED, "on")})
+            house.snakemake("--cores", options.cores, "--configfile", force)
+            rows["everything on"] = told(house, scene)
+        decided_s, all_s = (row["cpu_s"] for row in rows.values())
+        table[case] = {"saved_share": round(1 - decided_s / all_s, 3), **rows}
+        print(f"{case}: {table[case]}", flush=True)
+        RESULTS.write_text(json.dumps({name: table[name] for name in CASES if name in table}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
