@@ -87,7 +87,7 @@ def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
     own = {key: value for key, value in profile("slurm").items() if key != "executor" and not key.startswith("slurm-")}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump({**own, "cores": 64}))
     text = planned(
-        tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "views={synthesizer: gen3c}", "survey={force: {view_synthesis: on}}"
+        tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "views={synthesizer: gen3c}", "survey={force: {view_synthesis: 'on'}}"
     )
     asked = {}
     for block in text.split("\nrule ")[1:]:
@@ -107,7 +107,7 @@ def test_kubernetes_is_planned_with_files_in_a_bucket(tmp_path: Path) -> None:
     own = {key: value for key, value in profile("kubernetes").items() if key not in ("executor", "default-storage-provider")}
     bucket = {"default-storage-provider": "fs", "default-storage-prefix": str(tmp_path / "bucket"), "cores": 8}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(own | bucket))
-    text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml")
+    text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "survey={force: {view_synthesis: 'on'}}")
     assert "views_synthesize" in text
     assert "(storage)" in text or "bucket" in text
 
