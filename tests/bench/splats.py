@@ -188,11 +188,8 @@ def scaling(threads: int, rounds: int) -> tuple[Bars, dict[str, float]]:
     return bars, told | {f"{name}, processor": ms for name, ms in (processor | film_processor).items()}
 
 
-def training(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[Bars, dict[str, float]]:
-    """A whole training of a perturbed room on sixty views.
-
-    The figure is the time at the pace of quiet moments: in each tenth of the run the fastest step of every view stands for its others.
-    """
+def perturbed_run(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[_Run, np.random.Generator]:
+    """A training of a perturbed room on sixty views before its first step, and the generator its order is drawn from."""
     truth, rasteriser, rng = room(count, 0), Rasteriser(near_m=0.01, threads=threads), np.random.default_rng(0)
     views = [camera_on_ring(i, VIEWS, width, height) for i in range(VIEWS)]
     targets = [Target(view, rasteriser.forward(truth, view).rgb.clip(0, 1)) for view in views]
@@ -202,7 +199,17 @@ def training(count: int, width: int, height: int, threads: int, iterations: int)
         log_scales=np.repeat(truth.log_scales.mean(axis=1, keepdims=True) + 0.5, 3, axis=1), sh=np.zeros_like(truth.sh),
     )  # fmt: skip
     settings = replace(SETTINGS, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0, cap=count)
-    run, order, times = _Run(state.start(begin), targets, settings, rng, 4.0, threads), DrawOrder([1.0] * VIEWS, rng), []
+    return _Run(state.start(begin), targets, settings, rng, 4.0, threads), rng
+
+
+def training(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[Bars, dict[str, float]]:
+    """A whole training of a perturbed room on sixty views.
+
+    The figure is the time at the pace of quiet moments: in each tenth of the run the fastest step of every view stands for its others.
+    """
+    run, rng = perturbed_run(count, width, height, threads, iterations)
+    truth, rasteriser = room(count, 0), Rasteriser(near_m=0.01, threads=threads)
+    order, times = DrawOrder([1.0] * VIEWS, rng), []
     began, processor = time.perf_counter(), time.process_time()
     for iteration in range(iterations):
         index, at = order.draw(), time.perf_counter()
