@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
@@ -317,9 +318,27 @@ def test_masks_cut_too_small_are_measured_and_teach_no_hole(cut_px: int, expecte
     crop = judged(looks, 1, 1, 12, inset)[-1]
     hidden = (away < 25) & (away >= 25 - cut_px)
     if inset:
-        assert (crop.verdict[hidden] == IGNORED).all()  # taken for background it would be carved away
-        assert (crop.verdict[away < 25 - cut_px] == PERSON).all()
+        assert (crop.verdict[hidden] != OUTSIDE).all()  # taken for background it would be carved away
+        assert (crop.verdict[away < 22.5] == PERSON).all()  # but for the seam
     assert (crop.verdict[away > 30] == OUTSIDE).all()
+
+
+def test_a_limb_that_a_cut_took_away_wholly_is_the_person_and_one_behind_furniture_is_not() -> None:
+    """An arm 8 px thick beside a trunk of 40 px: masks cut by 5 px lose it; a mask that fits and lacks it says that something hides it."""
+    body = np.zeros((80, 80), bool)
+    body[10:70, 10:50] = True
+    arm = np.zeros_like(body)
+    arm[30:38, 50:75] = True
+    body |= arm
+    small = cv2.erode(body.astype(np.uint8), np.ones((11, 11), np.uint8))
+    assert not small[arm].any()
+    verdict = judge(small, body, 1, 1, 12, 5)
+    assert (verdict[32:36, 52:73] == PERSON).all()
+    assert (verdict[~cv2.dilate(body.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)] == OUTSIDE).all()
+    furniture = (body & ~arm).astype(np.uint8)
+    assert not (judge(furniture, body, 1, 1, 12, 0)[arm] == PERSON).any()
+    other = small + 2 * arm.astype(np.uint8)
+    assert (judge(other, body, 1, 1, 12, 5)[32:36, 52:73] == IGNORED).all(), "somebody else stands there"
 
 
 @pytest.mark.parametrize(("what", "worse_db"), [("gains", 1.5), ("light", 3.0)])

@@ -78,28 +78,32 @@ def cut(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
 def judge(labels: np.ndarray, body: np.ndarray, label: int, edge_px: int, occluder_px: int, inset_px: int = 0) -> np.ndarray:
     """(h, w) uint8 verdicts from mask labels (0 background, k+1 person k, 255 unassigned) and the body's silhouette (h, w) bool.
 
-    Ignored are: pixels of other people and unassigned foreground (they may hide the person); a seam of ``edge_px`` on either
-    side of the mask's outline, whose colours are mixed with the background and would leave a halo; pixels deeper than
-    ``occluder_px`` inside the body's silhouette that the mask calls background: furniture stands before the person there; and the
-    ``inset_px`` around the mask inside the silhouette, where masks are cut too small (``mask_inset_px``).
+    Where masks are cut too small (``mask_inset_px``), what lies up to ``inset_px`` around them inside the silhouette is the person too,
+    and so are limbs that such a cut takes away wholly: the photo shows them there. Ignored are: pixels of other people and unassigned
+    foreground (they may hide the person); a seam of ``edge_px`` on either side of the outline, whose colours are mixed with the
+    background and would leave a halo; and pixels deeper than ``occluder_px`` inside the body's silhouette that the mask calls
+    background: furniture stands before the person there.
     """
     person = labels == label
+    if inset_px > 0:
+        kernel = np.ones((2 * inset_px + 1, 2 * inset_px + 1), np.uint8)
+        thick = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_OPEN, kernel)
+        around = cv2.dilate(person.astype(np.uint8), kernel) > 0
+        lost = body & (labels == 0) & (around | (thick == 0))
+        _, parts = cv2.connectedComponents((person | lost).astype(np.uint8))
+        person |= lost & np.isin(parts, np.unique(parts[person]))
     verdict = np.where(person, PERSON, np.where(labels == 0, OUTSIDE, IGNORED)).astype(np.uint8)
     if edge_px > 0:
         kernel = np.ones((2 * edge_px + 1, 2 * edge_px + 1), np.uint8)
         stamp = person.astype(np.uint8)
-        # Outside the picture counts as more of the same, or the frame's border would be taken for an outline. The outline of a mask
-        # that is cut too small runs through the person, whose colours are pure there.
-        kept = stamp if inset_px > edge_px else cv2.erode(stamp, kernel, borderType=cv2.BORDER_REPLICATE)
+        # Outside the picture counts as more of the same, or the frame's border would be taken for an outline.
+        kept = cv2.erode(stamp, kernel, borderType=cv2.BORDER_REPLICATE)
         seam = (cv2.dilate(stamp, kernel) > 0) & (kept == 0)
         verdict[seam] = IGNORED
-    if inset_px > 0:
-        kernel = np.ones((2 * inset_px + 1, 2 * inset_px + 1), np.uint8)
-        verdict[(cv2.dilate(person.astype(np.uint8), kernel) > 0) & body & (labels == 0)] = IGNORED
     # The padding keeps a silhouette that leaves the picture from being eroded there.
     kernel = np.ones((2 * occluder_px + 1, 2 * occluder_px + 1), np.uint8)
     deep = cv2.erode(body.astype(np.uint8), kernel, borderType=cv2.BORDER_REPLICATE) > 0
-    verdict[deep & (labels == 0)] = IGNORED
+    verdict[deep & (labels == 0) & ~person] = IGNORED
     return verdict
 
 

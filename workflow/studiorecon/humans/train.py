@@ -254,5 +254,5 @@ def read_crops(
         )  # fmt: skip
     inset_px = mask_inset_px(looks, label)
     if inset_px:
-        say(f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what lies between is not taken for background")
+        say(f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what lies between is taken for the person")
     return judged(looks, label, settings.edge_px, settings.occluder_px, inset_px)
