@@ -4,9 +4,9 @@
     python -m tests.bench.decisions [CASE ...] [--cores 2]
 
 Cases are an empty room, a ring of eight cameras around one person, and the demo, all at half the demo's width and length; the smallest
-studio comes first, which compiles the kernels. Both runs are of one house, so that the second does again only what the force changes, and every job's processor seconds (Snakemake's benchmarks, without
-the filming of the studio) are counted in full for both. Held-out PSNR says what the savings cost. Writes
-tests/bench/results/decisions.json; cases not asked for stay.
+studio comes first, which compiles the kernels. Both runs are of one house, so that the second does again only what the force changes, and
+every job's processor seconds (Snakemake's benchmarks, without the filming of the studio) are counted in full for both. Held-out PSNR says
+what the savings cost. Writes tests/bench/results/decisions.json; cases not asked for stay.
 """
 
 from __future__ import annotations
