@@ -8,6 +8,7 @@ triangulated as keypoints are, and the fit lets all of them together count for a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,10 +53,8 @@ def surface_of(
 
 
 def skin_px(found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: np.ndarray) -> np.ndarray:
-    """(S, 2) pixels of some ``vertices`` (S,) of the body that a network saw as one ``detection``."""
+    """(S, 2) pixels of some ``vertices`` (S,) of the body that a network saw as one ``detection``; NaN for those behind the camera."""
     pose = np.concatenate([found.body_root[detection][None], found.body_pose[detection]]).reshape(1, 72)
-    x, y, depth_m = found.pelvis[detection]
-    pelvis_m = np.linalg.solve(camera.intrinsics, [x, y, 1.0]) * depth_m
-    in_camera = body.vertices(pose, found.body_shape[detection][: body.shapes], pelvis_m[None], vertices)[0].astype(np.float64)
-    projected = in_camera @ camera.intrinsics.T
-    return projected[:, :2] / projected[:, 2:]
+    own = replace(camera, camera_from_world=np.eye(4))
+    pelvis_m = own.unproject(found.pelvis[detection, :2], found.pelvis[detection, 2])
+    return own.project(body.vertices(pose, found.body_shape[detection][: body.shapes], pelvis_m[None], vertices)[0])[0]
