@@ -103,6 +103,16 @@ def scored(pictures: list[np.ndarray], views: list[tuple[Camera, np.ndarray, np.
     return dict(zip(("psnr_db", "seen_db", "unseen_db", "ssim"), np.mean(rows, axis=0).tolist(), strict=True))
 
 
+def written(table: dict[str, dict[str, float]], seeds: list[int]) -> None:
+    """The file with what is known so far."""
+    first, rows = table["as it is"], {}
+    for name, row in table.items():
+        gains = {f"gain_{key}": first[key] - row[key] for key in ("psnr_db", "seen_db", "ssim")}
+        rows[name] = {key: round(value, 3) for key, value in (row | gains).items()}
+    machine = f"{platform.machine()}, {os.cpu_count()} cores"
+    RESULTS.write_text(json.dumps({"machine": machine, "seeds": seeds, "rows": rows}, indent=1) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, default=Path("results/demo"))
@@ -125,18 +135,14 @@ def main() -> None:
         spent_s = (time.process_time() - began) / len(options.seeds)
         table[name] = {key: float(np.mean([run[key] for run in runs])) for key in runs[0]} | {"cpu_s": spent_s}
         print(name, {key: round(value, 3) for key, value in table[name].items()}, flush=True)
+        written(table, options.seeds)
     settings = section("views", synthesize.Settings, {})
     given = inputs_of(options.scene, options.truth, False, Path())
     photos = synthesize.read_photos(given["model"], given["plates"], given["depth"], [], settings.depth_jump)
     made = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
     table[WARPED] = scored([picture / np.float32(255) for picture, _ in made], views)
-    first = table["as it is"]
-    for row in table.values():
-        row |= {f"gain_{key}": first[key] - row[key] for key in ("psnr_db", "seen_db", "ssim")}
-    table = {name: {key: round(value, 3) for key, value in row.items()} for name, row in table.items()}
-    machine = f"{platform.machine()}, {os.cpu_count()} cores"
-    RESULTS.write_text(json.dumps({"machine": machine, "seeds": options.seeds, "rows": table}, indent=1) + "\n")
-    print(json.dumps(table, indent=1))
+    print(WARPED, {key: round(value, 3) for key, value in table[WARPED].items()}, flush=True)
+    written(table, options.seeds)
 
 
 if __name__ == "__main__":
