@@ -13,17 +13,26 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
-# Files that share one run of the smallest studio to its end; it takes longest, so it starts first.
+# Files that share one run of the smallest studio to its end.
 FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("reruns", "identities", "shadows", "precomputed")}
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keeps the tests of a file on one worker, where what they share is made once; whole runs of the workflow come first."""
-    for item in items:
-        file = item.nodeid.partition("::")[0]
+    """Keeps the tests of a file on one worker, where what they share is made once.
+
+    Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests before them compiled.
+    """
+    files = [item.nodeid.partition("::")[0] for item in items]
+    for item, file in zip(items, files):
         item.add_marker(pytest.mark.xdist_group("finished studio" if file in FINISHED_STUDIO else file))
-    items.sort(key=lambda item: (item.nodeid.partition("::")[0] not in FINISHED_STUDIO, "tests/workflow/" not in item.nodeid))
+    after = max((k for k, file in enumerate(files) if file.startswith("tests/hard/")), default=-1)
+
+    def place(k: int) -> tuple[float, bool]:
+        late = k + 0.0 if not files[k].startswith("tests/workflow/") else after + 0.5
+        return late, files[k] not in FINISHED_STUDIO
+
+    items[:] = [items[k] for k in sorted(range(len(items)), key=place)]
 
 
 @pytest.fixture(scope="session")
