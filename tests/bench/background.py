@@ -34,6 +34,8 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.views import synthesize
 
+from tests.bench.training import options_of
+
 RESULTS = Path(__file__).parent / "results" / "background.json"
 CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"
 FOUR_PHOTOS = {"views_share": 0.0, "fill": False}
@@ -57,23 +59,25 @@ def section(name: str, kind: type, changes: dict[str, Any]) -> Any:
     return settings_module.load(kind, values, name)
 
 
-def inputs_of(scene: Path, truth: Path, true_depth: bool, folder: Path) -> dict[str, Any]:
+def inputs_of(scene: Path, truth: Path, true_depth: bool, threads: int, folder: Path) -> dict[str, Any]:
     """Arguments of ``background.train`` for a finished scene, with its own or the true depth and what was warped through it."""
-    names = [camera.name for camera in read_model(scene / "cameras")]
-    plates = [scene / f"capture/{name}.plate.png" for name in names]
-    depth = [(truth if true_depth else scene) / f"depth/{name}.exr" for name in names]
-    views = sorted(path for path in (scene / "views").glob("??.mkv"))
+    options = options_of(scene, threads) | {"gloss": []}
     if true_depth:
+        options["depth"] = [truth / "depth" / path.name for path in options["depth"]]
+        warped = {
+            "path": options["path"],
+            "model": options["model"],
+            "plates": options["plates"],
+            "depth": options["depth"],
+            "exposure": [],
+        }
         settings = section("views", synthesize.Settings, {})
-        for k, film in enumerate(views):
-            made, support = folder / film.name, folder / f"{film.stem}.mask.mkv"
-            path, model = scene / "views/path.json", scene / "cameras/images.txt"
-            synthesize.run(settings, film.stem, path, model, plates, depth, [], made, support)
-            views[k] = made
-    return {
-        "model": scene / "cameras/images.txt", "plates": plates, "depth": depth, "shell": scene / "depth/shell.json",
-        "path": scene / "views/path.json", "views": views, "supports": [v.with_suffix(".mask.mkv") for v in views], "gloss": [],
-    }  # fmt: skip
+        for film in options["views"]:
+            support = folder / f"{film.stem}.mask.mkv"
+            synthesize.run(settings, film.stem, **warped, views=folder / film.name, support=support)
+        options["views"] = [folder / film.name for film in options["views"]]
+        options["supports"] = [film.with_suffix(".mask.mkv") for film in options["views"]]
+    return options
 
 
 def wanted(scene: Path, truth: Path) -> list[tuple[Camera, np.ndarray, np.ndarray]]:
@@ -124,12 +128,12 @@ def main() -> None:
     for name, changes in ROWS.items():
         changes = dict(changes)
         with tempfile.TemporaryDirectory() as place:
-            given = inputs_of(options.scene, options.truth, changes.pop("true_depth", False), Path(place))
+            given = inputs_of(options.scene, options.truth, changes.pop("true_depth", False), options.threads, Path(place))
             runs, began = [], time.process_time()
             for seed in options.seeds:
                 settings = section("background", train.Settings, changes | {"seed": seed})
                 made = Path(place) / "scene.ply"
-                train.run(settings, **given, threads=options.threads, background=made, provenance=Path(place) / "provenance.npz")
+                train.run(settings, **given, background=made, provenance=Path(place) / "provenance.npz")
                 gaussians = read_ply(made)
                 runs.append(scored([rasteriser.forward(gaussians, camera).rgb.clip(0, 1) for camera, _, _ in views], views))
         spent_s = (time.process_time() - began) / len(options.seeds)
@@ -137,7 +141,7 @@ def main() -> None:
         print(name, {key: round(value, 3) for key, value in table[name].items()}, flush=True)
         written(table, options.seeds)
     settings = section("views", synthesize.Settings, {})
-    given = inputs_of(options.scene, options.truth, False, Path())
+    given = options_of(options.scene, options.threads)
     photos = synthesize.read_photos(given["model"], given["plates"], given["depth"], [], settings.depth_jump)
     made = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
     table[WARPED] = scored([picture / np.float32(255) for picture, _ in made], views)
