@@ -61,7 +61,7 @@ def describe_changes(source: Source, lens: Lens, view: WorkingView, first: int) 
 def run(
     settings: Settings, source: Path, calibration: Path, camera: str, held_out: int, first: int, count: int, video: Path, footage: Path
 ) -> None:
-    """Decode, undistort and resize frames ``first`` … of ``source``; write ``video`` (FFV1) and ``footage`` (JSON)."""
+    """Decode, undistort and resize frames ``first`` … of ``source``; write ``video`` (lossless) and ``footage`` (JSON)."""
     opened = open_source(source, settings.picture_fps)
     lens = lens_of(calibration, camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))

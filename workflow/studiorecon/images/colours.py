@@ -10,25 +10,37 @@ import numpy as np
 @numba.njit(cache=True, nogil=True)
 def colour_sums(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(4, 4) and (4, 3) int64: Σ d dᵀ and Σ d sᵀ over the pixels of two (H, W, 3) uint8 pictures, d = (first's colour, 1). Exact."""
+    height, width, _ = first.shape
     own, both = np.zeros((4, 4), np.int64), np.zeros((4, 3), np.int64)
-    for y in range(first.shape[0]):
-        # Sums of a row first: they fit registers.
-        rr, rg, rb, gg, gb, bb = 0, 0, 0, 0, 0, 0
-        r_sum, g_sum, b_sum = 0, 0, 0
-        across = np.zeros((4, 3), np.int64)
-        for x in range(first.shape[1]):
-            r, g, b = np.int64(first[y, x, 0]), np.int64(first[y, x, 1]), np.int64(first[y, x, 2])
-            rr, rg, rb, gg, gb, bb = rr + r * r, rg + r * g, rb + r * b, gg + g * g, gb + g * b, bb + b * b
-            r_sum, g_sum, b_sum = r_sum + r, g_sum + g, b_sum + b
-            for c in range(3):
-                wanted = np.int64(second[y, x, c])
-                across[0, c] += r * wanted
-                across[1, c] += g * wanted
-                across[2, c] += b * wanted
-                across[3, c] += wanted
-        own += np.array([[rr, rg, rb, r_sum], [rg, gg, gb, g_sum], [rb, gb, bb, b_sum], [r_sum, g_sum, b_sum, first.shape[1]]])
-        both += across
+    # A row of each channel by itself, and of ones: the compiler uses the processor's vector instructions for such sums only.
+    rows = np.ones((7, width), np.int32)
+    for y in range(height):
+        _split(first[y], rows[:3])
+        _split(second[y], rows[4:])
+        for d in range(4):
+            _add_products(rows[d], rows[0], rows[1], rows[2], own[d])
+            _add_products(rows[d], rows[4], rows[5], rows[6], both[d])
+    own[:3, 3] = own[3, :3]
+    own[3, 3] = height * width
     return own, both
+
+
+@numba.njit(cache=True, nogil=True)
+def _split(colours, channels):
+    for x in range(len(colours)):
+        channels[0, x], channels[1, x], channels[2, x] = colours[x, 0], colours[x, 1], colours[x, 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_products(factor, red, green, blue, total):
+    r, g, b = 0, 0, 0
+    for x in range(len(factor)):
+        r += factor[x] * red[x]
+        g += factor[x] * green[x]
+        b += factor[x] * blue[x]
+    total[0] += r
+    total[1] += g
+    total[2] += b
 
 
 @numba.njit(cache=True, nogil=True)

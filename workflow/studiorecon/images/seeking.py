@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.images.video import pixels
 
 
 def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
@@ -35,8 +36,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
                     continue
                 if number > expected:
                     break
-                name = frame.format.name
-                yield frame.to_ndarray(format=("gray16le" if "16" in name else "gray") if name.startswith("gray") else "rgb24")
+                yield pixels(frame)
                 expected += 1
     except (av.FFmpegError, IndexError) as error:
         raise Refusal(f"{path} cannot be read at frame {expected} ({error}); it may be truncated: make it again") from None

@@ -42,21 +42,25 @@ def cameras_in(place: Path) -> dict[str, Path]:
 
 def frames_of(source: Path) -> Iterator[np.ndarray]:
     """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
+    for frame in _stored(source):
+        yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
+
+
+def masks_of(source: Path) -> Iterator[np.ndarray]:
+    """(H, W) bool: where a mask video or picture is not black."""
+    for frame in _stored(source):
+        yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
+
+
+def _stored(source: Path) -> Iterator[np.ndarray]:
     if source.is_file():
-        for frame in read_frames(source):
-            yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
+        yield from read_frames(source)
         return
     for path in _pictures(source):
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
         if picture is None:
             raise Refusal(f"{path} is not a readable picture")
         yield np.ascontiguousarray(picture[..., ::-1])
-
-
-def masks_of(source: Path) -> Iterator[np.ndarray]:
-    """(H, W) bool: where a mask video or picture is not black."""
-    for frame in frames_of(source):
-        yield (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
 
 
 def digest(source: Path) -> str:
