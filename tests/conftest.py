@@ -3,26 +3,30 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+
+from tests import defaults
 
 ROOT = Path(__file__).resolve().parents[1]
+# The ids of all tests, slow ones included, where this run was not asked for some of them.
+EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.
 FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("reruns", "identities", "shadows", "precomputed")}
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keeps the tests of a file on one worker, where what they share is made once.
 
     Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests before them compiled.
     """
+    if [Path(given).resolve() for given in config.args] == [ROOT / "tests"]:
+        config.stash[EVERY_TEST] = [item.nodeid for item in items]
     files = [item.nodeid.partition("::")[0] for item in items]
     for item, file in zip(items, files):
         item.add_marker(pytest.mark.xdist_group("finished studio" if file in FINISHED_STUDIO else file))
@@ -44,14 +48,7 @@ def root() -> Path:
 @pytest.fixture(scope="session")
 def default_settings() -> Callable[..., dict[str, Any]]:
     """``default_settings("depth", planes_step_m=0.1)``: a section of config/config.yaml, with some values replaced."""
-    config = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
-
-    def section(stage: str, **replaced: Any) -> dict[str, Any]:
-        unknown = set(replaced) - set(config[stage])
-        assert not unknown, f"config section {stage} has no {unknown}"
-        return {**copy.deepcopy(config[stage]), **replaced}
-
-    return section
+    return defaults.default_settings
 
 
 @pytest.fixture(scope="session")

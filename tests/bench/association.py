@@ -20,7 +20,6 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-import yaml
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry.rotations import exp, log
@@ -32,7 +31,6 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
 from studiorecon.scene.identity_scores import identity_scores
 from studiorecon.scene.people import Detections
-from studiorecon.settings import load
 from studiorecon.studio import rig
 from studiorecon.studio.actors import Troupe
 from studiorecon.studio.description import RESOURCES, DetectionOptions, read_description
@@ -41,6 +39,8 @@ from studiorecon.studio.gait import Path as Walked
 from studiorecon.studio.motion import NEVER, Part, perform
 from studiorecon.studio.room import room
 from studiorecon.studio.tracing import Tracer
+
+from tests.defaults import loaded
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).resolve().parent / "results" / "association.json"
@@ -177,8 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=8)
     draws = parser.parse_args().draws
-    section = yaml.safe_load((ROOT / "config/config.yaml").read_text())["people"]
-    reading = load(detections.Settings, section, "people")
+    reading = loaded(detections.Settings)
     print(f"{date.today()} {platform.processor() or platform.machine()}, {PEOPLE} people, {FRAMES} frames, 4 cameras, {draws} draws")
     take = crossing()
     first, second = np.triu_indices(PEOPLE, 1)
@@ -187,7 +186,7 @@ def main() -> None:
     samples = [drawn(take, seed, reading) for seed in range(draws)]
     table = {}
     for name, (changed, with_bodies) in METHODS.items():
-        options = load(associate.Settings, section | {"association": section["association"] | changed}, "people")
+        options = loaded(associate.Settings, association=changed)
         rows = []
         for found, owners in samples:
             given = found if with_bodies else [replace(d, body_pose=None, pelvis=None) for d in found]

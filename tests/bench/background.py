@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
-from studiorecon import settings as settings_module
 from studiorecon.background import train
 from studiorecon.images.metrics import psnr, ssim, ssim_map
 from studiorecon.images.stills import read_plate
@@ -35,9 +33,9 @@ from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.views import synthesize
 
 from tests.bench.training import options_of
+from tests.defaults import loaded
 
 RESULTS = Path(__file__).parent / "results" / "background.json"
-CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"
 FOUR_PHOTOS = {"views_share": 0.0, "fill": False}
 ROWS: dict[str, dict[str, Any]] = {
     "as it is": {},
@@ -49,14 +47,6 @@ ROWS: dict[str, dict[str, Any]] = {
 }
 WARPED = "photos warped and painted, nothing trained"
 _SEEN = 0.05
-
-
-def section(name: str, kind: type, changes: dict[str, Any]) -> Any:
-    """The configuration's settings of a stage with ``changes``."""
-    values = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))[name] | changes
-    if name == "background":
-        values["training"]["checkpoint_every_s"] = 0.0
-    return settings_module.load(kind, values, name)
 
 
 def inputs_of(scene: Path, truth: Path, true_depth: bool, threads: int, folder: Path) -> dict[str, Any]:
@@ -71,7 +61,7 @@ def inputs_of(scene: Path, truth: Path, true_depth: bool, threads: int, folder: 
             "depth": options["depth"],
             "exposure": [],
         }
-        settings = section("views", synthesize.Settings, {})
+        settings = loaded(synthesize.Settings)
         for film in options["views"]:
             support = folder / f"{film.stem}.mask.mkv"
             synthesize.run(settings, film.stem, **warped, views=folder / film.name, support=support)
@@ -131,7 +121,8 @@ def main() -> None:
             given = inputs_of(options.scene, options.truth, changes.pop("true_depth", False), options.threads, Path(place))
             runs, began = [], time.process_time()
             for seed in options.seeds:
-                settings = section("background", train.Settings, changes | {"seed": seed})
+                training = {**changes.get("training", {}), "checkpoint_every_s": 0.0}
+                settings = loaded(train.Settings, **{**changes, "training": training, "seed": seed})
                 made = Path(place) / "scene.ply"
                 train.run(settings, **given, background=made, provenance=Path(place) / "provenance.npz")
                 gaussians = read_ply(made)
@@ -140,7 +131,7 @@ def main() -> None:
         table[name] = {key: float(np.mean([run[key] for run in runs])) for key in runs[0]} | {"cpu_s": spent_s}
         print(name, {key: round(value, 3) for key, value in table[name].items()}, flush=True)
         written(table, options.seeds)
-    settings = section("views", synthesize.Settings, {})
+    settings = loaded(synthesize.Settings)
     given = options_of(options.scene, options.threads)
     photos = synthesize.read_photos(given["model"], given["plates"], given["depth"], [], settings.depth_jump)
     made = synthesize.views_of([camera for camera, _, _ in views], photos, settings)

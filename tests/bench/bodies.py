@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-import yaml
 from studiorecon import settings as settings_module
 from studiorecon.body import alternation, fitting, skinning
 from studiorecon.body.layouts import LAYOUTS
@@ -34,6 +33,8 @@ from studiorecon.people.tracking import tracks, without_duplicates
 from studiorecon.people.verdicts import identities_from_keypoints
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+from tests.defaults import default_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = list(LAYOUTS["body_25b"].keypoints)
@@ -247,7 +248,7 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
 
 def main() -> None:
     body = BodyModel.load(ROOT / "resources/body.npz")
-    section = yaml.safe_load((ROOT / "config/config.yaml").read_text())["people"]
+    section = default_settings("people")
     chosen = {f.name: section["fit"][f.name] for f in fields(fitting.FitSettings) if f.name in section["fit"]}
     options = fitting.FitSettings(**chosen, free_scale=False)
     results = {

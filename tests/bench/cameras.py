@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
 from studiorecon.cameras import calibration, doctor, refine, uncalibrated
@@ -40,15 +39,14 @@ from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.dataset import open_dataset
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, read_detections
-from studiorecon.settings import load
 
 from tests.bench.pose2sim_peer import pose2sim_points
+from tests.defaults import loaded
 from tests.foundations.camera_ring import detect, ring, walk
 from tests.stages.made_take import after_similarity, made_take
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).parent / "results" / "cameras.json"
-SECTIONS = yaml.safe_load((ROOT / "config/config.yaml").read_text(encoding="utf-8"))
 MAN = ("cam01", "cam02", "cam03", "cam04")
 _BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 BONES = [(f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in _BONES]
@@ -60,18 +58,13 @@ def timed(call: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
     return answer, {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - own}
 
 
-def section(module: Any) -> Any:
-    stage = module.__name__.split(".")[1]
-    return load(module.Settings, SECTIONS[stage], stage)
-
-
 def refinement() -> dict[str, Any]:
     """A ring of four, one camera knocked by 1.2° and 5 cm, two people for 100 frames at 2 px."""
     truth, people = ring(), [walk([-1.2, -0.5, 0], [0.02, 0.01, 0], 100), walk([1.1, 0.9, 0], [0, -0.02, 0], 100, 2.0)]
     pose = truth[0].camera_from_world.copy()
     pose[:3, 3] += [0.05, 0.0, 0.02]
     given, seen = [replace(truth[0], camera_from_world=pose), *truth[1:]], detect(truth, people, 2.0, np.random.default_rng(0))
-    settings = section(refine)
+    settings = loaded(refine.Settings)
     refine.decide(given, [], seen, 100, True, settings)
     outcome, cost = timed(lambda: refine.decide(given, [], seen, 100, True, settings))
     return {**cost, **{k: outcome.report[k] for k in ("before_px", "after_px", "before_px_per_camera", "after_px_per_camera")}}
@@ -86,7 +79,7 @@ def found_from_people(seeds: int) -> list[dict[str, Any]]:
             focal = {c.name: c.focal_px[0] for c in truth} if lenses == "focal lengths given" else {}
             (cameras, report), cost = timed(
                 lambda seen=seen, truth=truth, focal=focal: uncalibrated.pose_cameras(
-                    seen, [c.wh for c in truth], focal, 60, template, section(uncalibrated)
+                    seen, [c.wh for c in truth], focal, 60, template, loaded(uncalibrated.Settings)
                 )
             )
             degrees, metres, scale = after_similarity(cameras, truth)
@@ -101,7 +94,7 @@ def board(data: Path) -> dict[str, Any]:
     folder = data / "caliscope_webcams"
     names = [f"cam_{i}" for i in range(4)]
     reading = calibration.read_calibration([folder / "camera_array.toml"])
-    lenses = calibration.lenses_of(reading, "camera_array.toml", names, {}, section(calibration))[0]
+    lenses = calibration.lenses_of(reading, "camera_array.toml", names, {}, loaded(calibration.Settings))[0]
     seen: dict[tuple[str, str], dict[int, np.ndarray]] = {}
     place: dict[str, np.ndarray] = {}
     with (folder / "calibration_session" / "xy.csv").open(encoding="utf-8") as file:
@@ -145,14 +138,16 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
 
     def steps() -> None:
         maps = json.dumps(dict(dataset.pixel_maps))
-        calibration.run(section(calibration), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
+        calibration.run(loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
         for c in MAN:
-            about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.first_frame, dataset.frame_count, dataset.footage[c]
+            about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.first_frames[c], dataset.frame_count, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
-            sightings.run(section(people_detections), c, dataset.keypoints[c], *about, pixel_map, out / f"{c}.npz", out / f"{c}.json")
+            found = out / f"{c}.npz", out / f"{c}.json"
+            sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, pixel_map, *found)
         doctor.run(
-            section(doctor), take, out / "calibration.json", list(MAN), [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN],
-            [out / f"{c}.json" for c in MAN], dataset.first_frame, out / "doctor.json", out / "doctor.html",
+            loaded(doctor.Settings), take, out / "calibration.json", list(MAN), [dataset.footage[c] for c in MAN],
+            [out / f"{c}.npz" for c in MAN], [out / f"{c}.json" for c in MAN], [dataset.first_frames[c] for c in MAN],
+            out / "doctor.json", out / "doctor.html",
         )  # fmt: skip
 
     _, cost = timed(steps)
@@ -168,12 +163,13 @@ def the_man(
     cameras: list[Camera], seen: list[Detections], lenses: list[Lens], data: Path, pose2sim: Path | None, out: Path
 ) -> dict[str, Any]:
     """The man of ``single`` after refinement: keypoints, body, and the same keypoints through Pose2Sim."""
-    refine.decide(cameras, [], seen, 100, True, section(refine))
-    outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, True, section(refine)))
+    refining = loaded(refine.Settings)
+    refine.decide(cameras, [], seen, 100, True, refining)
+    outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, True, refining))
     body = BodyModel.load(ROOT / "resources/body.npz")
     everybody = {(d.camera, int(t)): "p0" for d in seen for t in np.unique(d.track)}
     names, keypoints = observations("p0", seen, everybody, body, 100)
-    settings = section(fit)
+    settings = loaded(fit.Settings)
     points = _lifted(names, keypoints, outcome.training, settings)
     person, _ = fit.fit_person("p0", points, body, 60.0, settings)
     on_body = body.keypoints(names, person.poses, person.betas, person.trans)
@@ -228,11 +224,9 @@ def judged(points: dict[str, np.ndarray], cameras: list[Camera], seen: list[Dete
 
 def real_uncalibrated(cameras: list[Camera], seen: list[Detections]) -> dict[str, Any]:
     """The man's cameras from his keypoints and nothing but focal lengths, against the calibration as it was given."""
-    template = uncalibrated.mean_body(BodyModel.load(ROOT / "resources/body.npz"))
+    template, settings = uncalibrated.mean_body(BodyModel.load(ROOT / "resources/body.npz")), loaded(uncalibrated.Settings)
     focal = {c.name: float(np.mean(c.focal_px)) for c in cameras}
-    (found, report), cost = timed(
-        lambda: uncalibrated.pose_cameras(seen, [c.wh for c in cameras], focal, 100, template, section(uncalibrated))
-    )
+    (found, report), cost = timed(lambda: uncalibrated.pose_cameras(seen, [c.wh for c in cameras], focal, 100, template, settings))
     degrees, metres, scale = after_similarity(found, cameras)
     return {**cost, "worst_deg": degrees.max(), "worst_m": metres.max(), "scale": scale, "median_px": report["median_px"]}
 

@@ -38,13 +38,15 @@ from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
 from studiorecon.views.forward import blend, source
 
+from tests.defaults import default_settings, loaded
+
 ROOT = Path(__file__).resolve().parents[2]
 # Cases in which the settings differ: without boxes and cylinders, with planes of regions, with these alone.
 CHANGES = {"bare": ["solids=0"], "regions": ["regions=100"], "bare regions": ["solids=0", "regions=100"]}
 
 
 def section(stage: str, preset: str, changes: list[str]) -> dict:
-    values = yaml.safe_load((ROOT / "config/config.yaml").read_text())[stage]
+    values = default_settings(stage)
     if preset:
         values |= (yaml.safe_load((ROOT / f"config/presets/{preset}.yaml").read_text()) or {}).get(stage) or {}
     given = {k: yaml.safe_load(v) for k, v in (change.split("=", 1) for change in changes)}
@@ -176,7 +178,7 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
 
 def carried(room: Room, depths: list[np.ndarray], gains: dict[str, np.ndarray]) -> tuple[float, list[list[np.ndarray]]]:
     """Mean PSNR over the held-out views of the photos carried there through ``depths``, and the pictures beside the truth."""
-    warp = load(synthesize.Settings, section("views", "", []), "views")
+    warp = loaded(synthesize.Settings)
     even = [np.clip(p / gains[c.name].astype(np.float32), 0, 1) for c, p in zip(room.cameras, room.plates)]
     photos = [source(c, e, np.ones(c.hw, bool), d, warp.depth_jump) for c, e, d in zip(room.cameras, even, depths)]
     scores, sheets = [], []

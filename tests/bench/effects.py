@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from studiorecon.scene.decisions import ORDER
 from studiorecon.scene.files import write_json
-from studiorecon.settings import load
 from studiorecon.survey.effects import Settings, judge
 
+from tests.defaults import loaded
 from tests.effects.world import PLANTED, scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -81,7 +80,7 @@ def page(result: dict[str, Any]) -> str:
 
 
 def main(seeds: int) -> int:
-    settings = load(Settings, yaml.safe_load((ROOT / "config/config.yaml").read_text())["survey"], "survey")
+    settings = loaded(Settings)
     judged = [e for e in ORDER if e in verdicts(0, settings)[0]]
     plain = [verdicts(seed, settings) for seed in range(seeds)]
     usual = {e: max(("on", "off", "undetermined"), key=[v[e] for v, _ in plain].count) for e in judged}

@@ -22,7 +22,6 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import DisFlow
@@ -45,6 +44,8 @@ from studiorecon.studio.film import backdrop, exposed, touched_pixels
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, developed
 from studiorecon.studio.tracing import Tracer
+
+from tests.defaults import loaded
 
 ROOT = Path(__file__).parents[2]
 RESULT = Path(__file__).parent / "results" / "films.json"
@@ -146,11 +147,9 @@ class Bench:
     """Settings, training footage and the judged strength of one scene."""
 
     def __init__(self, scene: Path) -> None:
-        config = yaml.safe_load((ROOT / "config/config.yaml").read_text())
-        paper = yaml.safe_load((ROOT / "config/presets/paper.yaml").read_text())
-        self.settings = settings_module.load(enhance_shot.Settings, config["enhance"], "enhance")
-        merged = {**config["enhance"]["injection"], **paper["enhance"]["injection"]}
-        self.paper = settings_module.load(Injection, merged, "enhance.injection")
+        paper = yaml.safe_load((ROOT / "config/presets/paper.yaml").read_text())["enhance"]
+        self.settings: enhance_shot.Settings = loaded(enhance_shot.Settings)
+        self.paper: Injection = loaded(enhance_shot.Settings, injection=paper["injection"]).injection
         cameras, capture = read_model(scene / "cameras"), read_manifest(scene / "capture/manifest.json")
         videos = [scene / f"capture/{camera.name}.mkv" for camera in cameras]
         steps, _ = read_path(scene / "render/train.json")

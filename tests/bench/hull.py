@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from studiorecon import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.people import fit
 from studiorecon.people.standing import read_standing
@@ -28,6 +27,7 @@ from studiorecon.scene.files import write_json
 from studiorecon.scene.people import read_person
 from studiorecon.studio import capture
 
+from tests.defaults import default_settings, loaded
 from tests.stages.real_take import front_end_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,11 +48,6 @@ def make(folder: Path, people: int, cameras: int) -> None:
     capture.run(folder / "take.yaml", folder / "dataset", folder / "truth", None, 1)
 
 
-def default_settings(stage: str, **changed: Any) -> dict[str, Any]:
-    """A stage's section of the configuration."""
-    return yaml.safe_load((ROOT / "config" / "config.yaml").read_text())[stage] | changed
-
-
 def score(folder: Path) -> dict[str, Any]:
     """Find and fit everybody of a take; errors against the nearest true person."""
     data, out = open_dataset(folder / "dataset"), folder / "out"
@@ -63,7 +58,7 @@ def score(folder: Path) -> dict[str, Any]:
     started = time.process_time()
     names = front_end_of(data, ROOT, out, default_settings)[0]
     found_s = time.process_time() - started
-    options = settings_module.load(fit.Settings, default_settings("people"), "people")
+    options = loaded(fit.Settings)
     truth = [dict(np.load(path)) for path in sorted((folder / "truth" / "bodies").glob("p*.npz"))]
     people = []
     for name in names:

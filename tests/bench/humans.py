@@ -15,7 +15,6 @@ first row; seconds are of processor time. Table and machine go to tests/bench/re
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import os
 import platform
@@ -28,7 +27,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from studiorecon import settings as settings_module
 from studiorecon.body.avatar import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
@@ -44,6 +42,7 @@ from studiorecon.splatting.rasterise import Rasteriser
 from studiorecon.splatting.schedule import TrainingSettings
 
 from tests.bench.free_people import FreePerson, free_person
+from tests.defaults import default_settings, loaded
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results" / "humans.json"
@@ -114,14 +113,6 @@ ROWS: dict[str, dict[str, Any]] = {
 FREE_STEPS = 600
 
 
-def settings_with(changes: dict[str, Any]) -> train.Settings:
-    """The configuration's settings of humans with ``changes``."""
-    section = copy.deepcopy(yaml.safe_load((ROOT / "config" / "config.yaml").read_text())["humans"])
-    for name, value in changes.items():
-        section[name] = {**section[name], **value} if isinstance(value, dict) else value
-    return settings_module.load(train.Settings, section, "humans")
-
-
 def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> tuple[Path, Path, float]:
     """Files of one training and its processor seconds."""
     names = [camera.name for camera in read_model(scene / "cameras")]
@@ -136,10 +127,10 @@ def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> 
     if change := changes.pop("body", None):
         fitted = folder / f"{person}.fit.npz"
         write_person(fitted, change(read_person(scene / f"people/{person}.npz")))
-    ply, npz = folder / f"{person}.ply", folder / f"{person}.npz"
+    ply, npz, settings = folder / f"{person}.ply", folder / f"{person}.npz", loaded(train.Settings, **changes)
     begin = time.process_time()
     train.run(
-        settings_with(changes), person, scene / "cameras/images.txt", scene / "capture/manifest.json", scene / "people/people.tsv",
+        settings, person, scene / "cameras/images.txt", scene / "capture/manifest.json", scene / "people/people.tsv",
         [scene / f"capture/{name}.mkv" for name in names], masks, fitted, BODY, 1, ply, npz,
     )  # fmt: skip
     return ply, npz, time.process_time() - begin
@@ -151,12 +142,7 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
     for camera in read_model(scene / "cameras"):
         detections.append(folder / f"{camera.name}.npz")
         write_detections(detections[-1], change(read_detections(scene / f"people/detections/{camera.name}.npz"), camera.wh[0]))
-    section = yaml.safe_load((ROOT / "config" / "config.yaml").read_text())["people"]
-    settings, who, path = (
-        settings_module.load(fit.Settings, section, "people"),
-        scene / f"people/who/{person}",
-        folder / f"{person}.noisy.npz",
-    )
+    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}", folder / f"{person}.noisy.npz"
     tracks, silhouettes = who.with_suffix(".tsv"), who.with_suffix(".npz")
     fit.run(settings, person, scene / "cameras/images.txt", scene / "capture/manifest.json", detections, tracks, silhouettes, BODY, path)
     return path
@@ -164,13 +150,13 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
 
 def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
     """The person without a body, and the processor seconds that took."""
-    cameras, settings, body = read_model(scene / "cameras"), settings_with({}), BodyModel.load(BODY)
+    cameras, settings, body = read_model(scene / "cameras"), loaded(train.Settings), BodyModel.load(BODY)
     fitted = read_person(scene / f"people/{person}.npz")
     videos, masks = ([scene / f"{kind}/{camera.name}.mkv" for camera in cameras] for kind in ("capture", "masks"))
     label = read_people(scene / "people/people.tsv").index(person) + 1
     crops = train.read_crops(settings, cameras, videos, masks, fitted, body, label, len(fitted.valid))
-    section = yaml.safe_load((ROOT / "config" / "config.yaml").read_text())["background"]["training"]
-    steps = settings_module.load(TrainingSettings, {**section, "iterations": FREE_STEPS, "checkpoint_every_s": 0.0}, "background")
+    changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
+    steps = settings_module.load(TrainingSettings, default_settings("background", training=changes)["training"], "background")
     begin = time.process_time()
     frames = range(0, len(fitted.valid), STEP)
     found = free_person(crops, fitted.trans, frames, steps, settings.gaussians, start == "hull", settings.seed)

@@ -24,7 +24,6 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.objects import Settings, moments_of, objects_in, open_view, rested
 from studiorecon.images.video import read_frames, to_bytes
@@ -37,6 +36,7 @@ from studiorecon.studio import capture
 from studiorecon.studio.actors import Troupe
 from studiorecon.studio.description import read_description
 
+from tests.defaults import loaded
 from tests.stages.test_humans_objects import Ball, bouncing, drawn
 from tests.stages.test_humans_turning import Board, found, seen_db, shown, tumbling, turn_errors_deg
 
@@ -82,8 +82,7 @@ def true_middles(folder: Path) -> tuple[np.ndarray, float]:
 
 def found_in(folder: Path, cameras: int) -> list[RigidObject]:
     """What the step finds with the first so many training cameras."""
-    section = yaml.safe_load((ROOT / "config/config.yaml").read_text())["humans"]
-    settings = settings_module.load(Settings, section, "humans").objects
+    settings = loaded(Settings).objects
     known = {c["name"]: Camera.from_json(c) for c in json.loads((folder / "truth/cameras.json").read_text())}
     names = [name for name in known if name.startswith("cam")][:cameras]
     data = folder / "dataset"
@@ -149,8 +148,7 @@ def score(name: str, takes: Path) -> dict[str, Any]:
 
 def turning(name: str) -> dict[str, Any]:
     """One tumbling or bouncing thing, with and without looking for its turns."""
-    section = yaml.safe_load((ROOT / "config/config.yaml").read_text())["humans"]
-    settings = settings_module.load(Settings, section, "humans")
+    settings = loaded(Settings)
     never = replace(settings, objects=replace(settings.objects, turn=replace(settings.objects.turn, gain_db=99.0)))
     half_m = TURNING[name]
     board = replace(tumbling(), half_m=half_m) if half_m else None

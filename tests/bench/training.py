@@ -22,8 +22,6 @@ from pathlib import Path
 
 import numba
 import numpy as np
-import yaml
-from studiorecon import settings as settings_module
 from studiorecon.background import train
 from studiorecon.images.metrics import psnr
 from studiorecon.images.stills import read_plate
@@ -31,8 +29,9 @@ from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.splatting.rasterise import Rasteriser
 
+from tests.defaults import default_settings, loaded
+
 RESULTS = Path(__file__).parent / "results" / "training.json"
-CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"
 VARIANTS = {
     "none": {"densify": "none"},
     "relocate": {"densify": "relocate", "densify_every": 100, "densify_from": 200, "densify_until": 1200, "prune_opacity": 0.05},
@@ -58,9 +57,7 @@ def options_of(scene: Path, threads: int) -> dict:
 
 def trained(options: dict, changes: dict, folder: Path) -> tuple[float, float]:
     """Processor and wall seconds of one training; the result lies in ``folder``."""
-    section = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["background"]
-    section["training"] |= {"checkpoint_every_s": 0.0, **changes}
-    settings = settings_module.load(train.Settings, section, "background")
+    settings = loaded(train.Settings, training={"checkpoint_every_s": 0.0, **changes})
     began = time.process_time(), time.perf_counter()
     train.run(settings, **options, background=folder / "scene.ply", provenance=folder / "provenance.npz")
     return time.process_time() - began[0], time.perf_counter() - began[1]
@@ -79,7 +76,7 @@ def held_out(scene: Path, truth: Path, folder: Path) -> tuple[float, int]:
 def density_control(scene: Path, truth: Path, threads: int, only: list[str], equal_time: bool) -> None:
     """The table of all variants; with ``equal_time`` each is run again with the steps that the seconds of ``none`` allow."""
     options, rows = options_of(scene, threads), []
-    iterations = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["background"]["training"]["iterations"]
+    iterations = default_settings("background")["training"]["iterations"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         trained(options, {"iterations": 1}, folder)  # compiles

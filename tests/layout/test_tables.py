@@ -13,14 +13,15 @@ import pytest
 import yaml
 from studiorecon import code
 
+from tests.conftest import EVERY_TEST
 from tests.hard import table
 
 AGAIN = "run: python -m tests.hard.table"
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, Counter[str]]:
-    return table.tests_by_row(table.collected())
+def found(request: pytest.FixtureRequest) -> dict[str, Counter[str]]:
+    return table.tests_by_row(request.config.stash.get(EVERY_TEST, None) or table.collected())
 
 
 def test_every_row_of_the_design_is_listed_once_and_owned() -> None:

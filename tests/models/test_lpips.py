@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import Refusal
-from studiorecon.models.lpips import FEATURES_FILE, HEADS_FILE, Lpips, normalised, read_lpips
+from studiorecon.images import perceptual as measured
+from studiorecon.models.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
 from studiorecon.splatting.perceptual import PerceptualSettings, perceptual
 
 from tests.foundations.splatting_vgg import random_weights
 
+VGG = TRUNKS["vgg"]
 SETTINGS = PerceptualSettings(weight=0.1, every=4, crop_px=0, weights="")
 
 
@@ -95,21 +97,66 @@ def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:
     assert small[0] == 0
 
 
+@pytest.mark.parametrize("net", ["alex", "vgg"])
+def test_what_is_measured_is_what_is_trained_with(net: Net) -> None:
+    import torch
+
+    network = Lpips(*random_weights(torch.float32, net=net), net)
+    rendered, target = (np.rint(255 * p).astype(np.uint8) for p in pictures((64, 70)))
+    value = measured.lpips(rendered, target, network.layers, network.weights)
+    assert value == pytest.approx(network(rendered / np.float32(255), target / np.float32(255))[0], rel=1e-5)
+    assert measured.lpips(target, target, network.layers, network.weights) == 0
+    assert measured.lpips(rendered[:63], target[:63], network.layers, network.weights) is None
+
+
+def test_alexnet_is_cut_where_torchvisions_layers_end() -> None:
+    """Features after the activations 1, 4, 7, 9 and 11 of ``alexnet().features``, written down here once more."""
+    import torch
+    from torch import nn
+
+    features, heads = random_weights(torch.float32, net="alex")
+    alexnet = nn.Sequential(
+        nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2), nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2),
+        nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(), nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(), nn.Conv2d(256, 256, 3, padding=1),
+        nn.ReLU(), nn.MaxPool2d(3, 2),
+    )  # fmt: skip
+    alexnet.load_state_dict({name.removeprefix("features."): value for name, value in features.items()})
+    picture = 2 * pictures((65, 79))[0].transpose(2, 0, 1) - 1
+    shift, scale = (torch.tensor(v)[:, None, None] for v in ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]))
+    x = (torch.from_numpy(picture) - shift) / scale
+    expected = []
+    with torch.no_grad():
+        for index, layer in enumerate(alexnet):
+            x = layer(x[None])[0]
+            if index in (1, 4, 7, 9, 11):
+                expected.append(x.numpy().copy())
+    layers = Lpips(features, heads, "alex").layers(picture)
+    assert [layer.shape for layer in layers] == [layer.shape for layer in expected]
+    for ours, theirs in zip(layers, expected):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
+
+
 def test_files_are_read_and_wrong_ones_are_named(tmp_path: Path) -> None:
     import torch
 
     features, heads = random_weights(torch.float32)
     with pytest.raises(Refusal, match=r"needs .*vgg16\.pth, which is missing"):
         read_lpips(tmp_path, 1)
-    torch.save(features, tmp_path / FEATURES_FILE)
+    torch.save(features, tmp_path / VGG.features_file)
     with pytest.raises(Refusal, match=r"needs .*lpips_vgg\.pth, which is missing"):
         read_lpips(tmp_path, 1)
-    (tmp_path / HEADS_FILE).write_bytes(b"not a state dict")
+    (tmp_path / VGG.heads_file).write_bytes(b"not a state dict")
     with pytest.raises(Refusal, match=r"lpips_vgg\.pth is not a readable state dict"):
         read_lpips(tmp_path, 1)
-    torch.save({**heads, "lin2.model.1.weight": torch.zeros(1, 7, 1, 1)}, tmp_path / HEADS_FILE)
+    torch.save({**heads, "lin2.model.1.weight": torch.zeros(1, 7, 1, 1)}, tmp_path / VGG.heads_file)
     with pytest.raises(Refusal, match=r"lin2\.model\.1\.weight has shape"):
         read_lpips(tmp_path, 1)
-    torch.save(heads, tmp_path / HEADS_FILE)
+    torch.save(heads, tmp_path / VGG.heads_file)
     pair = pictures((20, 24))
     assert read_lpips(tmp_path, 1)(*pair)[0] == Lpips(features, heads)(*pair)[0]
+    with pytest.raises(Refusal, match=r"needs .*alexnet\.pth, which is missing; put it there or leave it out"):
+        read_lpips(tmp_path, 1, "alex", "leave it out")
+    for name, values in zip((TRUNKS["alex"].features_file, TRUNKS["alex"].heads_file), (features, heads)):
+        torch.save(values, tmp_path / name)
+    with pytest.raises(Refusal, match=r"alexnet\.pth and .* are not what LPIPS v0\.1 \(alex\) is made of: features\.0\.weight has shape"):
+        read_lpips(tmp_path, 1, "alex")

@@ -23,7 +23,8 @@ def options(default_settings):
 
 
 def about(cameras: list[Camera], **changed) -> list[dict]:
-    base = {"frames": FRAMES, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0, "keypoints": True}
+    facts = {"frames": FRAMES, "first_frame": 5, "keypoints": True}
+    base = {**facts, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
     return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
 
 
@@ -88,7 +89,12 @@ def test_a_late_camera_is_found_with_its_interval(options):
     lag = report["lags_frames"]["c1"]
     assert lag["valid"]
     assert lag["low"] <= 3 <= lag["high"]
-    assert any("c1 is +3" in a for a in report["advice"])
+    assert any("c1 is +3" in a and 'starts: {"c1": 3}' in a for a in report["advice"])
+
+
+def test_of_a_camera_that_is_still_late_the_whole_start_is_named(options):
+    advice = examined(ring(), options, shift={"c1": -2}, c1={"first_frame": 18})["advice"]
+    assert any("c1 is -2" in a and 'starts: {"c1": 11}' in a for a in advice), advice
 
 
 def test_people_who_stand_still_say_nothing_about_clocks():

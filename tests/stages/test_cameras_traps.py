@@ -75,14 +75,12 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         people = settings_module.load(people_detections.Settings, default_settings("people"), "people")
         for c, path in data.keypoints.items():
             files = out / f"{c}.npz", out / f"{c}.json"
-            sightings.run(
-                people, c, path, data.keypoint_layout, data.keypoint_first_frame, data.first_frame, data.frame_count, data.footage[c], "[]",
-                *files,
-            )  # fmt: skip
+            about = data.keypoint_layout, data.keypoint_first_frame, data.first_frames[c], data.frame_count, data.footage[c]
+            sightings.run(people, c, path, *about, "[]", *files)
         doctor.run(
             settings_module.load(doctor.Settings, section, "cameras"), "trap", out / "calibration.json", list(data.cameras),
             [data.footage[c] for c in data.cameras], [out / f"{c}.npz" for c in data.keypoints],
-            [out / f"{c}.json" for c in data.keypoints], data.first_frame, out / "doctor.json", out / "doctor.html",
+            [out / f"{c}.json" for c in data.keypoints], list(data.first_frames.values()), out / "doctor.json", out / "doctor.html",
         )  # fmt: skip
         return read_json(out / "doctor.json")
 
@@ -133,6 +131,20 @@ def everybody_leaves(folder: Path) -> None:
     for name in NAMES:
         for t in range(FRAMES // 2, FRAMES):
             write_people(folder, name, t, [])
+
+
+def test_what_the_doctor_says_about_a_camera_started_early_makes_it_agree(capture: Path, examine: Callable) -> None:
+    """Files with three frames before the others begin, until capture.yaml has what the doctor says."""
+    for path in sorted((capture / "keypoints" / "01").iterdir(), reverse=True):
+        frame = int(path.name.split("_")[1])
+        path.rename(path.with_name(f"01_{frame + 3:012d}_keypoints.json"))
+    advice = examine(capture)["advice"]
+    assert any('starts: {"01": 3}' in sentence for sentence in advice), advice
+    with (capture / "capture.yaml").open("a") as file:
+        file.write('starts: {"01": 3}\n')
+    after = examine(capture)
+    assert after["verdict"] == "good", after["advice"]
+    assert abs(after["lags_frames"]["01"]["frames"]) < 0.3
 
 
 HARMLESS = [

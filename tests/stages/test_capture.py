@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from fractions import Fraction
+from itertools import zip_longest
 from pathlib import Path
 
 import av
@@ -13,7 +17,7 @@ from studiorecon.body.presence import people_regions
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.capture import plate as plate_step
-from studiorecon.capture.source import decode, digest, open_source
+from studiorecon.capture.source import decode, digest, open_source, uneven
 from studiorecon.capture.sync import lags, motion_energy
 from studiorecon.errors import Refusal
 from studiorecon.images.plate import noise_levels, write_plate
@@ -34,15 +38,18 @@ def smooth_pictures(count: int, wh: tuple[int, int] = WH, seed: int = 0) -> np.n
     return np.stack([cv2.resize(rng.integers(0, 256, (4, 6, 3), np.uint8), wh, interpolation=cv2.INTER_CUBIC) for _ in range(count)])
 
 
-def write_video(path: Path, frames: np.ndarray, fps: int = 30, rotation: int = 0) -> Path:
+def write_video(path: Path, frames: np.ndarray, fps: int = 30, rotation: int = 0, times: Sequence[int] = ()) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "8", "g": "5"})
         stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
         if rotation:
             stream.set_display_rotation(rotation)
-        for frame in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame))))
+        for frame, time in zip_longest(frames, times):
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame))
+            if time is not None:
+                picture.pts, picture.time_base = time, Fraction(1, fps)
+            container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
     return path
 
@@ -88,6 +95,22 @@ class TestFrames:
         upright = np.rot90(frames[1], rotation // 90)
         assert source.wh == (upright.shape[1], upright.shape[0])
         np.testing.assert_allclose(next(decode(source, 1, 1)).astype(int), upright.astype(int), atol=30)
+
+    def test_a_recorder_that_dropped_frames_is_named(self, tmp_path: Path, run_frames, capsys: pytest.CaptureFixture) -> None:
+        """Frames 5 and 6 of the moment are not in the file: from frame 5 on it is two frames early."""
+        shown = [k for k in range(14) if k not in (5, 6)]
+        write_video(tmp_path / "a.mp4", smooth_pictures(12), times=shown)
+        footage = run_frames(tmp_path / "a.mp4")
+        (told,) = [change for change in footage.changes if "do not come evenly" in change]
+        assert "1 of 11 steps differ from the usual 33 ms, most after frame 4 (100 ms)" in told
+        assert "a.mp4: frames do not come evenly" in capsys.readouterr().out
+        assert not any("evenly" in change for change in run_frames(tmp_path / "a.mp4", first=5).changes), "what is used is even"
+
+    def test_the_jitter_of_a_phone_is_no_gap(self) -> None:
+        times = np.arange(90) / 30 + np.random.default_rng(0).uniform(-0.004, 0.004, 90)
+        assert uneven(times) is None
+        assert uneven([]) is uneven([0.0]) is uneven([1.0, 1.0, 1.0]) is None
+        assert "1 of 88 steps" in uneven(np.delete(times, 50))
 
     def test_portrait_footage_is_sized_by_its_longer_side(self) -> None:
         assert frames_step.working_size((1088, 1920), 480) == (272, 480)
@@ -203,6 +226,11 @@ class TestManifest:
     def test_different_lengths_name_both_files_and_the_remedy(self, run) -> None:
         with pytest.raises(Refusal, match=r"b\.mp4 has 58 frames and videos/a\.mp4 has 60.*count: 58"):
             run(footage("a"), footage("b", frames=58))
+
+    def test_the_remedy_counts_from_where_all_cameras_are_there(self, run) -> None:
+        late = replace(footage("b", frames=50), first_source_frame=20)
+        with pytest.raises(Refusal, match=r"frames: \{first: 7, count: 50\}.*starts: \{CAMERA: frames\}"):
+            run(replace(footage("a"), first_source_frame=7), late)
 
     def test_different_rates_name_both_files(self, run) -> None:
         with pytest.raises(Refusal, match=r"b\.mp4 runs at 25 frames per second and videos/a\.mp4 at 30"):

@@ -14,6 +14,7 @@ from studiorecon import __main__ as command
 from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frame, write_lossless
+from studiorecon.models.lpips import read_lpips
 from studiorecon.report import compare, evaluate, paper, score, sections
 from studiorecon.report.bodies import compare_bodies, match, similarity_aligned
 from studiorecon.report.cost import cost, read_benchmark
@@ -26,6 +27,7 @@ from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import Step, write_path
 from studiorecon.scene.people import Person, read_person, write_person
 
+from tests.foundations.splatting_vgg import random_weights
 from tests.stages.made_scene import FPS, FRAMES, WH, ring
 from tests.stages.reported_scene import report_scene
 
@@ -192,9 +194,42 @@ def test_any_renders_can_be_compared_with_any_photos(tmp_path: Path, capsys: pyt
     for name in ("psnr_people", "ssim_seen", "psnr_people_seen"):
         assert result["pictures"]["renders"][name]["value"] is None
         assert result["pictures"]["renders"][name]["reason"]
-    assert all(result[part]["reason"] for part in ("lpips", "pck", "bodies", "identities"))
+    assert all(result[part]["reason"] for part in ("pck", "bodies", "identities"))
+    assert "add --lpips DIR" in result["pictures"]["renders"]["lpips"]["reason"]
     assert set(result["pictures"]["renders"]) <= set(result["definitions"])
     assert "psnr: 28.13" in capsys.readouterr().out
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    """A folder with random weights in the shape of AlexNet and of LPIPS' heads."""
+    import torch
+
+    (tmp_path / "weights").mkdir()
+    for name, values in zip(("alexnet.pth", "lpips_alex.pth"), random_weights(torch.float32, net="alex")):
+        torch.save(values, tmp_path / "weights" / name)
+    return tmp_path / "weights"
+
+
+def test_with_weights_lpips_is_measured_in_every_frame(tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    photos = [rng.integers(0, 200, (64, 72, 3), dtype=np.uint8) for _ in range(3)]
+    write_lossless(tmp_path / "truth/a.mkv", photos, 10.0)
+    write_lossless(tmp_path / "renders/a.mkv", [photos[0], photos[1] + 10, photos[2] + 40], 10.0)
+    folders = ["--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth"), "--lpips", str(weights)]
+    assert command.main(["report.score", *folders, "--output", str(tmp_path / "m.json")]) == 0
+    result = read_json(tmp_path / "m.json")
+    frames = result["pictures"]["renders"]["lpips"]["cameras"]["a"]["frames"]
+    network = read_lpips(weights, 1, "alex")
+    expected = [network(np.float32(photos[k] + gain) / 255, np.float32(photos[k]) / 255)[0] for k, gain in enumerate((0, 10, 40))]
+    assert frames[0] == 0 < frames[1] < frames[2]
+    np.testing.assert_allclose(frames, expected, rtol=1e-4, atol=1e-7)
+    assert "AlexNet" in result["definitions"]["lpips"]["definition"]
+    assert "torch" in result["definitions"]["lpips"]["library"]
+    assert result["provenance"]["settings"]["lpips"] == "alex"
+    (weights / "lpips_alex.pth").unlink()
+    assert command.main(["report.score", *folders]) == 1
+    assert "lpips_alex.pth, which is missing; put it there or leave --lpips out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -244,7 +279,8 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
         assert "truth" in metrics["pictures"]["raw"][name]["reason"]
     assert metrics["pictures"]["raw"]["temporal_l1"]["cameras"]["view0"]["skipped"] == 1
     assert metrics["bodies"]["mpjpe_world_mm"] is None
-    assert metrics["lpips"] == {"value": None, "interval": None, "reason": metrics["lpips"]["reason"], "cameras": {}}
+    assert metrics["pictures"]["raw"]["lpips"]["value"] is None
+    assert "report.lpips.net is none" in metrics["pictures"]["raw"]["lpips"]["reason"]
     assert metrics["training"] is None, "there are held-out cameras"
     assert set(metrics["inputs"]) >= {"render/heldout.mkv", "enhance/heldout.mkv", "view0.mkv"}
     assert metrics["coverage"]["heldout"]["inferred"] == 1.0
@@ -426,6 +462,19 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
     assert metrics["training"]["raw"]["psnr"]["value"] == 100.0
     assert metrics["training"]["raw"]["psnr"]["cameras"][training[0].name]["capped"] == FRAMES
     assert metrics["pictures"]["raw"]["psnr"]["value"] is None
+
+
+def test_a_run_measures_lpips_when_it_is_told_to(tmp_path: Path, weights: Path, root: Path, default_settings: Callable) -> None:
+    def with_lpips(stage: str) -> dict:
+        return default_settings(stage, **({"lpips": {"net": "alex", "weights": str(weights)}} if stage == "report" else {}))
+
+    scene = report_scene(tmp_path / "scene", root, with_lpips)
+    metrics = read_json(scene / "report/metrics.json")
+    raw, enhanced = (metrics["pictures"][version]["lpips"]["value"] for version in ("raw", "enhanced"))
+    assert raw > enhanced == 0, "the enhanced film is the photos themselves"
+    _, rows = paper.table(metrics, root / "resources/paper/results.tsv")
+    assert {row[0]: row for row in rows}["LPIPS ↓"][1:3] == [f"{raw:.3f}", "0.000"]
+    assert f"{raw:.4f}" in (scene / "report/index.html").read_text()
 
 
 def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, root: Path) -> None:

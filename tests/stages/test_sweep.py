@@ -221,7 +221,6 @@ def metrics(psnr: object, frames: Mapping[str, list]) -> dict:
         "bodies": {"mpjpe_world_mm": 9.0, "people": {}, "missed": []},
         "jitter": {"p0": {"joints_mm_f2": 5.0}},
         "identities": {"accuracy": None},
-        "lpips": {"value": None},
         "provenance": {"masks": "exact", "libraries": {}, "code": "c", "settings": {}, "revision": "r"},
     }
 
@@ -322,6 +321,7 @@ def test_a_sweep_goes_on_after_failures_and_charges_what_it_shares(tmp_path: Pat
     table, records = write_table(tmp_path / "t.tsv", rows), tmp_path / "sweep/records.jsonl"
     stand_in = PlantedSnakemake()
     monkeypatch.setattr(sweep_run, "_snakemake", stand_in)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     told = (json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, records, tmp_path / "sweep/runs")
     sweep_run.run(*told)
     base, more, bad, slow, again = found = read_records(records)[1]
@@ -345,8 +345,33 @@ def test_a_sweep_goes_on_after_failures_and_charges_what_it_shares(tmp_path: Pat
     ]
 
 
+def test_nobody_is_charged_for_kernels_that_the_first_run_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a fresh machine the base would pay minutes that no later row pays, and the front would be drawn upside down."""
+    kernel, stand_in = tmp_path / "kernels/studiorecon/train.nbc", PlantedSnakemake()
+
+    def compiling(snakefile: Path, folder: Path, *rest: object) -> tuple[int | None, str]:
+        told = stand_in(snakefile, folder, *rest)
+        if not kernel.exists():
+            kernel.parent.mkdir(parents=True)
+            kernel.touch()
+            for job in read_jobs(folder).values():
+                planted(folder, job, 500.0)
+        return told
+
+    monkeypatch.setattr(sweep_run, "_snakemake", compiling)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    table = write_table(tmp_path / "t.tsv", [("base", "", "", "humans.iterations=300"), ("more", "steps", "", "humans.iterations=900")])
+    records = tmp_path / "sweep/records.jsonl"
+    sweep_run.run(json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, records, tmp_path / "sweep/runs")
+    base, more = read_records(records)[1]
+    assert [r.seconds["from_nothing"] for r in (base, more)] == pytest.approx([40.0, 100.0])
+    assert stand_in.ran.count("logs/s/capture/frames.log") == 2, "the base ran twice, and nobody else"
+    assert stand_in.ran.count("logs/s/humans/train.log") == 3
+
+
 def test_a_sweep_is_not_continued_on_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep_run, "_snakemake", PlantedSnakemake())
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
     table = write_table(tmp_path / "t.tsv", [("base", "", "", "")])
     told = (json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, tmp_path / "records.jsonl", tmp_path / "runs")
     sweep_run.run(*told)

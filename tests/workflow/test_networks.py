@@ -32,7 +32,7 @@ def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: P
 
 def test_the_papers_networks_are_one_preset() -> None:
     preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
-    assert [name for _, name in selected(preset)] == ["comotion", "sam3", "moge", "gen3c", "difix", "raft", "lpips", "lpips"]
+    assert [name for _, name in selected(preset)] == ["comotion", "sam3", "moge", "gen3c", "difix", "raft", "lpips", "lpips", "lpips_alex"]
 
 
 def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(house: House, dataset: Path, tmp_path: Path) -> None:

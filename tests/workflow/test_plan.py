@@ -37,6 +37,18 @@ def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset
     assert "render_layers" not in plan, "on request only"
 
 
+def test_a_camera_that_was_started_early_is_read_from_its_own_frame_on(house: House, dataset: Path) -> None:
+    (dataset / "capture.yaml").write_text("starts: {right: 13}\nframes: {first: 4, count: 20}\n")
+    there, films = on(house, dataset), [f"results/{dataset.name}/capture/{c}.mkv" for c in ("left", "right")]
+    told = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *films, f"results/{dataset.name}/cameras/doctor.html").stdout
+    (dataset / "capture.yaml").unlink()
+    assert "--camera left --held-out 0 --first 4 --count 20" in told
+    assert "--camera right --held-out 0 --first 17 --count 20" in told
+    assert told.count("--start 17 --count 20") == 1, "its keypoints too"
+    assert told.count("--start 4 --count 20") == 2
+    assert "--starts 4 4 17" in told, "cameras in the order of their names: back, left, right"
+
+
 def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
     (dataset / "capture.yaml").write_text("people: 0\n")
     plan = on(house, dataset).plan()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -18,6 +19,11 @@ AFTER_HUMANS = {"render_shot", "enhance_shot", "enhance_comparison", "survey_tra
 
 def results(house: House) -> Path:
     return house.folder / "results" / "tiny"
+
+
+def filmed(house: House) -> Path:
+    """What the studio's cameras took."""
+    return house.folder / "results/studio/tiny/dataset"
 
 
 def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
@@ -75,8 +81,8 @@ def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts
     assert finished.plan(*overlay) == {}
 
 
-def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
-    house = make_house(tmp_path / "killed", "resources/studio/tiny.yaml")
+def test_a_killed_run_is_resumed(finished: House, tmp_path: Path) -> None:
+    house = make_house(tmp_path / "killed", str(shutil.copytree(filmed(finished), tmp_path / "tiny")))
     run = subprocess.Popen(
         house.command("--cores", "2", "--until", "capture_manifest"),
         cwd=house.folder,
@@ -99,9 +105,7 @@ def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
 
 
 def test_a_truncated_video_is_named_and_leaves_the_rest(finished: House, tmp_path: Path) -> None:
-    source = finished.folder / "results/studio/tiny/dataset"
-    dataset = tmp_path / "truncated"
-    subprocess.run(["cp", "-r", str(source), str(dataset)], check=True)
+    dataset = shutil.copytree(filmed(finished), tmp_path / "truncated")
     video = sorted((dataset / "videos").iterdir())[0]
     video.write_bytes(video.read_bytes()[:2000])
     house = House(finished.folder, str(dataset))

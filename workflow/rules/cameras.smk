@@ -83,12 +83,12 @@ if CAMERA_NETWORK:
             settings=settings("cameras"),
             code=code("cameras.network"),
             cameras=CAMERAS,
-            start=DATASET.first_frame,
+            starts=[DATASET.first_frames[c] for c in CAMERAS],
             weights=WEIGHTS,
             device=config["device"],
         shell:
             "python -m studiorecon cameras.network --settings {params.settings:q} --log {log}"
-            " --cameras {params.cameras:q} --sources {input.sources:q} --start {params.start} --sightings {input.sightings:q}"
+            " --cameras {params.cameras:q} --sources {input.sources:q} --starts {params.starts} --sightings {input.sightings:q}"
             " --body {input.body:q} --weights {params.weights:q} --device {params.device} --model {output.model:q}"
 
 

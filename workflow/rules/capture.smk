@@ -18,7 +18,7 @@ rule capture_frames:
         settings=settings("capture"),
         code=code("capture.frames"),
         held_out=lookup("{camera}", within={c: int(c in HELDOUT) for c in CAMERAS}),
-        first_frame=DATASET.first_frame,
+        first_frame=lookup("{camera}", within=DATASET.first_frames),
         frame_count=DATASET.frame_count,
     shell:
         "python -m studiorecon capture.frames --settings {params.settings:q} --log {log:q}"

@@ -186,7 +186,7 @@ def model_image(name):
 
 
 # What draws Gaussians on a GPU and what LPIPS needs is in an image of its own, because torch is large.
-DRAWN_BY = "vision" if config["device"] == "cuda" or "lpips" in SELECTED else "core"
+DRAWN_BY = "vision" if config["device"] == "cuda" or {"lpips", "lpips_alex"} & set(SELECTED) else "core"
 DRAWING_GPUS = 1 if config["device"] == "cuda" else 0
 IMAGES_USED = sorted({"core", DRAWN_BY} | {MODELS[name].runtime.image for name in SELECTED})
 

@@ -23,7 +23,7 @@ rule people_sightings:
         code=code("people.sightings"),
         layout=DATASET.keypoint_layout,
         first_frame=DATASET.keypoint_first_frame,
-        start=DATASET.first_frame,
+        start=lookup("{camera}", within=DATASET.first_frames),
         frame_count=DATASET.frame_count,
         pixel_map=lookup("{camera}", within={c: json.dumps(DATASET.pixel_maps.get(c, [])) for c in CAMERAS}),
     shell:
@@ -55,11 +55,11 @@ rule cameras_doctor:
         settings=settings("cameras"),
         code=code("cameras.doctor"),
         cameras=CAMERAS,
-        start=DATASET.first_frame,
+        starts=[DATASET.first_frames[c] for c in CAMERAS],
     shell:
         "python -m studiorecon cameras.doctor --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene:q} --calibration {input.calibration:q} --cameras {params.cameras:q} --sources {input.sources:q}"
-        " --sightings {input.sightings:q} --sizes {input.sizes:q} --start {params.start}"
+        " --sightings {input.sightings:q} --sizes {input.sizes:q} --starts {params.starts}"
         " --report {output.report:q} --doctor {output.doctor:q}"
 
 

@@ -42,7 +42,7 @@ rule report_evaluate:
         " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --heldout-model {input.heldout_model}"
         " --videos {input.videos:q} --render {input.render:q} --render-path {input.render_path:q} --enhanced {input.enhanced:q}"
         " --truth-maps {input.truth_maps:q} --fits {input.fits:q} --detections {input.detections:q}"
-        " --identities {input.identities:q} {params.truth} --metrics {output.metrics}"
+        " --identities {input.identities:q} {params.truth} --threads {threads} --metrics {output.metrics}"
 
 
 rule report_page:

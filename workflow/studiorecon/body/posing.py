@@ -11,8 +11,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-# Real SH constants in the order and with the signs of the 3DGS file format.
-_C1 = 0.4886025119029199
+# Real SH constants of degree 2 in the order and with the signs of the 3DGS file format.
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
 MAX_SH_DEGREE = 2  # rotating degree 3 would need Wigner matrices; the paper's humans use degree 2
 _COLLAPSED = 1e-6  # determinant below which a blend has no usable polar rotation

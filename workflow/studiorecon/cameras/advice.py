@@ -90,10 +90,11 @@ def _unclear(report: dict[str, Any]) -> list[str]:
 
 
 def _clocks(report: dict[str, Any]) -> list[str]:
+    first = {camera: about["first_frame"] for camera, about in report["footage"].items()}
+    least = min(first.values())
     return [
-        f"camera {camera} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f}); cut "
-        + f"{abs(round(lag['frames']))} frames "
-        + ("from the start of its video" if lag["frames"] > 0 else "from the start of all other videos")
+        f"camera {camera} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f}); write "
+        f'starts: {{"{camera}": {first[camera] - least + round(lag["frames"])}}} into capture.yaml'
         for camera, lag in report["lags_frames"].items()
         if lag["valid"] and not lag["low"] <= 0 <= lag["high"]
     ]
@@ -104,7 +105,7 @@ def _footage(report: dict[str, Any]) -> list[str]:
     footage = report["footage"].values()
     for key, what, remedy in (
         ("fps", "frame rates", "export all at one rate"),
-        ("video_frames", "lengths", "set frames: [first, count] in capture.yaml to the part that all have"),
+        ("video_frames", "lengths", "set frames: {first: …, count: …} in capture.yaml to the part that all have"),
         ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
     ):
         values = {a["camera"]: a[key] for a in footage}

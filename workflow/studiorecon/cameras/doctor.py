@@ -178,11 +178,11 @@ def run(
     sources: list[Path],
     sightings: list[Path],
     sizes: list[Path],
-    start: int,
+    starts: list[int],
     report: Path,
     doctor: Path,
 ) -> None:
-    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``, used from frame ``start`` on.
+    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``, used from the frames ``starts`` on.
 
     ``sightings`` and ``sizes`` are there for the cameras with keypoints, in any order.
     """
@@ -192,14 +192,15 @@ def run(
     seen = {d.camera: d for d in map(read_detections, sightings)}
     used = {v["camera"]: int(v["frames"]) for v in map(read_json, sizes)}
     raw = [seen.get(c, nobody(c)) for c in cameras]
-    at = start + min(used.values(), default=0) // 2
-    looks = [glance(source, [start, at]) for source in sources]
+    middle = min(used.values(), default=0) // 2
+    looks = [glance(source, [start, start + middle]) for source, start in zip(sources, starts, strict=True)]
     about = [
         {
-            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "brightness": g.brightness, "burnt": g.burnt,
+            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "first_frame": start,
+            "brightness": g.brightness, "burnt": g.burnt,
             "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg, "keypoints": c in seen,
         }
-        for c, g in zip(cameras, looks, strict=True)
+        for c, g, start in zip(cameras, looks, starts, strict=True)
     ]  # fmt: skip
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
@@ -211,7 +212,7 @@ def run(
     result, points = examined(pinholes, detections, about, settings, readings)
     pictures = [g.pictures[-1] for g in looks]
     if result["shown_frame"] is not None:
-        pictures = [glance(source, [start + result["shown_frame"]]).pictures[0] for source in sources]
+        pictures = [glance(source, [start + result["shown_frame"]]).pictures[0] for source, start in zip(sources, starts)]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
     straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
     sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])

@@ -97,15 +97,15 @@ def run(
     settings: Settings,
     cameras: list[str],
     sources: list[Path],
-    start: int,
+    starts: list[int],
     sightings: list[Path],
     body: Path,
     weights: Path,
     device: str,
     model: Path,
 ) -> None:
-    """Write a COLMAP text model of ``cameras`` from the frame ``start`` of their ``sources``; ``sightings`` may be none, or one each."""
-    pictures = [glance(source, [start]).pictures[0] for source in sources]
+    """Write a COLMAP text model of ``cameras`` from the frames ``starts`` of their ``sources``; ``sightings`` may be none, or one each."""
+    pictures = [glance(source, [start]).pictures[0] for source, start in zip(sources, starts, strict=True)]
     wh = [(picture.shape[1], picture.shape[0]) for picture in pictures]
     entry = registered(settings.source)
     found = Pi3(settings.source, weights, device).reconstruct(pictures, cameras)

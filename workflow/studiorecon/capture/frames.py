@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.capture.lenses import lens_of
-from studiorecon.capture.source import Source, decode, digest, open_source
+from studiorecon.capture.source import Source, decode, digest, open_source, uneven
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
 from studiorecon.images.video import write_lossless
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
 
@@ -66,9 +66,11 @@ def run(
     lens = lens_of(calibration, camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))
 
+    times_s: list[float] = []
+
     def pictures() -> Iterator[np.ndarray]:
         total = count or (max(opened.declared_frames - first, 0) if opened.declared_frames else None)
-        for frame in progress(decode(opened, first, count), "frames", total):
+        for frame in progress(decode(opened, first, count, times_s), "frames", total):
             yield view.picture(frame)
 
     try:
@@ -76,6 +78,9 @@ def run(
     except MemoryError:
         raise Refusal(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, first)
+    if wrong := uneven(times_s):
+        warn(f"{source}: {wrong}")
+        changes.append(wrong)
     write_footage(
         footage,
         Footage(

@@ -43,8 +43,9 @@ def check_alike(footage: Sequence[Footage]) -> None:
     shortest, longest = min(footage, key=lambda f: f.frames), max(footage, key=lambda f: f.frames)
     if shortest.frames != longest.frames:
         raise Refusal(
-            f"{shortest.source} has {shortest.frames} frames and {longest.source} has {longest.frames}; if they start together, write "
-            f"frames: {{first: {shortest.first_source_frame}, count: {shortest.frames}}} into capture.yaml, else cut them to fit"
+            f"{shortest.source} has {shortest.frames} frames and {longest.source} has {longest.frames}; write frames: "
+            f"{{first: {common_start(footage)}, count: {shortest.frames}}} into capture.yaml, and starts: {{CAMERA: frames}} for a camera "
+            "that was started before the others"
         )
     slowest, fastest = min(footage, key=lambda f: f.fps), max(footage, key=lambda f: f.fps)
     # 29.97 against 30 is the same clip until the clocks have drifted apart by half a frame.
@@ -55,8 +56,13 @@ def check_alike(footage: Sequence[Footage]) -> None:
         )
 
 
-def describe(lag: Lag, fps: float) -> str:
-    """One sentence about one camera's clock."""
+def common_start(footage: Sequence[Footage]) -> int:
+    """``frames.first`` of capture.yaml: the first used frame of the camera that was started last."""
+    return min(f.first_source_frame for f in footage)
+
+
+def describe(lag: Lag, fps: float, start: int) -> str:
+    """One sentence about one camera's clock; ``start`` is how many frames of its video the others do not have so far."""
     if not lag.valid:
         return f"{lag.camera}: whether its clock agrees is undetermined ({lag.reason})"
     if lag.frames == 0:
@@ -64,7 +70,8 @@ def describe(lag: Lag, fps: float) -> str:
     way = "later" if lag.frames > 0 else "earlier"
     return (
         f"{lag.camera}: seems {abs(lag.frames)} frame(s), {abs(lag.frames) / fps:.3f} s, {way} than the others (motion correlates at "
-        f"{lag.correlation:.2f}, {lag.correlation_at_zero:.2f} as it is); if it is, shift its video by that"
+        f"{lag.correlation:.2f}, {lag.correlation_at_zero:.2f} as it is); if it is, write "
+        f'starts: {{"{lag.camera}": {start + lag.frames}}} into capture.yaml'
     )
 
 
@@ -80,8 +87,9 @@ def run(settings: Settings, scene: str, footage: list[Path], videos: list[Path],
     fps = float(np.median([c.fps for c in cameras]))
     energies = [motion_energy(read_frames(video)) for video in progress(videos, "motion")]
     sync = settings.sync
-    for lag in lags([c.camera for c in cameras], energies, round(sync.search_s * fps), sync.min_correlation, sync.min_z):
-        (warn if lag.valid and lag.frames else say)(describe(lag, fps))
+    found = lags([c.camera for c in cameras], energies, round(sync.search_s * fps), sync.min_correlation, sync.min_z)
+    for lag, camera in zip(found, cameras):
+        (warn if lag.valid and lag.frames else say)(describe(lag, fps, camera.first_source_frame - common_start(cameras)))
     write_manifest(manifest, Manifest(scene, fps, cameras[0].frames, tuple(cameras)))
     held_out = [c.camera for c in cameras if c.held_out]
     say(f"{len(cameras)} cameras, {cameras[0].frames} frames at {fps:g} per second; held out: {', '.join(held_out) or 'none'}")

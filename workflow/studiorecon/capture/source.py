@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from studiorecon.scene.dataset import PICTURE_SUFFIXES
 _READ_BYTES = 1 << 20
 # A container may announce one frame more than it holds (an edit list, a rounded duration) without having lost any.
 _MISCOUNT_FRAMES = 1
-# A gap of this many frame times between two pictures means that the recorder skipped some.
+# A gap of this many frame times between two pictures means that the recorder skipped some; phones jitter by a fifth.
 _GAP_FRAMES = 1.5
 
 
@@ -77,19 +77,22 @@ def open_source(path: Path, picture_fps: float) -> Source:
     return Source(path, wh, float(rate), declared, rotation_deg, (), notes)
 
 
-def decode(source: Source, first: int, count: int) -> Iterator[np.ndarray]:
+def decode(source: Source, first: int, count: int, times_s: list[float] | None = None) -> Iterator[np.ndarray]:
     """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, rotation tag applied.
 
+    ``times_s`` receives when the file shows each of them, where it says so (a folder of pictures does not).
     Raises Refusal naming file and frame when a frame is damaged, when the footage ends early, or when nothing is left of it.
     A damaged end does not matter when the chosen frames lie before it.
     """
     stop = first + count if count else None
-    frames = _decode_folder(source) if source.pictures else _decode_video(source)
+    frames = ((picture, None) for picture in _decode_folder(source)) if source.pictures else _decode_video(source)
     number = 0
-    for frame in frames:
+    for frame, time_s in frames:
         if stop is not None and number >= stop:
             return
         if number >= first:
+            if times_s is not None and time_s is not None:
+                times_s.append(time_s)
             yield frame
         number += 1
     if number <= first or (stop is not None and number < stop):
@@ -102,6 +105,23 @@ def decode(source: Source, first: int, count: int) -> Iterator[np.ndarray]:
         )
 
 
+def uneven(times_s: Sequence[float]) -> str | None:
+    """What is wrong with the times of successive frames, in seconds: a phone that drops frames puts all that follow out of step."""
+    gaps = np.diff(np.asarray(times_s, dtype=float))
+    usual = float(np.median(gaps)) if len(gaps) else 0.0
+    if usual <= 0:
+        return None
+    odd = np.flatnonzero((gaps > _GAP_FRAMES * usual) | (gaps < usual / _GAP_FRAMES))
+    if not len(odd):
+        return None
+    worst = odd[np.argmax(np.abs(gaps[odd] - usual))]
+    return (
+        f"frames do not come evenly: {len(odd)} of {len(gaps)} steps differ from the usual {1000 * usual:.0f} ms, most after frame "
+        f"{worst} ({1000 * gaps[worst]:.0f} ms). Frames are counted, not timed: rewrite the video at a constant rate and find its "
+        "keypoints again"
+    )
+
+
 def digest(source: Source) -> str:
     """SHA-256 of the video file, or of the digests of a folder's pictures in order."""
     if not source.pictures:
@@ -112,7 +132,7 @@ def digest(source: Source) -> str:
     return whole.hexdigest()
 
 
-def _decode_video(source: Source) -> Iterator[np.ndarray]:
+def _decode_video(source: Source) -> Iterator[tuple[np.ndarray, float | None]]:
     number = -1
     try:
         with av.open(str(source.path)) as container:
@@ -122,7 +142,8 @@ def _decode_video(source: Source) -> Iterator[np.ndarray]:
                 if frame.is_corrupt:
                     raise Refusal(f"{source.path}: frame {number} is damaged; copy it again, or choose others with frames: in capture.yaml")
                 picture = frame.to_ndarray(format="rgb24")
-                yield np.ascontiguousarray(np.rot90(picture, source.rotation_deg // 90)) if source.rotation_deg else picture
+                upright = np.ascontiguousarray(np.rot90(picture, source.rotation_deg // 90)) if source.rotation_deg else picture
+                yield upright, frame.time
     except av.FFmpegError as error:
         raise Refusal(
             f"{source.path} cannot be read after frame {number} ({error.strerror or error}); copy it again, or use what is there with "

@@ -20,7 +20,6 @@ from studiorecon.models.sizes import nearest
 from studiorecon.progress import say
 from studiorecon.scene.colmap import read_model
 
-SUFFIXES = (".exr", ".npy", ".npz", ".png")
 _MILLIMETRES = 1000.0
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02

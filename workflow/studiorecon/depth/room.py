@@ -11,7 +11,6 @@ import numpy as np
 from studiorecon.depth.pictures import Picture
 from studiorecon.scene.shell import Shell
 
-_UP = np.array([0.0, 0.0, 1.0])
 # Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
 _SAME_SURFACE = 0.2
 _LEAST_VOTERS = 30

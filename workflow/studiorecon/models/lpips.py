@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LPIPS v0.1 on VGG16 (Zhang et al., CVPR 2018), as a distance with a gradient; the weights are the user's own files.
+"""LPIPS v0.1 on VGG16 or AlexNet (Zhang et al., CVPR 2018), as a distance with a gradient; the weights are the user's own files.
 
-Two pictures go through the convolutions of VGG16; at five depths the features are normalised per pixel, their squared difference is
-weighed per channel by a linear head and averaged over the picture. It satisfies ``splatting.perceptual.Perceptual``.
+Two pictures go through the convolutions of the network; at five depths the features are normalised per pixel, their squared difference
+is weighed per channel by a linear head and averaged over the picture. It satisfies ``splatting.perceptual.Perceptual``, and ``layers`` and
+``weights`` are what ``images.perceptual.lpips`` measures with.
 
 Cost: the design measured 235 ms for the VGG16 trunk alone, one 320×176 picture forward and back on two idle cores, against 6 ms for all
 else of a training step; a 96×96 crop has a sixth of the pixels. ``python -m tests.bench.training --lpips`` measures it here.
@@ -11,49 +12,97 @@ else of a training step; a 96×96 crop has a sixth of the pixels. ``python -m te
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from studiorecon.errors import Refusal
 
-STAGES = ((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28))
-"""Indices of the convolutions among torchvision's ``vgg16().features``, by depth; a pooling stands before every depth but the first."""
-CHANNELS = (64, 128, 256, 512, 512)
+
+@dataclass(frozen=True)
+class Convolution:
+    """One of torchvision's ``features``: its index there, channels it makes, size, stride and padding."""
+
+    index: int
+    channels: int
+    size: int = 3
+    stride: int = 1
+    padding: int = 1
+
+
+@dataclass(frozen=True)
+class Trunk:
+    """Convolutions by depth, each followed by max(0, x); the pooling (size, stride) before a depth, None for none; and the files' names."""
+
+    stages: tuple[tuple[Convolution, ...], ...]
+    pools: tuple[tuple[int, int] | None, ...]
+    features_file: str
+    heads_file: str
+
+
+def _three_by_three(*stages: tuple[int, tuple[int, ...]]) -> tuple[tuple[Convolution, ...], ...]:
+    return tuple(tuple(Convolution(index, channels) for index in indices) for channels, indices in stages)
+
+
+_ALEX = (
+    (Convolution(0, 64, size=11, stride=4, padding=2),),
+    (Convolution(3, 192, size=5, padding=2),),
+    *_three_by_three((384, (6,)), (256, (8,)), (256, (10,))),
+)
+_VGG = _three_by_three((64, (0, 2)), (128, (5, 7)), (256, (10, 12, 14)), (512, (17, 19, 21)), (512, (24, 26, 28)))
+TRUNKS = {
+    "alex": Trunk(_ALEX, (None, (3, 2), (3, 2), None, None), "alexnet.pth", "lpips_alex.pth"),
+    "vgg": Trunk(_VGG, (None, (2, 2), (2, 2), (2, 2), (2, 2)), "vgg16.pth", "lpips_vgg.pth"),
+}
+"""As the reference implementation cuts torchvision's ``alexnet()`` and ``vgg16()``."""
+Net = Literal["alex", "vgg"]
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """LPIPS' own standardisation of pictures in [−1, 1]."""
 NORM_EPSILON = 1e-10
-FEATURES_FILE, HEADS_FILE = "vgg16.pth", "lpips_vgg.pth"
 
 
 class Lpips:
-    """The distance, from state dicts under the names of torchvision's VGG16 (``features.N.weight``) and of LPIPS (``linN.model.1.weight``).
+    """The distance, from state dicts named as torchvision's networks (``features.N.weight``) and LPIPS' heads (``linN.model.1.weight``).
 
     It computes in the dtype of the weights. Raises KeyError for a missing entry and ValueError for one of a wrong shape.
     """
 
-    def __init__(self, features: Mapping[str, Any], heads: Mapping[str, Any]) -> None:
-        before = 3
+    def __init__(self, features: Mapping[str, Any], heads: Mapping[str, Any], net: Net = "vgg") -> None:
+        before, self._trunk = 3, TRUNKS[net]
         self._stages, self._heads = [], []
-        for depth, (indices, channels) in enumerate(zip(STAGES, CHANNELS)):
+        for depth, convolutions in enumerate(self._trunk.stages):
             stage = []
-            for index in indices:
-                weight, bias = (features[f"features.{index}.{kind}"].detach() for kind in ("weight", "bias"))
-                if tuple(weight.shape) != (channels, before, 3, 3):
-                    raise ValueError(f"features.{index}.weight has shape {tuple(weight.shape)}, expected {(channels, before, 3, 3)}")
-                stage.append((weight, bias))
-                before = channels
+            for made in convolutions:
+                weight, bias = (features[f"features.{made.index}.{kind}"].detach() for kind in ("weight", "bias"))
+                if tuple(weight.shape) != (shape := (made.channels, before, made.size, made.size)):
+                    raise ValueError(f"features.{made.index}.weight has shape {tuple(weight.shape)}, expected {shape}")
+                stage.append((made, weight, bias))
+                before = made.channels
             head = heads[f"lin{depth}.model.1.weight"].detach()
-            if head.numel() != channels:
-                raise ValueError(f"lin{depth}.model.1.weight has shape {tuple(head.shape)}, expected (1, {channels}, 1, 1)")
+            if head.numel() != before:
+                raise ValueError(f"lin{depth}.model.1.weight has shape {tuple(head.shape)}, expected (1, {before}, 1, 1)")
             self._stages.append(stage)
-            self._heads.append(head.reshape(1, channels, 1, 1))
+            self._heads.append(head.reshape(1, before, 1, 1))
+
+    @property
+    def weights(self) -> list[np.ndarray]:
+        """(C,) weights of every depth's channels."""
+        return [head.reshape(-1).numpy() for head in self._heads]
+
+    def layers(self, picture: np.ndarray) -> list[np.ndarray]:
+        """One (C, h, w) array per depth for a picture (3, H, W) in [−1, 1], without a gradient."""
+        import torch
+
+        with torch.inference_mode():
+            given = torch.from_numpy(np.ascontiguousarray(picture))[None].to(self._heads[0].dtype)
+            return [taken[0].numpy() for taken in self._features(given)]
 
     def distance(self, rendered: Any, target: Any) -> Any:
         """The distance of two tensors (1, 3, h, w) in [0, 1], which are first rescaled to [−1, 1] (numerics U12); sides at least 16."""
         total = 0.0
-        for ours, theirs, head in zip(self._features(rendered), self._features(target), self._heads):
+        for ours, theirs, head in zip(self._features(2 * rendered - 1), self._features(2 * target - 1), self._heads):
             total = total + (head * (normalised(ours) - normalised(theirs)) ** 2).sum(dim=1).mean()
         return total
 
@@ -61,11 +110,11 @@ class Lpips:
         from torch.nn.functional import conv2d, max_pool2d, relu
 
         shift, scale = (picture.new_tensor(value).reshape(1, 3, 1, 1) for value in (SHIFT, SCALE))
-        x, taken = (2 * picture - 1 - shift) / scale, []
-        for depth, stage in enumerate(self._stages):
-            x = max_pool2d(x, 2) if depth else x
-            for weight, bias in stage:
-                x = relu(conv2d(x, weight, bias, padding=1))
+        x, taken = (picture - shift) / scale, []
+        for pool, stage in zip(self._trunk.pools, self._stages):
+            x = max_pool2d(x, *pool) if pool else x
+            for made, weight, bias in stage:
+                x = relu(conv2d(x, weight, bias, stride=made.stride, padding=made.padding))
             taken.append(x)
         return taken
 
@@ -86,19 +135,19 @@ def normalised(features: Any) -> Any:
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
 
-def read_lpips(folder: Path, threads: int) -> Lpips:
-    """The network from ``vgg16.pth`` (torchvision's state dict) and ``lpips_vgg.pth`` (LPIPS v0.1's heads) in ``folder``.
+def read_lpips(folder: Path, threads: int, net: Net = "vgg", without: str = "set lpips.weight to 0") -> Lpips:
+    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder`` (``TRUNKS`` has the files' names).
 
-    Raises Refusal that names the file which is missing or unusable.
+    Raises Refusal that names the file which is missing or unusable; ``without`` says what to do to go on without LPIPS.
     """
-    paths = [folder / name for name in (FEATURES_FILE, HEADS_FILE)]
+    paths = [folder / name for name in (TRUNKS[net].features_file, TRUNKS[net].heads_file)]
     for path in paths:
         if not path.is_file():
-            raise Refusal(f"the LPIPS term needs {path}, which is missing; put it there or set lpips.weight to 0")
+            raise Refusal(f"LPIPS needs {path}, which is missing; put it there or {without}")
     try:
         import torch
     except ModuleNotFoundError:
-        raise Refusal("the LPIPS term needs the package torch, which is not installed; install it or set lpips.weight to 0") from None
+        raise Refusal(f"LPIPS needs the package torch, which is not installed; install it or {without}") from None
     torch.set_num_threads(threads)
     read = []
     for path in paths:
@@ -107,6 +156,6 @@ def read_lpips(folder: Path, threads: int) -> Lpips:
         except Exception as error:
             raise Refusal(f"{path} is not a readable state dict ({type(error).__name__}: {str(error).splitlines()[0]})") from None
     try:
-        return Lpips(*read)
+        return Lpips(*read, net)
     except (KeyError, ValueError) as error:
-        raise Refusal(f"{paths[0]} and {paths[1]} are not VGG16 and LPIPS v0.1: {error}") from None
+        raise Refusal(f"{paths[0]} and {paths[1]} are not what LPIPS v0.1 ({net}) is made of: {error}") from None

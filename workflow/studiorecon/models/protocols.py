@@ -131,10 +131,13 @@ class Flow(Protocol):
 
 
 class PerceptualDistance(Protocol):
-    """LPIPS."""
+    """LPIPS, as it is measured."""
 
-    def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
-        """Distance of two (h, w, 3) float32 pictures in [0, 1], and its gradient by the first."""
+    weights: Sequence[np.ndarray]
+    """(C,) per depth: how much each channel counts."""
+
+    def layers(self, picture: np.ndarray) -> Sequence[np.ndarray]:
+        """(C, h, w) float32 features per depth of a picture (3, H, W) float32 in [−1, 1]."""
         ...
 
 

@@ -11,6 +11,31 @@ from studiorecon.models.card import Kind, Memory, Model, Runtime, Terms, WeightF
 
 _HUB = "Hugging Face"
 
+
+def _lpips(name: str, title: str, net: str, file: str, weights: str, download: str, size_gb: float) -> Model:
+    """LPIPS on one of torchvision's networks, whose download carries the start of its checksum in its name."""
+    heads = f"weights/v0.1/{net}.pth"
+    return Model(
+        name,
+        f"LPIPS v0.1 ({title})",
+        "perceptual distance",
+        Terms("BSD-2-Clause", f"BSD-2-Clause; {title} trained on research data", "yes"),
+        (
+            WeightFile(
+                f"lpips/{file}.pth",
+                f"PyTorch model downloads, {download}",
+                size_gb=size_gb,
+                remote=f"torchvision.models:{weights}",
+                how="torchvision",
+                sha256=download.removesuffix(".pth").rpartition("-")[2],
+            ),
+            WeightFile(f"lpips/lpips_{net}.pth", f"package lpips 0.1.4, {heads}", remote=f"lpips:{heads}", how="package"),
+        ),
+        Runtime("vision", ">=3.10", ">=2.4", (), "lpips 0.1.4"),
+        Memory(None, "runs on a CPU; 2 GB on a GPU at 1280×704"),
+    )
+
+
 _TABLE = (
     Model(
         "pi3",
@@ -231,27 +256,8 @@ _TABLE = (
         Runtime("vision", ">=3.10", ">=2.4", ("torchvision",), "torchvision 0.29.2"),
         Memory(None, "runs on a CPU; on a GPU 1 GB at 1280×704, 5.6 GB at 1920×1080"),
     ),
-    Model(
-        "lpips",
-        "LPIPS v0.1 (VGG16)",
-        "perceptual distance",
-        Terms("BSD-2-Clause", "BSD-2-Clause; VGG16 trained on research data", "yes"),
-        (
-            WeightFile(
-                "lpips/vgg16.pth",
-                "PyTorch model downloads, vgg16-397923af.pth",
-                size_gb=0.55,
-                remote="torchvision.models:VGG16_Weights.IMAGENET1K_V1",
-                how="torchvision",
-                sha256="397923af",
-            ),
-            WeightFile(
-                "lpips/lpips_vgg.pth", "package lpips 0.1.4, weights/v0.1/vgg.pth", remote="lpips:weights/v0.1/vgg.pth", how="package"
-            ),
-        ),
-        Runtime("vision", ">=3.10", ">=2.4", (), "lpips 0.1.4"),
-        Memory(None, "runs on a CPU; 2 GB on a GPU at 1280×704"),
-    ),
+    _lpips("lpips", "VGG16", "vgg", "vgg16", "VGG16_Weights.IMAGENET1K_V1", "vgg16-397923af.pth", 0.55),
+    _lpips("lpips_alex", "AlexNet", "alex", "alexnet", "AlexNet_Weights.IMAGENET1K_V1", "alexnet-owt-7be5be79.pth", 0.24),
     Model(
         "lhm",
         "LHM-1B",

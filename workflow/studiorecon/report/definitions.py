@@ -20,8 +20,9 @@ PROTOCOL = (
     "held-out cameras; 8-bit pictures; mean over frames, then over cameras, unweighted, never pooled; intervals of 95 % by "
     "bootstrap over blocks of frames"
 )
-NO_LPIPS = "the weights of the LPIPS network are not part of this project"
+NO_LPIPS = "report.lpips.net is none: the weights of its network are not part of this project"
 NO_PCK = "needs a 2D keypoint detector run on the rendered pictures; none is part of this project"
+_NETS = {"none": "AlexNet", "alex": "AlexNet", "vgg": "VGG16"}
 _SSIM = "11×11 Gaussian, σ 1.5, K 0.01/0.03, range 1, population covariance, per channel, float64, variances clamped at 0"
 _REGIONS = {
     "people": "true person mask of the photo, undilated",
@@ -39,8 +40,8 @@ _REGIONS = {
 _CHANGE = "O(t) − warp(O(t−1), F(t→t−1)), mean over channels; DIS flow of the true video; pixels where the flow leads back"
 
 
-def definitions() -> dict[str, dict[str, str]]:
-    """measure → definition, unit, better (up or down), mask, library."""
+def definitions(net: str) -> dict[str, dict[str, str]]:
+    """measure → definition, unit, better (up or down), mask, library; ``net`` is what LPIPS was measured with."""
     ours, with_flow = "studiorecon, exact", f"studiorecon; DIS flow of OpenCV {cv2.__version__}"
     found = {
         "psnr": _entry("10 log10(1/MSE), MSE over H·W·3, range 1; identical pictures count 100 dB", "dB", "up", "none", ours),
@@ -59,8 +60,16 @@ def definitions() -> dict[str, dict[str, str]]:
         found[f"temporal_l1_{region}"] = _entry(f"mean absolute value of {_CHANGE}", "", "down", _REGIONS[region], with_flow)
     for region in ("seen", "seen_strict", "seen_loose", "people_seen"):
         found[f"share_{region}"] = _entry("share of seen among seen and unseen pixels", "", "up", _REGIONS[region], ours)
-    found["lpips"] = _entry("LPIPS 0.1, AlexNet, inputs in [−1, 1], float32", "", "down", "none", "not measured")
+    found["lpips"] = _entry(f"LPIPS 0.1, {_NETS[net]}, inputs in [−1, 1], float32", "", "down", "none", _library(net))
     return found
+
+
+def _library(net: str) -> str:
+    if net == "none":
+        return "not measured"
+    import torch
+
+    return f"studiorecon on torch {torch.__version__}"
 
 
 def provenance(settings: Mapping[str, Any], masks: str) -> dict[str, Any]:

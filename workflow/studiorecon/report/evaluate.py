@@ -20,9 +20,11 @@ from studiorecon.errors import Refusal
 from studiorecon.images.flow import one_thread
 from studiorecon.images.seeking import read_frames_from
 from studiorecon.images.video import read_frames
+from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.bodies import compare_bodies
 from studiorecon.report.definitions import NO_LPIPS, NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.distance import TOO_SMALL, DistanceSettings, opened
 from studiorecon.report.folders import digest
 from studiorecon.report.identities import score_bodies_in_pictures, score_identities
 from studiorecon.report.intervals import Bootstrap
@@ -53,10 +55,11 @@ class Settings:
     flow_preset: Literal["ultrafast", "fast", "medium"]
     bootstrap_samples: int
     seed: int
+    lpips: DistanceSettings
 
 
-def missing_reasons(have_truth: bool) -> dict[str, str]:
-    """Why a measure of a region or of time may be null."""
+def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
+    """Why a measure of a region or of time may be null, or LPIPS, for which ``net`` was asked."""
     region = "no frame shows at least 256 pixels of it" if have_truth else _NO_TRUTH
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
     reasons |= dict.fromkeys(SHARES, region)
@@ -65,11 +68,18 @@ def missing_reasons(have_truth: bool) -> dict[str, str]:
         reasons |= {"share_people_seen": _NO_DEPTH}
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
+    reasons["lpips"] = NO_LPIPS if net == "none" else TOO_SMALL
     return reasons | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
 
 
 def measure_camera(
-    camera: str, photos: Path, versions: Versions, frames: int, regions_of_frames: Iterator[Mapping[str, np.ndarray]], flow_preset: str
+    camera: str,
+    photos: Path,
+    versions: Versions,
+    frames: int,
+    regions_of_frames: Iterator[Mapping[str, np.ndarray]],
+    flow_preset: str,
+    distance: PerceptualDistance | None,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
     streams = {name: read_frames_from(path, starts[camera], starts[camera] + frames) for name, (path, starts) in versions.items()}
@@ -79,19 +89,27 @@ def measure_camera(
             # Films of cameras of different sizes share one size; a camera's own picture is the top left part.
             yield photo, {name: next(stream)[: photo.shape[0], : photo.shape[1]] for name, stream in streams.items()}, masks
 
-    return measure_sequence(together(), flow_preset)
+    return measure_sequence(together(), flow_preset, distance)
 
 
 def score_pictures(
-    frames: int, cameras: Sequence[Camera], videos: Mapping[str, Path], versions: Versions, regions_of: RegionsOf | None, settings: Settings
+    frames: int,
+    cameras: Sequence[Camera],
+    videos: Mapping[str, Path],
+    versions: Versions,
+    regions_of: RegionsOf | None,
+    settings: Settings,
+    threads: int,
 ) -> dict[str, Any]:
     """Measures of every version against the photos of ``cameras``."""
+    distance = opened(settings.lpips, threads, "set report.lpips.net to none")
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(cameras, "cameras"):
         masks = regions_of(camera) if regions_of is not None else repeat({})
-        for name, values in measure_camera(camera.name, videos[camera.name], versions, frames, masks, settings.flow_preset).items():
+        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance
+        for name, values in measure_camera(camera.name, *about).items():
             measured.setdefault(name, {})[camera.name] = values
-    reasons, bootstrap = missing_reasons(regions_of is not None), Bootstrap(settings.bootstrap_samples, settings.seed)
+    reasons, bootstrap = missing_reasons(regions_of is not None, settings.lpips.net), Bootstrap(settings.bootstrap_samples, settings.seed)
     return {name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap) for name, found in measured.items()}
 
 
@@ -153,13 +171,14 @@ def run(
     identities: list[Path],
     metrics: Path,
     truth: Path | None = None,
+    threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras."""
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     if truth is not None and not truth.is_dir():
         raise Refusal(f"{truth} is not a folder of exact truth; make the studio again, or leave --truth out")
-    cameras, first = held_out or training, capture.footage[0].first_source_frame
+    cameras, first = held_out or training, min(f.first_source_frame for f in capture.footage)
     starts = first_frames(render_path[0], cameras, capture) if render_path else {}
     versions = {name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
     views, regions_of = read_views(truth) if truth is not None else {}, None
@@ -171,7 +190,7 @@ def run(
 
     with one_thread():
         footage = {video.stem: video for video in videos}
-        found = score_pictures(capture.frames, cameras, footage, versions, regions_of, settings) if versions else {}
+        found = score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, threads) if versions else {}
     nothing = {name: {measure: unmeasured(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     people = [read_person(path) for path in fits]
     bodies = score_bodies(people, truth, first)
@@ -188,8 +207,7 @@ def run(
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
             "identities": _identities(detections, identities, training, joints),
             "coverage": coverage(truth_maps),
-            "lpips": unmeasured(NO_LPIPS),
-            "definitions": definitions(),
+            "definitions": definitions(settings.lpips.net),
             "provenance": provenance(asdict(settings), "exact truth" if truth is not None else "none"),
             "inputs": {path.name: digest(path) for path in (*videos, *fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in (*render, *enhanced)},

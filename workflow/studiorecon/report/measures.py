@@ -26,7 +26,9 @@ from studiorecon.images.metrics import (
     ssim_3dgs,
     ssim_map,
 )
+from studiorecon.images.perceptual import lpips
 from studiorecon.images.temporal import leads_back
+from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.report.intervals import Bootstrap, mean_interval
 
 FULL = ("psnr", "ssim", "ssim_3dgs", "psnr_colour_corrected")
@@ -38,6 +40,7 @@ SHARES = ("share_seen", "share_seen_strict", "share_seen_loose", "share_people_s
 NOT_FINITE = "not_finite"
 NAMES = (
     *FULL,
+    "lpips",
     *(f"{measure}_{region}" for region in REGIONS for measure in ("psnr", "ssim")),
     *(f"psnr_{region}" for region in SENSITIVITY),
     *SHARES,
@@ -47,8 +50,10 @@ NAMES = (
 _SMALLEST_FLOW_PX = 24
 
 
-def measure_picture(prediction: np.ndarray, photo: np.ndarray, regions: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name.
+def measure_picture(
+    prediction: np.ndarray, photo: np.ndarray, regions: Mapping[str, np.ndarray], distance: PerceptualDistance | None = None
+) -> dict[str, float | None]:
+    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name. Without a ``distance`` there is no LPIPS.
 
     A float prediction's values that are not finite count as black (white for +inf), as a stored video would have them, and
     ``not_finite`` says how many there were.
@@ -59,6 +64,7 @@ def measure_picture(prediction: np.ndarray, photo: np.ndarray, regions: Mapping[
         "ssim": ssim(similarity),
         "ssim_3dgs": ssim_3dgs(similarity),
         "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
+        "lpips": None if distance is None else lpips(levels(prediction), levels(photo), distance.layers, distance.weights),
         NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
     }
     for name, mask in regions.items():
@@ -121,7 +127,9 @@ class Flicker:
 
 
 def measure_sequence(
-    frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]], flow_preset: str
+    frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]],
+    flow_preset: str,
+    distance: PerceptualDistance | None = None,
 ) -> dict[str, list[dict[str, float | None]]]:
     """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the photo).
 
@@ -131,7 +139,7 @@ def measure_sequence(
     for photo, versions, masks in frames:
         moving = flicker.measure(photo, versions, masks)
         for name, picture in versions.items():
-            found.setdefault(name, []).append({**measure_picture(picture, photo, masks), **moving[name]})
+            found.setdefault(name, []).append({**measure_picture(picture, photo, masks, distance), **moving[name]})
         found.setdefault("photo", []).append(moving["photo"])
     return found
 

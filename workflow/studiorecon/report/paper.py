@@ -45,7 +45,6 @@ def own_row(metrics: Mapping[str, Any], version: str) -> dict[str, float | None]
     row |= {f"association_{name}": metrics.get("identities", {}).get(name) for name in ("accuracy", "precision")}
     row["jitter_mm_f2"] = mean_of(person["joints_mm_f2"] for person in people)
     row["jitter_deg_f2"] = mean_of(person["pose_deg_f2"] for person in people)
-    row["lpips"] = metrics["lpips"]["value"]
     return row
 
 

@@ -2,8 +2,9 @@
 """``report.score``: any method's pictures against the photos: ``python -m studiorecon report.score --renders DIR --truth DIR``.
 
 Each folder holds one video (``<camera>.mkv``, ``.mp4``, …) or one folder of pictures (``<camera>/*.png``) per camera, or just one
-sequence; frames are compared in order. ``--masks DIR`` brings masks of people for the true pictures (not black = person). Prints the
-measures; ``--output FILE`` keeps them as JSON with every raw value. What these inputs cannot tell is null with the reason.
+sequence; frames are compared in order. ``--masks DIR`` brings masks of people for the true pictures (not black = person), ``--lpips DIR``
+the weights of LPIPS (``alexnet.pth`` of torchvision, ``lpips_alex.pth`` of the package lpips). Prints the measures; ``--output FILE`` keeps
+them as JSON with every raw value. What these inputs cannot tell is null with the reason.
 """
 
 from __future__ import annotations
@@ -20,14 +21,17 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.images.flow import one_thread
 from studiorecon.images.regions import dilated
+from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
-from studiorecon.report.definitions import NO_LPIPS, NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.definitions import NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.distance import TOO_SMALL, DistanceSettings, opened
 from studiorecon.report.folders import cameras_in, digest, frames_of, masks_of
 from studiorecon.report.intervals import Bootstrap
-from studiorecon.report.measures import NAMES, REGIONS, SENSITIVITY, SHARES, TEMPORAL, measure_sequence, summaries, unmeasured
+from studiorecon.report.measures import NAMES, REGIONS, SENSITIVITY, SHARES, TEMPORAL, measure_sequence, summaries
 from studiorecon.scene.files import write_json
 
 _NO_MASKS = "no masks of people were given: add --masks DIR"
+_NO_WEIGHTS = "no weights of its network were given: add --lpips DIR"
 _NO_DEPTH = "needs the depth of the true pictures and of the training cameras, which folders of pictures do not have"
 _NO_BODIES = "needs fitted and true bodies, which folders of pictures do not have"
 # As config/config.yaml has them for a whole run, so that both print the same numbers.
@@ -41,7 +45,9 @@ def people_regions(mask: np.ndarray) -> dict[str, np.ndarray]:
     return {"people": mask, "people_wide": dilated(mask, _WIDE_PX), "background": ~mask}
 
 
-def score_camera(camera: str, renders: Path, truth: Path, masks: Path | None) -> dict[str, list[dict[str, float | None]]]:
+def score_camera(
+    camera: str, renders: Path, truth: Path, masks: Path | None, distance: PerceptualDistance | None = None
+) -> dict[str, list[dict[str, float | None]]]:
     """version → measures per frame; raises Refusal, naming the folders, when sizes or numbers of frames differ."""
     sources = {"renders": renders, "photos": truth} | ({} if masks is None else {"masks": masks})
     streams = {name: (masks_of if name == "masks" else frames_of)(source) for name, source in sources.items()}
@@ -64,20 +70,21 @@ def score_camera(camera: str, renders: Path, truth: Path, masks: Path | None) ->
                     raise Refusal(f"frame {frame} of {sources[name]} and {truth} differ in size ({sizes}); resize one of them")
             yield found["photos"], {"renders": found["renders"]}, people_regions(found["masks"]) if "masks" in found else {}
 
-    return measure_sequence(together(), _FLOW_PRESET)
+    return measure_sequence(together(), _FLOW_PRESET, distance)
 
 
-def reasons(have_masks: bool) -> dict[str, str]:
+def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     """Why each measure may be null."""
     person = "no frame shows at least 256 pixels of it" if have_masks else _NO_MASKS
     found = {f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in (*REGIONS, *SENSITIVITY) for m in ("psnr", "ssim")}
     found |= dict.fromkeys(SHARES, _NO_DEPTH)
     found |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back")
+    found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
     found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
     return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
 
 
-def score(renders: Path, truth: Path, masks: Path | None) -> dict[str, Any]:
+def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = None) -> dict[str, Any]:
     """Everything that can be measured from the folders, as it is written to the JSON."""
     left, right = cameras_in(renders), cameras_in(truth)
     covers = cameras_in(masks) if masks is not None else {}
@@ -89,22 +96,23 @@ def score(renders: Path, truth: Path, masks: Path | None) -> dict[str, Any]:
     alone = sorted(set(left) ^ set(right))
     for camera in alone:
         say(f"camera {camera} is in one folder only and is left out")
+    net = "none" if lpips is None else "alex"
+    distance = opened(DistanceSettings(net, str(lpips)), 1, "leave --lpips out")
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(len(common), os.cpu_count() or 1))) as pool:
-        jobs = {c: pool.submit(score_camera, c, left[c], right[c], covers.get(c)) for c in common}
+        jobs = {c: pool.submit(score_camera, c, left[c], right[c], covers.get(c), distance) for c in common}
         measured = {camera: job.result() for camera, job in progress(list(jobs.items()), "cameras")}
     versions: dict[str, dict[str, Any]] = {}
-    why = reasons(masks is not None)
+    why = reasons(masks is not None, lpips is not None)
     for version, names in (("renders", NAMES), ("photo", TEMPORAL)):
         versions[version] = summaries({c: found[version] for c, found in measured.items()}, names, why, _BOOTSTRAP)
-    used = {"flow_preset": _FLOW_PRESET, "bootstrap_samples": _BOOTSTRAP.samples, "seed": _BOOTSTRAP.seed}
+    used = {"lpips": net, "flow_preset": _FLOW_PRESET, "bootstrap_samples": _BOOTSTRAP.samples, "seed": _BOOTSTRAP.seed}
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
     return {
         "pictures": versions,
-        "lpips": unmeasured(NO_LPIPS),
         "pck": {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": NO_PCK},
         "bodies": {**nothing, "reason": _NO_BODIES},
         "identities": {"accuracy": None, "precision": None, "idf1": None, "reason": _NO_BODIES},
-        "definitions": definitions(),
+        "definitions": definitions(net),
         "provenance": provenance(used, "none" if masks is None else "given masks of people, not black = person"),
         "inputs": {
             "renders": {c: digest(left[c]) for c in common},
@@ -116,15 +124,15 @@ def score(renders: Path, truth: Path, masks: Path | None) -> dict[str, Any]:
     }
 
 
-def run(renders: Path, truth: Path, masks: Path | None = None, output: Path | None = None) -> None:
+def run(renders: Path, truth: Path, masks: Path | None = None, output: Path | None = None, lpips: Path | None = None) -> None:
     """Score every camera that both folders have."""
-    result = score(renders, truth, masks)
+    result = score(renders, truth, masks, lpips)
     for name, entry in result["pictures"]["renders"].items():
         if entry["value"] is not None:
             each = ", ".join(f"{camera} {_number(found['value'])}" for camera, found in entry["cameras"].items())
             say(f"{name}: {_shown(entry)} ({each})")
     missing: dict[str, list[str]] = {}
-    for name, entry in {**result["pictures"]["renders"], "lpips": result["lpips"]}.items():
+    for name, entry in result["pictures"]["renders"].items():
         if entry["value"] is None:
             missing.setdefault(entry["reason"], []).append(name)
     for reason, names in missing.items():

@@ -19,6 +19,7 @@ _MEASURES = (
     ("psnr", "PSNR ↑", "dB", 2, "whole picture"),
     ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
     ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as papers on Gaussian splatting print it"),
+    ("lpips", "LPIPS ↓", "", 4, "perceptual distance, whole picture"),
     ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
     ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
     ("psnr_people_wide", "PSNR, people and edges ↑", "dB", 2, "pixels of people and 10 px around them"),
@@ -81,7 +82,6 @@ def measures(metrics: Mapping[str, Any]) -> str:
         if final["value"] is None and final["reason"]:
             reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
     notes = "".join(f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items())
-    notes += f"<p class=soft>Not measured: LPIPS: {html.text(metrics['lpips']['reason'])}.</p>"
     each = [
         [
             camera,

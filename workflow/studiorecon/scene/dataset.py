@@ -11,16 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from studiorecon.errors import Refusal
+from studiorecon.scene.capture_yaml import focal_lengths, frames_used, names_under, pixel_maps, read_description, starts_of, whole_number
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")
-_KEYS = {
-    "frames", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame", "plates", "masks", "depth",
-    "pixel_maps", "people", "identities", "focal_px",
-}  # fmt: skip
 # The first of these that exists is the calibration, when capture.yaml does not name one.
 _CALIBRATIONS = (
     ("intri.yml", "extri.yml"),
@@ -63,7 +58,9 @@ class Dataset:
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
         focal_px: camera → focal length in pixels of its footage, where capture.yaml gives one; only used without a calibration.
-        first_frame, frame_count: the part of the footage to use; ``frame_count`` 0 = to the end.
+        first_frames: camera → the frame of its footage that is the scene's first: ``frames.first``, later by ``starts`` where cameras were
+            not started together.
+        frame_count: how many frames to use; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
         truth: folder of exact truth (made studio only), else None.
     """
@@ -81,7 +78,7 @@ class Dataset:
     identities: Path | None
     pixel_maps: Mapping[str, tuple[float, float, float]]
     focal_px: Mapping[str, float]
-    first_frame: int
+    first_frames: Mapping[str, int]
     frame_count: int
     people: bool
     truth: Path | None
@@ -102,15 +99,16 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     """
     if not folder.is_dir():
         raise Refusal(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
-    description = _read_description(folder, capture_yaml)
+    description = read_description(folder, capture_yaml)
     footage = _find_footage(folder)
-    chosen = _names(description, "train", footage) + _names(description, "held_out", footage)
-    held_out = tuple(_names(description, "held_out", footage))
+    starts = starts_of(description, footage)
+    chosen = names_under(description, "train", footage) + names_under(description, "held_out", footage)
+    held_out = tuple(names_under(description, "held_out", footage))
     if "train" in description:
         footage = {c: footage[c] for c in footage if c in chosen}
     if len(footage) - len(held_out) < 2:
         raise Refusal(f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); at least 2 videos are needed in videos/")
-    first, count = _frames(description, folder)
+    first, count = frames_used(description, folder)
     keypoints = _per_camera(folder, description.get("keypoints"), ("keypoints", "pose", "openpose", "annots"), footage)
     return Dataset(
         folder=folder,
@@ -119,34 +117,18 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         calibration=_find_calibration(folder, description),
         keypoints=keypoints,
         keypoint_layout=str(description.get("keypoint_layout", "auto")),
-        keypoint_first_frame=_whole_number(description, "keypoint_first_frame", folder),
+        keypoint_first_frame=whole_number(description, "keypoint_first_frame", folder),
         plates=_per_camera(folder, description.get("plates"), ("plates",), footage),
         masks=_per_camera(folder, description.get("masks"), ("masks",), footage),
         depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
         identities=_identities(folder, description),
-        pixel_maps=_pixel_maps(description, footage),
-        focal_px=_focal_lengths(description, footage),
-        first_frame=first,
+        pixel_maps=pixel_maps(description, footage),
+        focal_px=focal_lengths(description, footage),
+        first_frames={camera: first + starts[camera] - min(starts[c] for c in footage) for camera in footage},
         frame_count=count,
         people=description.get("people", 1) not in (0, False, "none"),
         truth=None,
     )
-
-
-def _read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
-    path = capture_yaml or folder / "capture.yaml"
-    if not path.is_file():
-        if capture_yaml is not None:
-            raise Refusal(f"{path} does not exist; pass an existing file with --config capture_yaml=FILE, or leave it out")
-        return {}
-    try:
-        description = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except yaml.YAMLError as error:
-        raise Refusal(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
-    unknown = sorted(set(description) - _KEYS) if isinstance(description, dict) else ["(not a mapping)"]
-    if unknown:
-        raise Refusal(f"{path} has the unknown key {unknown[0]!r}; known keys are {', '.join(sorted(_KEYS))}")
-    return description
 
 
 def _find_footage(folder: Path) -> dict[str, Path]:
@@ -182,33 +164,6 @@ def _picture_folders(folder: Path) -> dict[str, Path]:
         if found:
             return found
     return {}
-
-
-def _names(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
-    names = [str(n) for n in description.get(key) or []]
-    for name in names:
-        if name not in footage:
-            raise Refusal(
-                f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros"
-            )
-    return names
-
-
-def _frames(description: dict[str, Any], folder: Path) -> tuple[int, int]:
-    frames = description.get("frames") or {}
-    if not isinstance(frames, dict) or set(frames) - {"first", "count"}:
-        raise Refusal(f"capture.yaml of {folder}: frames must look like {{first: 0, count: 60}}")
-    first, count = frames.get("first", 0), frames.get("count", 0)
-    if not all(isinstance(v, int) and v >= 0 for v in (first, count)):
-        raise Refusal(f"capture.yaml of {folder}: frames.first and frames.count must be whole numbers ≥ 0")
-    return first, count
-
-
-def _whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
-    value = description.get(key, 0)
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise Refusal(f"capture.yaml of {folder}: {key} must be a whole number, not {value!r}")
-    return value
 
 
 def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, ...]:
@@ -261,31 +216,3 @@ def _identities(folder: Path, description: dict[str, Any]) -> Path | None:
     if "identities" in description and not path.is_file():
         raise Refusal(f"capture.yaml names identities: {path}, which does not exist")
     return path if path.is_file() else None
-
-
-def _focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
-    given = description.get("focal_px") or {}
-    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
-    found = {}
-    for camera, value in table.items():
-        if str(camera) not in footage:
-            raise Refusal(f"capture.yaml lists camera {camera!r} under focal_px, but the footage has {', '.join(footage)}")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
-            raise Refusal(f"capture.yaml: focal_px of {camera} is {value!r}; it must be a length in pixels above 0")
-        found[str(camera)] = float(value)
-    return found
-
-
-def _pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
-    maps = description.get("pixel_maps") or {}
-    if not isinstance(maps, dict):
-        raise Refusal("capture.yaml: pixel_maps must look like {cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
-    found = {}
-    for camera, entry in maps.items():
-        if str(camera) not in footage:
-            raise Refusal(f"capture.yaml lists camera {camera!r} under pixel_maps, but the footage has {', '.join(footage)}")
-        try:
-            found[str(camera)] = (float(entry["scale"]), float(entry["offset"][0]), float(entry["offset"][1]))
-        except (TypeError, KeyError, IndexError, ValueError):
-            raise Refusal(f"capture.yaml: pixel_maps of {camera} must look like {{scale: 0.99, offset: [0.0, 7.2]}}") from None
-    return found

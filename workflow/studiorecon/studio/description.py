@@ -159,7 +159,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         identities=None,
         pixel_maps={},
         focal_px={},
-        first_frame=0,
+        first_frames=dict.fromkeys(names, 0),
         frame_count=0,
         people=description.people > 0,
         truth=truth,

@@ -13,6 +13,8 @@ from typing import Any
 
 import psutil
 
+import studiorecon
+
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "snakemake")
 
 
@@ -52,6 +54,13 @@ def busy_s() -> tuple[float, float]:
     """Processor seconds so far: of everything on the machine, and of the processes that this one started and that have ended."""
     times, own = psutil.cpu_times(), resource.getrusage(resource.RUSAGE_CHILDREN)
     return times.user + times.system + times.nice, own.ru_utime + own.ru_stime
+
+
+def compiled_since(moment_s: float) -> bool:
+    """Whether numba has compiled kernels since then (seconds of the epoch): whoever did paid for all who use them later."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    place = Path(given) if given else Path(studiorecon.__file__).parent
+    return any(path.stat().st_mtime >= moment_s for path in place.rglob("*.nbc"))
 
 
 def _processor() -> str:

@@ -15,7 +15,7 @@ from studiorecon.images.metrics import mean_of
 from studiorecon.scene.files import read_json
 
 NOTHING_MEASURED = "no picture was compared with a photo"
-_PICTURES = ("psnr", "ssim", "ssim_3dgs", "psnr_people", "psnr_background", "psnr_seen", "psnr_unseen", "warp_rms", "temporal_l1")
+_PICTURES = ("psnr", "ssim", "ssim_3dgs", "psnr_people", "psnr_background", "psnr_seen", "psnr_unseen", "warp_rms", "temporal_l1", "lpips")
 # What two results must share to be comparable, as in report.compare.
 _SCORED = ("masks", "libraries", "code", "settings")
 
@@ -48,7 +48,6 @@ def outcome(path: Path) -> Outcome:
     people = metrics["bodies"]["people"].values()
     brief = {name: pictures.get(name, {}).get("value") for name in _PICTURES} | {
         "psnr_raw": metrics["pictures"].get("raw", {}).get("psnr", {}).get("value"),
-        "lpips": metrics["lpips"]["value"],
         "joints_mm": metrics["bodies"]["mpjpe_world_mm"],
         "jitter_mm_f2": mean_of(person["joints_mm_f2"] for person in jitter),
         "association_accuracy": metrics["identities"].get("accuracy"),

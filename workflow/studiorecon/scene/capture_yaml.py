@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a user may write into ``capture.yaml``: its keys, and each value read with a sentence for whatever is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from studiorecon.errors import Refusal
+
+_KEYS = {
+    "frames", "starts", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame", "plates", "masks",
+    "depth", "pixel_maps", "people", "identities", "focal_px",
+}  # fmt: skip
+
+
+def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
+    path = capture_yaml or folder / "capture.yaml"
+    if not path.is_file():
+        if capture_yaml is not None:
+            raise Refusal(f"{path} does not exist; pass an existing file with --config capture_yaml=FILE, or leave it out")
+        return {}
+    try:
+        description = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except yaml.YAMLError as error:
+        raise Refusal(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
+    unknown = sorted(set(description) - _KEYS) if isinstance(description, dict) else ["(not a mapping)"]
+    if unknown:
+        raise Refusal(f"{path} has the unknown key {unknown[0]!r}; known keys are {', '.join(sorted(_KEYS))}")
+    return description
+
+
+def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
+    names = [str(n) for n in description.get(key) or []]
+    for name in names:
+        if name not in footage:
+            raise Refusal(
+                f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros"
+            )
+    return names
+
+
+def frames_used(description: dict[str, Any], folder: Path) -> tuple[int, int]:
+    frames = description.get("frames") or {}
+    if not isinstance(frames, dict) or set(frames) - {"first", "count"}:
+        raise Refusal(f"capture.yaml of {folder}: frames must look like {{first: 0, count: 60}}")
+    first, count = frames.get("first", 0), frames.get("count", 0)
+    if not all(isinstance(v, int) and v >= 0 for v in (first, count)):
+        raise Refusal(f"capture.yaml of {folder}: frames.first and frames.count must be whole numbers ≥ 0")
+    return first, count
+
+
+def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
+    """camera → the frame of its footage at which all are taken to begin; 0 where capture.yaml names none. Only differences count."""
+    given = description.get("starts") or {}
+    if not isinstance(given, dict):
+        raise Refusal("capture.yaml: starts must look like {cam02: 13}: the frame of cam02's video at which the others begin")
+    for camera, value in given.items():
+        if str(camera) not in footage:
+            there = ", ".join(footage)
+            raise Refusal(f"capture.yaml lists camera {camera!r} under starts, but the footage has {there}; quote names with leading zeros")
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise Refusal(f"capture.yaml: starts of {camera} is {value!r}; it must be a whole number of frames")
+    return dict.fromkeys(footage, 0) | {str(camera): value for camera, value in given.items()}
+
+
+def whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
+    value = description.get(key, 0)
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise Refusal(f"capture.yaml of {folder}: {key} must be a whole number, not {value!r}")
+    return value
+
+
+def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
+    given = description.get("focal_px") or {}
+    table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
+    found = {}
+    for camera, value in table.items():
+        if str(camera) not in footage:
+            raise Refusal(f"capture.yaml lists camera {camera!r} under focal_px, but the footage has {', '.join(footage)}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise Refusal(f"capture.yaml: focal_px of {camera} is {value!r}; it must be a length in pixels above 0")
+        found[str(camera)] = float(value)
+    return found
+
+
+def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
+    maps = description.get("pixel_maps") or {}
+    if not isinstance(maps, dict):
+        raise Refusal("capture.yaml: pixel_maps must look like {cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
+    found = {}
+    for camera, entry in maps.items():
+        if str(camera) not in footage:
+            raise Refusal(f"capture.yaml lists camera {camera!r} under pixel_maps, but the footage has {', '.join(footage)}")
+        try:
+            found[str(camera)] = (float(entry["scale"]), float(entry["offset"][0]), float(entry["offset"][1]))
+        except (TypeError, KeyError, IndexError, ValueError):
+            raise Refusal(f"capture.yaml: pixel_maps of {camera} must look like {{scale: 0.99, offset: [0.0, 7.2]}}") from None
+    return found
