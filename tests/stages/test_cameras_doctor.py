@@ -23,7 +23,7 @@ def options(default_settings):
 
 
 def about(cameras: list[Camera], **changed) -> list[dict]:
-    facts = {"frames": FRAMES, "first_frame": 5, "keypoints": True}
+    facts = {"frames": FRAMES, "first_frame": 5, "count": 0, "keypoints": True}
     base = {**facts, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
     return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
 
@@ -116,6 +116,12 @@ def test_a_knocked_camera_is_not_taken_for_a_late_one():
 def test_unequal_footage_and_exposures_are_reported(options):
     advice = examined(ring(), options, c1={"video_frames": 20, "fps": 25.0, "brightness": 0.1})["advice"]
     assert [w for w in ("frame rates", "lengths", "exposures") if not any(w in a for a in advice)] == []
+
+
+@pytest.mark.parametrize(("last", "told"), [(17, False), (16, True)])
+def test_videos_may_differ_in_length_once_a_part_is_chosen_that_all_have(options, last: int, told: bool):
+    chosen = {c.name: {"count": 12} for c in ring()} | {"c1": {"count": 12, "video_frames": last}}
+    assert any("lengths" in a for a in examined(ring(), options, **chosen)["advice"]) == told
 
 
 def test_blind_sectors_and_coverage():

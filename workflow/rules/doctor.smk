@@ -56,10 +56,11 @@ rule cameras_doctor:
         code=code("cameras.doctor"),
         cameras=CAMERAS,
         starts=[DATASET.first_frames[c] for c in CAMERAS],
+        frame_count=DATASET.frame_count,
     shell:
         "python -m studiorecon cameras.doctor --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene:q} --calibration {input.calibration:q} --cameras {params.cameras:q} --sources {input.sources:q}"
-        " --sightings {input.sightings:q} --sizes {input.sizes:q} --starts {params.starts}"
+        " --sightings {input.sightings:q} --sizes {input.sizes:q} --starts {params.starts} --count {params.frame_count}"
         " --report {output.report:q} --doctor {output.doctor:q}"
 
 

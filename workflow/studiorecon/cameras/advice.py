@@ -103,13 +103,14 @@ def _clocks(report: dict[str, Any]) -> list[str]:
 def _footage(report: dict[str, Any]) -> list[str]:
     found = []
     footage = report["footage"].values()
+    chosen = all(0 < a["count"] <= a["video_frames"] - a["first_frame"] for a in footage)
     for key, what, remedy in (
         ("fps", "frame rates", "export all at one rate"),
         ("video_frames", "lengths", "set frames: {first: …, count: …} in capture.yaml to the part that all have"),
         ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
     ):
         values = {a["camera"]: a[key] for a in footage}
-        if len(set(values.values())) > 1:
+        if len(set(values.values())) > 1 and not (chosen and key == "video_frames"):
             listed = ", ".join(f"{c} {v:g}" for c, v in values.items())
             found.append(f"the {what} differ ({listed}): {remedy}")
     light = {a["camera"]: a["brightness"] for a in footage}

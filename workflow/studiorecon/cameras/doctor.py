@@ -181,10 +181,12 @@ def run(
     starts: list[int],
     report: Path,
     doctor: Path,
+    count: int = 0,
 ) -> None:
-    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``, used from the frames ``starts`` on.
+    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 
-    ``sightings`` and ``sizes`` are there for the cameras with keypoints, in any order.
+    Their frames are used from ``starts`` on, ``count`` of them (0 = to the end). ``sightings`` and ``sizes`` are there for the
+    cameras with keypoints, in any order.
     """
     lenses = {v["name"]: Lens.from_json(v) for v in read_json(calibration)["lenses"]}
     if unknown := [c for c in cameras if c not in lenses]:
@@ -196,7 +198,7 @@ def run(
     looks = [glance(source, [start, start + middle]) for source, start in zip(sources, starts, strict=True)]
     about = [
         {
-            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "first_frame": start,
+            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "first_frame": start, "count": count,
             "brightness": g.brightness, "burnt": g.burnt,
             "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg, "keypoints": c in seen,
         }
