@@ -93,18 +93,23 @@ def test_footage_becomes_a_calibration_in_metres(
             assert name == "pi3x"
 
         def reconstruct(self, pictures: list[np.ndarray], cameras: list[str]) -> Reconstruction:
-            asked.append((cameras, [p.shape for p in pictures]))
+            asked.append((cameras, pictures))
             return found
 
     monkeypatch.setattr(network, "Pi3", Planted)
-    for (camera, rgb, _), detections in zip(room_views(WH), seen):
-        write_lossless(tmp_path / f"{camera.name}.mkv", [to_bytes(rgb)] * 2, 24.0)
+    starts = [0, 2, 0, 1]
+    for (camera, rgb, _), detections, start in zip(room_views(WH), seen, starts):
+        # Before the common start a camera shows something else.
+        write_lossless(tmp_path / f"{camera.name}.mkv", [255 - to_bytes(rgb)] * start + [to_bytes(rgb)] * 2, 24.0)
         write_detections(tmp_path / f"{camera.name}.npz", detections)
     settings = load(network.Settings, default_settings("cameras", source="pi3x"), "cameras")
     model = tmp_path / "network/images.txt"
     sources, sightings = [tmp_path / f"{n}.mkv" for n in names], [tmp_path / f"{n}.npz" for n in names]
-    network.run(settings, names, sources, 0, sightings, root / "resources/body.npz", tmp_path, "cpu", model)
-    assert asked == [(names, [(108, 192, 3)] * 4)]
+    network.run(settings, names, sources, starts, sightings, root / "resources/body.npz", tmp_path, "cpu", model)
+    ((cameras, pictures),) = asked
+    assert cameras == names
+    for picture, (_, rgb, _) in zip(pictures, room_views(WH), strict=True):
+        np.testing.assert_array_equal(picture, to_bytes(rgb))
     files = [tmp_path / "network/cameras.txt", model]
     calibration.run(load(calibration.Settings, default_settings("cameras"), "cameras"), files, names, "{}", tmp_path / "calibration.json")
     lenses = [Lens.from_json(v) for v in json.loads((tmp_path / "calibration.json").read_text())["lenses"]]
