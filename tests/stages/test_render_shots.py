@@ -15,6 +15,7 @@ from studiorecon.errors import Refusal
 from studiorecon.render.composite import Composite
 from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import read_keys, spline_steps
+from studiorecon.render.kinds import KINDS, film
 from studiorecon.render.ledger import Entry, angles_deg, obstacles, warnings
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.planning import plan
@@ -222,10 +223,37 @@ def test_every_example_shot_is_planned(root: Path) -> None:
     static = room(rng, 0.3)
     for name, described in shots.items():
         steps = plan(name, shots, 0, 0.3, CAMERAS, [], subjects, static)
-        expected = described["frames"] if "frames" in described else described["keys"][-1]["picture"] + 1
+        expected = described["keys"][-1]["picture"] + 1 if "keys" in described else film(described, name).frames
         assert len(steps) == expected, name
         assert {s.camera.wh for s in steps} == {WH}
         assert all(0 <= s.frame <= 39 and np.isfinite(s.camera.camera_from_world).all() for s in steps), name
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "path"])
+def test_a_film_needs_only_its_kind(kind: str, subjects: Subjects) -> None:
+    rng = np.random.default_rng(0)
+    held_out = ring([45], "held")
+    steps = plan("extra", {"extra": {"kind": kind}}, 0, 0.3, CAMERAS, held_out, subjects, room(rng, 0.3))
+    assert len(steps) == (T if kind == "heldout" else 91 if kind == "spline" else film({"kind": kind}, "extra").frames)
+    assert all(0 <= s.frame <= T - 1 and np.isfinite(s.camera.camera_from_world).all() for s in steps)
+
+
+def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_through(subjects: Subjects) -> None:
+    shuffled = [CAMERAS[i] for i in (1, 3, 0, 2)]
+    steps = plan("tour", {"tour": {"kind": "spline"}}, 0, 0.3, shuffled, [], subjects, room(np.random.default_rng(0), 0.3))
+    for picture, camera in ((0, 1), (30, 2), (60, 3), (90, 0)):
+        assert steps[picture].camera.centre_m == pytest.approx(CAMERAS[camera].centre_m), "once around, by azimuth"
+    assert [steps[0].frame, steps[-1].frame] == pytest.approx([0, T - 1])
+    assert np.diff([s.frame for s in steps]) == pytest.approx((T - 1) / 90)
+
+
+def test_a_key_without_a_frame_leaves_time_to_the_keys_around_it(subjects: Subjects) -> None:
+    keys = [{k: v for k, v in key.items() if k != "frame"} for key in KEYS]
+    keys[1]["frame"] = keys[2]["frame"] = 20.0
+    steps = spline_steps(read_keys(keys, "bullet"), "bullet", CAMERAS, subjects, WH)
+    frames = np.array([s.frame for s in steps])
+    assert frames[[0, 80]] == pytest.approx([0, T - 1])
+    assert frames[20:61] == pytest.approx(20)
 
 
 def test_a_follower_is_kept_out_of_the_wall(subjects: Subjects) -> None:

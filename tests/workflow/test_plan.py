@@ -110,7 +110,21 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
     overlay = house.overlay(depth={"plains": 3})
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", "--configfile", overlay, check=False)
     assert done.returncode != 0
-    assert "plains" in done.stdout
+    assert "there is no setting depth.plains" in done.stdout
+
+
+def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset: Path) -> None:
+    """A film of which only the kind is said, a number within a section, and an unquoted off in a file."""
+    film = f"results/{dataset.name}/render/extra.mkv"
+    overlay = house.folder / "unquoted.yaml"
+    overlay.write_text("survey: {force: {view_synthesis: off, exposure: off, view_dependent_colour: off, moving_shadows: off}}\n")
+    told = house.snakemake(
+        "--dry-run", "--cores", "1", "--printshellcmds", film, f"results/{dataset.name}/people/detections/left.npz", "--configfile", str(overlay),
+        "--config", f"dataset={dataset}", "people={detection_keypoints: 7}", "render={shots: {extra: {kind: orbit}}}",
+    ).stdout  # fmt: skip
+    assert "--shot extra" in told
+    assert '"height_px": 160' in told
+    assert "views_synthesize" not in told
 
 
 def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:

@@ -6,7 +6,6 @@ import json
 import re
 from pathlib import Path
 
-import jsonschema
 import yaml
 from snakemake.exceptions import WorkflowError
 
@@ -15,17 +14,18 @@ from studiorecon.errors import Refusal
 from studiorecon.models.registry import MODELS
 from studiorecon.models.selection import check_licences, selected
 from studiorecon.scene.dataset import open_dataset
+from studiorecon.schema import mistakes, typed
 from studiorecon.studio.description import planned_dataset, read_description
 
 IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text())
 
 
 def check_settings():
-    """Refuse a configuration that breaks the schema, in one sentence that names the setting."""
+    """Read every setting as what the schema says it is; refuse a configuration that breaks it, in a sentence per mistake."""
     schema = yaml.safe_load((Path(workflow.basedir) / "workflow/schemas/config.schema.yaml").read_text())
-    for error in jsonschema.Draft202012Validator(schema).iter_errors(config):
-        where = ".".join(map(str, error.absolute_path)) or "the configuration"
-        raise WorkflowError(f"setting {where}: {error.message} (config/README.md explains every setting)")
+    config.update(typed(config, schema))
+    if wrong := mistakes(config, schema):
+        raise WorkflowError("\n".join([*wrong, "config/README.md explains every setting"]))
 
 
 check_settings()

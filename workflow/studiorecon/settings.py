@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """JSON settings of one step → a frozen dataclass, with errors that are sentences.
 
-Defaults are written once, in ``config/config.yaml``; the dataclasses have none.
+Defaults are written once, in ``config/config.yaml``; the dataclasses have none. Only a film's, of which there may be any number, stand
+with its kind (``render/kinds.py``).
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ def load(cls: type[T], values: Mapping[str, Any], where: str) -> T:
 
     A section of the configuration may serve several steps, so keys that ``cls`` does not have are ignored here: the
     configuration schema is what refuses misspelt keys. Nested dataclasses are filled from nested mappings. Raises
-    Refusal for a missing key or a value of the wrong type.
+    Refusal for a missing key of a field without a default, or a value of the wrong type.
     """
     hints = typing.get_type_hints(cls)
     filled = {}
     for field in dataclasses.fields(cls):
         if field.name not in values:
+            if field.default is not dataclasses.MISSING:
+                continue
             raise Refusal(f"setting {where}.{field.name} is missing; config/config.yaml holds every setting with its default")
         filled[field.name] = _convert(values[field.name], hints[field.name], f"{where}.{field.name}")
     return cls(**filled)

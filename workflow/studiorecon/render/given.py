@@ -33,7 +33,7 @@ class GivenPath:
 
     kind: Literal["path"]
     file: str
-    time: Time
+    time: Time = "stretch"
 
 
 def path_steps(shot: GivenPath, name: str, wh: tuple[int, int], frames: int) -> list[Step]:

@@ -12,12 +12,15 @@ import scipy
 
 from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
-from studiorecon.geometry.path import look_at, with_pose
+from studiorecon.geometry.path import look_at, scene_centre, with_pose
 from studiorecon.render.moves import camera_named
 from studiorecon.render.shots import usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import Step
+
+# Pictures from one camera to the next where a film is given no keys.
+_LEG = 30
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,12 @@ class Spline:
     """Settings of a ``spline`` shot.
 
     Attributes:
-        keys: keyframes (``CameraKey`` or ``FreeKey``) in the order of their pictures, at least two.
+        keys: keyframes (``CameraKey`` or ``FreeKey``) in the order of their pictures, at least two; none = from training camera to
+            training camera.
     """
 
     kind: Literal["spline"]
-    keys: tuple[dict, ...]
+    keys: tuple[dict, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -38,15 +42,16 @@ class CameraKey:
 
     Attributes:
         picture: number of the picture in the film, from 0.
-        frame: capture frame that is shown; equal frames at two keys stop time between them.
         camera: name of the training camera.
+        frame: capture frame that is shown; equal frames at two keys stop time between them. None leaves it to the keys around, the
+            first and last frame at the ends.
         zoom: focal length as a multiple of the training cameras' mean.
     """
 
     picture: int
-    frame: float
     camera: str
-    zoom: float
+    frame: float | None = None
+    zoom: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -55,17 +60,17 @@ class FreeKey:
 
     Attributes:
         picture: number of the picture in the film, from 0.
-        frame: capture frame that is shown.
         eye_m: world position of the camera, metres.
         target: what is in the middle of the picture.
+        frame: capture frame that is shown, as for ``CameraKey``.
         zoom: focal length as a multiple of the training cameras' mean.
     """
 
     picture: int
-    frame: float
     eye_m: tuple[float, float, float]
-    target: Target
-    zoom: float
+    target: Target = "people"
+    frame: float | None = None
+    zoom: float = 1.0
 
 
 def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
@@ -80,6 +85,19 @@ def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
     return keys
 
 
+def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKey | FreeKey]:
+    """Keys where the training cameras stand, by azimuth from the first one on, looking at the people.
+
+    Raises Refusal with fewer than two cameras.
+    """
+    if len(cameras) < 2:
+        raise Refusal(f"shot {name} goes from camera to camera and needs at least two of them; give it keys")
+    offsets = np.array([camera.centre_m - scene_centre(cameras) for camera in cameras])
+    azimuth = np.arctan2(offsets[:, 1], offsets[:, 0])
+    order = np.argsort(np.mod(azimuth - azimuth[0], 2 * np.pi), kind="stable")
+    return [FreeKey(_LEG * place, tuple(map(float, cameras[index].centre_m))) for place, index in enumerate(order)]
+
+
 def spline_steps(
     keys: Sequence[CameraKey | FreeKey], name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
 ) -> list[Step]:
@@ -91,7 +109,7 @@ def spline_steps(
     """
     at = np.array([key.picture for key in keys], np.float64)
     pictures = np.arange(keys[-1].picture + 1, dtype=np.float64)
-    times = np.clip(_monotone(at, [key.frame for key in keys], pictures), 0, subjects.frames - 1)
+    times = np.clip(_times(keys, pictures, subjects.frames - 1), 0, subjects.frames - 1)
     zooms = np.exp(_monotone(at, [np.log(key.zoom) for key in keys], pictures))
     places = np.array([_eye(key, cameras, name) for key in keys])
     eyes = _curve(at, places, pictures)
@@ -108,6 +126,14 @@ def spline_steps(
         intrinsics = np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]])
         steps.append(Step(with_pose(Camera(name, wh, intrinsics, np.eye(4)), rotation, eye), float(time), "00"))
     return steps
+
+
+def _times(keys: Sequence[CameraKey | FreeKey], pictures: np.ndarray, last: int) -> np.ndarray:
+    frames = [key.frame for key in keys]
+    ends = {0: 0.0, len(keys) - 1: float(last)}
+    known = [(key.picture, ends.get(k) if frame is None else frame) for k, (key, frame) in enumerate(zip(keys, frames))]
+    at, shown = zip(*[(picture, frame) for picture, frame in known if frame is not None])
+    return _monotone(np.array(at, np.float64), shown, pictures)
 
 
 def _eye(key: CameraKey | FreeKey, cameras: Sequence[Camera], name: str) -> np.ndarray:

@@ -31,13 +31,13 @@ class DollyZoom:
     """
 
     kind: Literal["dolly_zoom"]
-    frames: int
-    target: Target
-    camera: str
-    distances: tuple[float, float]
-    passes: int
-    zoom: float
-    time: Time
+    frames: int = 90
+    target: Target = "people"
+    camera: str = ""
+    distances: tuple[float, float] = (1.0, 0.55)
+    passes: int = 2
+    zoom: float = 1.0
+    time: Time = "stretch"
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class Oscillate:
     """
 
     kind: Literal["oscillate"]
-    frames: int
-    target: Target
-    camera: str
-    swing_deg: float
-    rise_m: float
-    periods: float
-    distance: float
-    zoom: float
-    time: Time
+    frames: int = 90
+    target: Target = "people"
+    camera: str = ""
+    swing_deg: float = 20.0
+    rise_m: float = 0.15
+    periods: float = 2.0
+    distance: float = 0.9
+    zoom: float = 1.0
+    time: Time = "loop"
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Follow:
     Attributes:
         frames: number of pictures.
         person: whom.
-        distance_m: horizontal distance to the pelvis.
+        distance_m: horizontal distance to the pelvis; the default shows head and feet at the training cameras' usual angle.
         rise_m: height above the pelvis.
         azimuth_deg: where the camera stands: with ``beside: person`` 0 is in front and 180 behind, with ``beside: world`` from x.
         beside: ``person`` turns with the person, ``world`` keeps its direction.
@@ -85,15 +85,15 @@ class Follow:
     """
 
     kind: Literal["follow"]
-    frames: int
-    person: str
-    distance_m: float
-    rise_m: float
-    azimuth_deg: float
-    beside: Literal["person", "world"]
-    smooth_s: float
-    zoom: float
-    time: Time
+    frames: int = 90
+    person: str = "p0"
+    distance_m: float = 2.7
+    rise_m: float = 0.4
+    azimuth_deg: float = 40.0
+    beside: Literal["person", "world"] = "person"
+    smooth_s: float = 0.7
+    zoom: float = 1.0
+    time: Time = "stretch"
 
 
 def dolly_zoom_steps(shot: DollyZoom, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]) -> list[Step]:

@@ -39,14 +39,14 @@ class Orbit:
     """
 
     kind: Literal["orbit"]
-    frames: int
-    target: Target
-    radius: float
-    rise_m: float
-    zoom: float
-    turn_deg: float
-    start_deg: float
-    time: Time
+    frames: int = 120
+    target: Target = "people"
+    radius: float = 0.9
+    rise_m: float = 0.0
+    zoom: float = 1.0
+    turn_deg: float = 360.0
+    start_deg: float = 0.0
+    time: Time = "stretch"
 
 
 def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:

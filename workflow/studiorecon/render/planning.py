@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
 from studiorecon.progress import say
 from studiorecon.render.composite import blocked
 from studiorecon.render.given import GivenPath, path_steps
-from studiorecon.render.keyframes import Spline, read_keys, spline_steps
+from studiorecon.render.keyframes import Spline, from_camera_to_camera, read_keys, spline_steps
+from studiorecon.render.kinds import Heldout, film
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.orbit import Orbit, orbit_steps
 from studiorecon.render.shots import every_frame, picture_size
@@ -45,20 +45,15 @@ def plan(
         return every_frame(training, subjects.frames)
     if shot not in shots:
         raise Refusal(f"there is no shot {shot!r} under render.shots; it names {', '.join(shots) or 'none'}")
-    described: Mapping[str, Any] = shots[shot]
-    kind = described.get("kind")
-    if kind == "heldout":
+    settings = film(shots[shot], shot)
+    if isinstance(settings, Heldout):
         if not held_out:
             raise Refusal(f"shot {shot} shows the held-out cameras, but there are none; name some under held_out in capture.yaml")
         return every_frame(held_out, subjects.frames)
-    if kind not in _KINDS:
-        raise Refusal(f"shot {shot} is of kind {kind!r}; known kinds are heldout, {', '.join(_KINDS)}")
-    # Who is in the picture is none of the path's business (``render/replacement.py``).
-    moves = {name: value for name, value in described.items() if name not in ("replace", "reference")}
-    settings: Any = settings_module.load(_KINDS[kind], moves, f"render.shots.{shot}")
     wh = picture_size(training, width)
     if isinstance(settings, Spline):
-        return spline_steps(read_keys(settings.keys, shot), shot, training, subjects, wh)
+        keys = read_keys(settings.keys, shot) if settings.keys else from_camera_to_camera(training, shot)
+        return spline_steps(keys, shot, training, subjects, wh)
     if isinstance(settings, GivenPath):
         return path_steps(settings, shot, wh, subjects.frames)
     if isinstance(settings, DollyZoom):
@@ -69,16 +64,6 @@ def plan(
         return maker(settings, shot, training, subjects, wh, shrink)
 
     return kept_clear(steps, settings.frames, shot, background, clearance_m)
-
-
-_KINDS = {
-    "orbit": Orbit,
-    "dolly_zoom": DollyZoom,
-    "oscillate": Oscillate,
-    "follow": Follow,
-    "spline": Spline,
-    "path": GivenPath,
-}
 
 
 def kept_clear(path: Callable[[np.ndarray], list[Step]], pictures: int, shot: str, background: Gaussians, clearance_m: float) -> list[Step]:

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings are read as what the schema says they are, however they were written; mistakes name what was meant."""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from snakemake.cli import parse_config
+from snakemake.utils import update_config
+from studiorecon.scene.decisions import ORDER
+from studiorecon.schema import mistakes, named, typed
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@cache
+def schema() -> dict[str, Any]:
+    return yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text())
+
+
+@cache
+def _defaults() -> dict[str, Any]:
+    return yaml.safe_load((ROOT / "config/config.yaml").read_text())
+
+
+def over(above: dict[str, Any]) -> dict[str, Any]:
+    """The configuration with something laid over it, as the workflow takes it."""
+    config = copy.deepcopy(_defaults())
+    update_config(config, above)
+    return typed(config, schema())
+
+
+def said(*entries: str) -> dict[str, Any]:
+    """The configuration with what ``snakemake --config`` makes of these."""
+    return over(parse_config(entries))
+
+
+def test_the_configuration_is_read_as_it_stands() -> None:
+    assert over({}) == _defaults()
+    assert mistakes(over({}), schema()) == []
+
+
+@pytest.mark.parametrize(
+    ("entry", "path", "value"),
+    [
+        ("people={desk: {height_px: 160}}", "people.desk.height_px", 160),
+        ("people={association: {gate_m: 0.2}}", "people.association.gate_m", 0.2),
+        ("background={training: {position_lr_end: 1e-6}}", "background.training.position_lr_end", 1e-6),
+        ("people={association: {torso_m: [0.3, 1]}}", "people.association.torso_m", [0.3, 1]),
+        ("cameras={refine: false}", "cameras.refine", False),
+        ("cameras={refine: off}", "cameras.refine", False),
+        ("cameras={radial: {left: -0.02}}", "cameras.radial.left", -0.02),
+        ("enhance={strength: 0.4}", "enhance.strength", 0.4),
+        ("enhance={strength: auto}", "enhance.strength", "auto"),
+        ("survey={force: {exposure: off, people: on}}", "survey.force", {"exposure": "off", "people": "on"}),
+        ("weights=7", "weights", "7"),
+        ("scene=12", "scene", 12),
+        ("scene=", "scene", ""),
+        ("render={shots: {a: {kind: orbit, target: [1, 0, 0.5]}}}", "render.shots.a.target", [1, 0, 0.5]),
+        ("render={shots: {a: {kind: follow, time: 4}}}", "render.shots.a.time", 4),
+        ("render={shots: {a: {kind: spline, keys: [{picture: 0, camera: 1}, {picture: 9, camera: 2}]}}}", "render.shots.a.keys",
+         [{"picture": 0, "camera": "1"}, {"picture": 9, "camera": "2"}]),
+    ],
+)  # fmt: skip
+def test_the_command_line_is_read_as_what_the_setting_is(entry: str, path: str, value: Any) -> None:
+    config = said(entry)
+    assert mistakes(config, schema()) == []
+    found: Any = config
+    for name in path.split("."):
+        found = found[name]
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize("effect", ORDER)
+def test_every_effect_may_be_forced_by_an_unquoted_word_in_a_file(effect: str) -> None:
+    config = over(yaml.safe_load(f"survey: {{force: {{{effect}: off}}}}"))
+    assert config["survey"]["force"] == {effect: "off"}, "YAML reads off as false"
+    assert mistakes(config, schema()) == []
+
+
+def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> None:
+    config = over(yaml.safe_load("capture: {width: 640.0}\nbackground: {training: {position_lr_end: 1e-6}}"))
+    assert config["capture"]["width"] == 640
+    assert isinstance(config["capture"]["width"], int)
+    assert config["background"]["training"]["position_lr_end"] == 1e-6
+
+
+@pytest.mark.parametrize(
+    ("entry", "sentence"),
+    [
+        ("people={desk: {hight_px: 160}}", "there is no setting people.desk.hight_px; did you mean people.desk.height_px?"),
+        ("people={gap_frames: 3}", "there is no setting people.gap_frames; did you mean people.tracking.gap_frames?"),
+        ("datset=x", "there is no setting datset; did you mean dataset?"),
+        ("survey={force: {exposre: off}}", "there is no setting survey.force.exposre; did you mean survey.force.exposure?"),
+        ("render={shots: {a: {kind: orbit, targt: p0}}}", "there is no setting render.shots.a.targt; did you mean render.shots.a.target?"),
+        ("cameras={source: file}", "setting cameras.source is 'file'; it must be one of auto, files, "),
+        ("people={desk: {height_px: tall}}", "setting people.desk.height_px is 'tall'; it must be a whole number"),
+        ("capture={width: -1}", "setting capture.width is -1; it must be at least 0"),
+        ("render={shots: {a: {frames: 3}}}", "setting render.shots.a lacks kind, which is one of heldout, orbit, "),
+        ("render={shots: {a: {kind: path}}}", "setting render.shots.a lacks file"),
+        (
+            "render={shots: {a: {kind: orbit, target: nobody}}}",
+            "setting render.shots.a.target is 'nobody', but it must fit: people, scene, ",
+        ),
+        ("render={shots: {train: {kind: orbit}}}", "train is taken"),
+        ("render=", "setting render is empty"),
+        ("depth=3", "setting depth is 3; it must be a section"),
+    ],
+)
+def test_a_mistake_is_one_sentence_that_says_what_was_meant(entry: str, sentence: str) -> None:
+    (found,) = mistakes(said(entry), schema())
+    assert sentence in found
+
+
+def test_several_mistakes_are_all_told_and_misspelt_names_first() -> None:
+    found = mistakes(said("capture={width: -1}", "people={desk: {hight_px: 160, picturs: 2}}"), schema())
+    assert len(found) == 3
+    assert "hight_px" in found[0]
+    assert "picturs" in found[1]
+    assert "capture.width" in found[2]
+
+
+def test_every_setting_is_named_once() -> None:
+    names = [name for name, _ in named(schema())]
+    assert len(names) == len(set(names)) > 300
+    assert "people.desk.height_px" in names

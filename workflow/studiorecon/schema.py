@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration against its schema: values read as what the schema says they are, and mistakes as sentences.
+
+Snakemake reads what stands inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and ``1e-4`` as text. What
+such a value was meant to be is a matter of the setting, not of how it was written: ``typed`` takes the reading that the schema allows.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+import jsonschema
+
+_WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
+
+
+def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
+    """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as it can be read so.
+
+    What no reading makes valid is left as it is, for ``mistakes`` to tell. ``root`` is the schema that references point into.
+    """
+    root = schema if root is None else root
+    schema = _resolved(schema, root)
+    if isinstance(value, Mapping):
+        made = {str(key): typed(inner, _property(schema, str(key)), root) for key, inner in value.items()}
+        for part in schema.get("allOf", ()):
+            if "if" not in part or _valid(made, part["if"], root):
+                made = typed(made, part.get("then", part) if "if" in part else part, root)
+        return made
+    if isinstance(value, (list, tuple)):
+        options = [schema, *(_resolved(option, root) for option in schema.get("oneOf", ()))]
+        items = next((option["items"] for option in options if "items" in option), {})
+        return [typed(item, items, root) for item in value]
+    readings = list(_readings(value, schema))
+    kind = {"type": schema.get("type", [])}
+    # A number out of bounds is still a number, and is refused as one.
+    return next((r for part in (schema, kind) for r in readings if _valid(r, part, root)), value)
+
+
+def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
+    """A sentence for every setting that breaks the schema; names that no setting has come first, with the nearest that one has."""
+    found = sorted(_validator(schema, schema).iter_errors(config), key=lambda error: error.validator != "additionalProperties")
+    # Of one place the first mistake is enough: what has the wrong type breaks other rules as well.
+    first = {(str(error.absolute_path), error.validator == "additionalProperties"): error for error in reversed(found)}
+    return list(dict.fromkeys(sentence for error in found if error in first.values() for sentence in _sentences(error, schema)))
+
+
+def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Every setting of the schema by its dotted name, sections included, with the part of the schema that describes it."""
+    for name, inner in schema.get("properties", {}).items():
+        yield name, inner
+        for below, part in named(inner):
+            yield f"{name}.{below}", part
+
+
+def _readings(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
+    """What a scalar may have meant, likeliest first."""
+    if isinstance(value, float) and value.is_integer() and schema.get("type") == "integer":
+        yield int(value)
+    yield value
+    if isinstance(value, str):
+        for kind in (int, float):
+            with suppress(ValueError):
+                yield kind(value)
+        if value.lower() in _WORDS:
+            yield _WORDS[value.lower()]
+    elif isinstance(value, bool):
+        yield "on" if value else "off"
+    elif isinstance(value, int):
+        yield str(value)
+    elif value is None:
+        yield ""
+
+
+def _property(schema: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    beyond = schema.get("additionalProperties")
+    return schema.get("properties", {}).get(key, beyond if isinstance(beyond, Mapping) else {})
+
+
+def _resolved(schema: Mapping[str, Any], root: Mapping[str, Any]) -> Mapping[str, Any]:
+    while "$ref" in schema:
+        place: Any = root
+        for name in schema["$ref"].removeprefix("#/").split("/"):
+            place = place[name]
+        schema = place
+    return schema
+
+
+def _validator(schema: Mapping[str, Any], root: Mapping[str, Any]) -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator({**schema, "$defs": root.get("$defs", {})})
+
+
+def _valid(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any]) -> bool:
+    return _validator(schema, root).is_valid(value)
+
+
+def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> Iterator[str]:
+    path = [str(step) for step in error.absolute_path]
+    where = ".".join(path) or "the configuration"
+    if error.validator == "additionalProperties":
+        known = list(error.schema.get("properties", {}))
+        for name in error.instance:
+            if name not in known:
+                yield f"there is no setting {'.'.join([*path, name])}{_nearest(name, path, known, schema)}"
+    elif error.validator == "required":
+        missing = ", ".join(name for name in error.validator_value if name not in error.instance)
+        yield f"setting {where} lacks {missing}{_choices(error.schema, missing)}"
+    elif error.validator == "enum" and "propertyNames" in error.absolute_schema_path:
+        yield f"there is no setting {where}.{error.instance}{_nearest(str(error.instance), path, error.validator_value, schema)}"
+    elif error.validator == "enum":
+        near = difflib.get_close_matches(str(error.instance), list(map(str, error.validator_value)), 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        yield f"setting {where} is {error.instance!r}; it must be one of {', '.join(map(str, error.validator_value))}{meant}"
+    elif error.validator == "type" and error.instance is None and error.validator_value == "object":
+        yield f"setting {where} is empty; leave it out, or say {where}: {{}} where nothing in it is to change"
+    elif error.validator == "type":
+        wanted = error.validator_value if isinstance(error.validator_value, list) else [error.validator_value]
+        yield f"setting {where} is {error.instance!r}; it must be {' or '.join(_KINDS[kind] for kind in wanted)}"
+    elif error.validator in _BOUNDS:
+        yield f"setting {where} is {error.instance!r}; it must be {_BOUNDS[error.validator]} {error.validator_value}"
+    elif error.validator in ("minItems", "maxItems"):
+        bound = "at least" if error.validator == "minItems" else "at most"
+        yield f"setting {where} has {len(error.instance)} entries; it must have {bound} {error.validator_value}"
+    elif "description" in error.schema:
+        yield f"setting {where} is {error.instance!r}, but it must fit: {error.schema['description'].rstrip('.')}"
+    else:
+        yield f"setting {where}: {error.message}"
+
+
+_BOUNDS = {"minimum": "at least", "maximum": "at most", "exclusiveMinimum": "more than", "exclusiveMaximum": "less than"}
+_KINDS = {
+    "object": "a section with settings of its own",
+    "array": "a list",
+    "integer": "a whole number",
+    "number": "a number",
+    "boolean": "true or false",
+    "string": "text",
+}
+
+
+def _choices(schema: Mapping[str, Any], name: str) -> str:
+    choices = schema.get("properties", {}).get(name, {}).get("enum")
+    return f", which is one of {', '.join(choices)}" if choices else ""
+
+
+def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
+    """What a name that no setting has was meant to be: a neighbour that is spelt like it, or a setting of that name elsewhere."""
+    near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
+    elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
+    found = near or elsewhere[:3]
+    if found:
+        return f"; did you mean {' or '.join(found)}?"
+    return f"; {'.'.join(path) or 'the configuration'} holds {', '.join(known)}" if len(known) <= 20 else ""
