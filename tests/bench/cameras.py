@@ -146,7 +146,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, pixel_map, *found)
         doctor.run(
             loaded(doctor.Settings), take, out / "calibration.json", list(MAN), [dataset.footage[c] for c in MAN],
-            [out / f"{c}.npz" for c in MAN], [out / f"{c}.json" for c in MAN], [dataset.first_frames[c] for c in MAN],
+            [out / f"{c}.npz" for c in MAN], [out / f"{c}.json" for c in MAN], [dataset.first_frames[c] for c in MAN], dataset.frame_count,
             out / "doctor.json", out / "doctor.html",
         )  # fmt: skip
 

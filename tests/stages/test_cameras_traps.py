@@ -80,7 +80,8 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         doctor.run(
             settings_module.load(doctor.Settings, section, "cameras"), "trap", out / "calibration.json", list(data.cameras),
             [data.footage[c] for c in data.cameras], [out / f"{c}.npz" for c in data.keypoints],
-            [out / f"{c}.json" for c in data.keypoints], list(data.first_frames.values()), out / "doctor.json", out / "doctor.html",
+            [out / f"{c}.json" for c in data.keypoints], list(data.first_frames.values()), data.frame_count,
+            out / "doctor.json", out / "doctor.html",
         )  # fmt: skip
         return read_json(out / "doctor.json")
 

@@ -18,7 +18,7 @@ from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.capture import plate as plate_step
 from studiorecon.capture.source import decode, digest, open_source, uneven
-from studiorecon.capture.sync import lags, motion_energy
+from studiorecon.capture.sync import Lag, lags, motion_energy
 from studiorecon.errors import Refusal
 from studiorecon.images.plate import noise_levels, write_plate
 from studiorecon.images.stills import read_plate
@@ -104,13 +104,14 @@ class TestFrames:
         (told,) = [change for change in footage.changes if "do not come evenly" in change]
         assert "1 of 11 steps differ from the usual 33 ms, most after frame 4 (100 ms)" in told
         assert "a.mp4: frames do not come evenly" in capsys.readouterr().out
+        assert any("after frame 4 " in change for change in run_frames(tmp_path / "a.mp4", first=2).changes), "counted as in the file"
         assert not any("evenly" in change for change in run_frames(tmp_path / "a.mp4", first=5).changes), "what is used is even"
 
     def test_the_jitter_of_a_phone_is_no_gap(self) -> None:
         times = np.arange(90) / 30 + np.random.default_rng(0).uniform(-0.004, 0.004, 90)
-        assert uneven(times) is None
-        assert uneven([]) is uneven([0.0]) is uneven([1.0, 1.0, 1.0]) is None
-        assert "1 of 88 steps" in uneven(np.delete(times, 50))
+        assert uneven(times, 0) is None
+        assert uneven([], 0) is uneven([0.0], 0) is uneven([1.0, 1.0, 1.0], 0) is None
+        assert "1 of 88 steps" in uneven(np.delete(times, 50), 0)
 
     def test_portrait_footage_is_sized_by_its_longer_side(self) -> None:
         assert frames_step.working_size((1088, 1920), 480) == (272, 480)
@@ -231,6 +232,11 @@ class TestManifest:
         late = replace(footage("b", frames=50), first_source_frame=20)
         with pytest.raises(Refusal, match=r"frames: \{first: 7, count: 50\}.*starts: \{CAMERA: frames\}"):
             run(replace(footage("a"), first_source_frame=7), late)
+
+    def test_a_lag_comes_with_the_whole_line_for_capture_yaml(self) -> None:
+        """What the camera has too much is on top of what was already said about it."""
+        assert 'starts: {"b": 7} into capture.yaml' in manifest_step.describe(Lag("b", 3, 0.9, 0.2, True, ""), 30.0, 4)
+        assert 'starts: {"b": -2} into capture.yaml' in manifest_step.describe(Lag("b", -2, 0.9, 0.2, True, ""), 30.0, 0)
 
     def test_different_rates_name_both_files(self, run) -> None:
         with pytest.raises(Refusal, match=r"b\.mp4 runs at 25 frames per second and videos/a\.mp4 at 30"):

@@ -345,6 +345,30 @@ def test_a_sweep_goes_on_after_failures_and_charges_what_it_shares(tmp_path: Pat
     ]
 
 
+def test_nor_when_that_run_was_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel, stand_in = tmp_path / "kernels/studiorecon/train.nbc", PlantedSnakemake()
+
+    def interrupted(snakefile: Path, folder: Path, *rest: object) -> tuple[int | None, str]:
+        if not kernel.exists():
+            kernel.parent.mkdir(parents=True)
+            kernel.touch()
+            planted(folder, job("logs/s/capture/frames.log"), 500.0)
+            raise KeyboardInterrupt
+        return stand_in(snakefile, folder, *rest)
+
+    monkeypatch.setattr(sweep_run, "_snakemake", interrupted)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "kernels"))
+    table = write_table(tmp_path / "t.tsv", [("base", "", "", "humans.iterations=300")])
+    told = (json.dumps(DEFAULTS), "s", table, PRESETS, ROOT / "Snakefile", 2, 5.0, tmp_path / "records.jsonl", tmp_path / "runs")
+    with pytest.raises(KeyboardInterrupt):
+        sweep_run.run(*told)
+    for _ in range(2):
+        sweep_run.run(*told)
+        (base,) = read_records(tmp_path / "records.jsonl")[1]
+        assert base.seconds["from_nothing"] == pytest.approx(40.0)
+    assert stand_in.ran.count("logs/s/humans/train.log") == 2, "once where it went on, once anew, and never again"
+
+
 def test_nobody_is_charged_for_kernels_that_the_first_run_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a fresh machine the base would pay minutes that no later row pays, and the front would be drawn upside down."""
     kernel, stand_in = tmp_path / "kernels/studiorecon/train.nbc", PlantedSnakemake()

@@ -179,9 +179,9 @@ def run(
     sightings: list[Path],
     sizes: list[Path],
     starts: list[int],
+    count: int,
     report: Path,
     doctor: Path,
-    count: int = 0,
 ) -> None:
     """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 

@@ -78,7 +78,7 @@ def run(
     except MemoryError:
         raise Refusal(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, first)
-    if wrong := uneven(times_s):
+    if wrong := uneven(times_s, first):
         warn(f"{source}: {wrong}")
         changes.append(wrong)
     write_footage(

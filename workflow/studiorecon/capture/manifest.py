@@ -13,7 +13,7 @@ from studiorecon.capture.sync import Lag, lags, motion_energy
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frames
 from studiorecon.progress import progress, say, warn
-from studiorecon.scene.capture import Footage, Manifest, read_footage, write_manifest
+from studiorecon.scene.capture import Footage, Manifest, common_start, read_footage, write_manifest
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,6 @@ def check_alike(footage: Sequence[Footage]) -> None:
             f"{slowest.source} runs at {slowest.fps:g} frames per second and {fastest.source} at {fastest.fps:g}; "
             "convert all videos to one rate, so that frame k is the same moment in each"
         )
-
-
-def common_start(footage: Sequence[Footage]) -> int:
-    """``frames.first`` of capture.yaml: the first used frame of the camera that was started last."""
-    return min(f.first_source_frame for f in footage)
 
 
 def describe(lag: Lag, fps: float, start: int) -> str:

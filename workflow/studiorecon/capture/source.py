@@ -19,7 +19,7 @@ from studiorecon.scene.dataset import PICTURE_SUFFIXES
 _READ_BYTES = 1 << 20
 # A container may announce one frame more than it holds (an edit list, a rounded duration) without having lost any.
 _MISCOUNT_FRAMES = 1
-# A gap of this many frame times between two pictures means that the recorder skipped some; phones jitter by a fifth.
+# A gap of this many frame times between two pictures means that the recorder skipped some.
 _GAP_FRAMES = 1.5
 
 
@@ -105,8 +105,8 @@ def decode(source: Source, first: int, count: int, times_s: list[float] | None =
         )
 
 
-def uneven(times_s: Sequence[float]) -> str | None:
-    """What is wrong with the times of successive frames, in seconds: a phone that drops frames puts all that follow out of step."""
+def uneven(times_s: Sequence[float], first: int) -> str | None:
+    """What is wrong with the times (seconds) of successive frames from ``first`` on: a dropped frame puts all that follow out of step."""
     gaps = np.diff(np.asarray(times_s, dtype=float))
     usual = float(np.median(gaps)) if len(gaps) else 0.0
     if usual <= 0:
@@ -117,7 +117,7 @@ def uneven(times_s: Sequence[float]) -> str | None:
     worst = odd[np.argmax(np.abs(gaps[odd] - usual))]
     return (
         f"frames do not come evenly: {len(odd)} of {len(gaps)} steps differ from the usual {1000 * usual:.0f} ms, most after frame "
-        f"{worst} ({1000 * gaps[worst]:.0f} ms). Frames are counted, not timed: rewrite the video at a constant rate and find its "
+        f"{first + worst} ({1000 * gaps[worst]:.0f} ms). Frames are counted, not timed: rewrite the video at a constant rate and find its "
         "keypoints again"
     )
 

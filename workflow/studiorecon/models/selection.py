@@ -27,7 +27,8 @@ def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting of a whole configuration that calls for an upstream network, in the order data flows."""
     found = [(where, str(value)) for where in CHOICES if (value := at(config, where)) in MODELS]
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
-    found += [(_MEASURED, _NETS[net]) for net in (at(config, _MEASURED),) if net in _NETS]
+    if (net := at(config, _MEASURED)) in _NETS:
+        found.append((_MEASURED, _NETS[net]))
     # Only the bundled body and SMPL's are understood, so one that is not the bundled one is SMPL's.
     body = str(config.get("body", ""))
     if body and not body.endswith("body.npz"):

@@ -33,7 +33,7 @@ from studiorecon.report.motion import jitter
 from studiorecon.report.pictures import truth_shares
 from studiorecon.report.truth import read_views, regions, true_joints
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import Manifest, read_manifest
+from studiorecon.scene.capture import Manifest, common_start, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import write_json
 from studiorecon.scene.path import read_path
@@ -178,7 +178,7 @@ def run(
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     if truth is not None and not truth.is_dir():
         raise Refusal(f"{truth} is not a folder of exact truth; make the studio again, or leave --truth out")
-    cameras, first = held_out or training, min(f.first_source_frame for f in capture.footage)
+    cameras, first = held_out or training, common_start(capture.footage)
     starts = first_frames(render_path[0], cameras, capture) if render_path else {}
     versions = {name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
     views, regions_of = read_views(truth) if truth is not None else {}, None

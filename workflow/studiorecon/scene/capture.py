@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,11 @@ class Manifest:
             if footage.camera == camera:
                 return footage
         raise KeyError(camera)
+
+
+def common_start(footage: Sequence[Footage]) -> int:
+    """``frames.first`` of capture.yaml: the first used frame of the camera that was started last."""
+    return min(f.first_source_frame for f in footage)
 
 
 def write_footage(path: Path, footage: Footage) -> None:

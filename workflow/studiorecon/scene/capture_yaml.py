@@ -18,6 +18,7 @@ _KEYS = {
 
 
 def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
+    """What ``capture_yaml`` (default: ``capture.yaml`` in ``folder``, if it is there) says; Refusal for a key that there is not."""
     path = capture_yaml or folder / "capture.yaml"
     if not path.is_file():
         if capture_yaml is not None:
@@ -33,17 +34,20 @@ def read_description(folder: Path, capture_yaml: Path | None) -> dict[str, Any]:
     return description
 
 
+def _check_named(camera: Any, key: str, footage: Mapping[str, Path]) -> str:
+    if str(camera) not in footage:
+        there = ", ".join(footage)
+        raise Refusal(f"capture.yaml lists camera {str(camera)!r} under {key}, but the footage has {there}; quote names with leading zeros")
+    return str(camera)
+
+
 def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Path]) -> list[str]:
-    names = [str(n) for n in description.get(key) or []]
-    for name in names:
-        if name not in footage:
-            raise Refusal(
-                f"capture.yaml lists camera {name!r} under {key}, but the footage has {', '.join(footage)}; quote names with leading zeros"
-            )
-    return names
+    """The cameras listed under ``key``, all of them in ``footage``."""
+    return [_check_named(name, key, footage) for name in description.get(key) or []]
 
 
 def frames_used(description: dict[str, Any], folder: Path) -> tuple[int, int]:
+    """First frame and number of frames (0 = to the end) that ``frames`` chooses."""
     frames = description.get("frames") or {}
     if not isinstance(frames, dict) or set(frames) - {"first", "count"}:
         raise Refusal(f"capture.yaml of {folder}: frames must look like {{first: 0, count: 60}}")
@@ -58,16 +62,16 @@ def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[
     given = description.get("starts") or {}
     if not isinstance(given, dict):
         raise Refusal("capture.yaml: starts must look like {cam02: 13}: the frame of cam02's video at which the others begin")
+    found = dict.fromkeys(footage, 0)
     for camera, value in given.items():
-        if str(camera) not in footage:
-            there = ", ".join(footage)
-            raise Refusal(f"capture.yaml lists camera {camera!r} under starts, but the footage has {there}; quote names with leading zeros")
         if isinstance(value, bool) or not isinstance(value, int):
             raise Refusal(f"capture.yaml: starts of {camera} is {value!r}; it must be a whole number of frames")
-    return dict.fromkeys(footage, 0) | {str(camera): value for camera, value in given.items()}
+        found[_check_named(camera, "starts", footage)] = value
+    return found
 
 
 def whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
+    """The whole number under ``key``, 0 when there is none."""
     value = description.get(key, 0)
     if not isinstance(value, int) or isinstance(value, bool):
         raise Refusal(f"capture.yaml of {folder}: {key} must be a whole number, not {value!r}")
@@ -75,28 +79,27 @@ def whole_number(description: dict[str, Any], key: str, folder: Path) -> int:
 
 
 def focal_lengths(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
+    """camera → ``focal_px``, in pixels of its footage; one number is everybody's."""
     given = description.get("focal_px") or {}
     table = given if isinstance(given, dict) else dict.fromkeys(footage, given)
     found = {}
     for camera, value in table.items():
-        if str(camera) not in footage:
-            raise Refusal(f"capture.yaml lists camera {camera!r} under focal_px, but the footage has {', '.join(footage)}")
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
             raise Refusal(f"capture.yaml: focal_px of {camera} is {value!r}; it must be a length in pixels above 0")
-        found[str(camera)] = float(value)
+        found[_check_named(camera, "focal_px", footage)] = float(value)
     return found
 
 
 def pixel_maps(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, tuple[float, float, float]]:
+    """camera → (scale, x, y) of ``pixel_maps``."""
     maps = description.get("pixel_maps") or {}
     if not isinstance(maps, dict):
         raise Refusal("capture.yaml: pixel_maps must look like {cam01: {scale: 0.99, offset: [0.0, 7.2]}}")
     found = {}
     for camera, entry in maps.items():
-        if str(camera) not in footage:
-            raise Refusal(f"capture.yaml lists camera {camera!r} under pixel_maps, but the footage has {', '.join(footage)}")
+        name = _check_named(camera, "pixel_maps", footage)
         try:
-            found[str(camera)] = (float(entry["scale"]), float(entry["offset"][0]), float(entry["offset"][1]))
+            found[name] = (float(entry["scale"]), float(entry["offset"][0]), float(entry["offset"][1]))
         except (TypeError, KeyError, IndexError, ValueError):
             raise Refusal(f"capture.yaml: pixel_maps of {camera} must look like {{scale: 0.99, offset: [0.0, 7.2]}}") from None
     return found

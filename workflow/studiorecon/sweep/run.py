@@ -31,6 +31,8 @@ from studiorecon.sweep.table import Configuration, changes, full_configuration, 
 
 # Filming a made studio is no cost of reconstructing it, and scoring is none of making the film.
 _NOT_CHARGED = ("studio", "report")
+# Files of a run's folder: when it was begun, and what it took once it has come to its end.
+_BEGUN, _CLOCK = "begun", "clock.json"
 
 
 def run(
@@ -57,18 +59,14 @@ def run(
     for number, row in enumerate(rows, 1):
         full, folder = full_configuration(given, rows[0], row, presets), work / row.name
         full |= {"scene": scene}
-        target, started = f"results/{scene}/report/metrics.json", time.time()
-        _prepare(folder, full, finished)
-        began, before = time.monotonic(), busy_s()
-        status, output = _snakemake(snakefile, folder, target, cores, minutes)
-        if status == 0 and compiled_since(started):
+        target = f"results/{scene}/report/metrics.json"
+        about = folder, full, finished, snakefile, target, cores, minutes
+        status, output, wall_s, others_s = _timed(*about)
+        # A run that was timed before compiled nothing: those that did were made anew.
+        if status == 0 and not (folder / _CLOCK).is_file() and compiled_since((folder / _BEGUN).stat().st_mtime):
             say(f"{row.name}: kernels were compiled in this run; it runs once more, so that no other is charged for that")
             shutil.rmtree(folder)
-            _prepare(folder, full, finished)
-            began, before = time.monotonic(), busy_s()
-            status, output = _snakemake(snakefile, folder, target, cores, minutes)
-        wall_s, after = time.monotonic() - began, busy_s()
-        others_s = max(0.0, (after[0] - before[0]) - (after[1] - before[1]))
+            status, output, wall_s, others_s = _timed(*about)
         made = read_jobs(folder)
         wall_s, others_s = clock(folder, made, wall_s, others_s)
         needed = cone(made, [target]) if status == 0 else made
@@ -152,6 +150,23 @@ def _record(
     )
 
 
+def _timed(
+    folder: Path,
+    full: Mapping[str, Any],
+    finished: list[tuple[Path, Mapping[str, Job], Mapping[str, Any]]],
+    snakefile: Path,
+    target: str,
+    cores: int,
+    minutes: float,
+) -> tuple[int | None, str, float, float]:
+    """Status and output of one start of a run, its clock seconds, and processor seconds of everything else meanwhile."""
+    _prepare(folder, full, finished)
+    began, before = time.monotonic(), busy_s()
+    status, output = _snakemake(snakefile, folder, target, cores, minutes)
+    wall_s, after = time.monotonic() - began, busy_s()
+    return status, output, wall_s, max(0.0, (after[0] - before[0]) - (after[1] - before[1]))
+
+
 def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, Mapping[str, Job], Mapping[str, Any]]]) -> None:
     """The run's folder: its whole configuration and, unless it was begun before, every job it can start from."""
     begun = (folder / ".snakemake").is_dir()
@@ -159,6 +174,8 @@ def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, M
     if not begun:
         for source, jobs in reusable(finished, full):
             share(source, jobs, folder)
+    if not (folder / _BEGUN).is_file():
+        (folder / _BEGUN).touch()
     (folder / ".snakemake").mkdir(exist_ok=True)
     byte_code, kept = folder / ".snakemake/bytecode", Path(".snakemake/bytecode")
     if not byte_code.is_symlink() and kept.parent.is_dir():
@@ -169,7 +186,7 @@ def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, M
 def clock(folder: Path, made: Mapping[str, Job], wall_s: float, others_s: float) -> tuple[float, float]:
     """Clock seconds of a run, and processor seconds of everything else meanwhile, over all times it was started; a start that had
     nothing left to do does not count."""
-    path, jobs = folder / "clock.json", sorted([log, started] for log, started in (job.execution for job in made.values()))
+    path, jobs = folder / _CLOCK, sorted([log, started] for log, started in (job.execution for job in made.values()))
     if path.is_file():
         earlier = read_json(path)
         if earlier["jobs"] == jobs:
