@@ -75,12 +75,18 @@ def format_settings(settings: Mapping[str, Any]) -> str:
 
 
 def check_key(defaults: Mapping[str, Any], key: str, value: Any, where: str) -> None:
-    """Refusal unless the configuration has this key and it holds a value of the same kind."""
+    """Refusal unless the configuration has this key and it holds a value of the same kind.
+
+    A film leaves out what its kind's defaults say, so of a film's own settings only the film is looked for; its run's schema does the rest.
+    """
     node: Any = defaults
-    for part in key.split("."):
+    parts = key.split(".")
+    for part in parts[:3] if parts[:2] == ["render", "shots"] else parts:
         if not isinstance(node, Mapping) or part not in node:
             raise Refusal(f"{where} sets {key}, which config/config.yaml does not have")
         node = node[part]
+    if parts[:2] == ["render", "shots"] and len(parts) > 3:
+        return
     if isinstance(node, Mapping) != isinstance(value, Mapping):
         raise Refusal(f"{where} sets {key} to {value!r}, but that setting is {'a section' if isinstance(node, Mapping) else 'one value'}")
 
