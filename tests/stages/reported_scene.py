@@ -14,7 +14,7 @@ from studiorecon.images.exr import write_depth
 from studiorecon.images.video import read_frame, write_lossless, write_watchable
 from studiorecon.report import evaluate, page
 from studiorecon.scene.decisions import Decision, not_measured, write_decisions
-from studiorecon.scene.files import write_json, write_text
+from studiorecon.scene.files import write_json, write_table, write_text
 from studiorecon.scene.path import Step, write_path
 
 from tests.stages.made_scene import FPS, FRAMES, WH, write_scene
@@ -30,6 +30,8 @@ def report_scene(folder: Path, root: Path, default_settings: Callable) -> Path:
     write_watchable(folder / "enhance/heldout.mp4", pictures, FPS)
     write_lossless(folder / "render/heldout.truth.mkv", [np.full((WH[1], WH[0]), 128, np.uint8)] * len(pictures), FPS)
     write_path(folder / "render/heldout.json", [Step(c, float(f), c.name) for c in held_out for f in range(FRAMES)], FPS)
+    columns = ("picture", "segment", "frame", "measured", "inferred", "invented", "angle_deg", "near")
+    write_table(folder / "render/heldout.tsv", columns, [(0, "00", 0, 0.4, 0.6, 0, 10, ""), (1, "00", 1, 0.9, 0.1, 0, 10, "<p1>")])
     for camera in training:
         write_depth(folder / f"depth/{camera.name}.exr", np.full((WH[1], WH[0]), 3.0), np.ones((WH[1], WH[0])))
         plate = np.dstack([read_frame(folder / f"capture/{camera.name}.mkv", 0)[..., ::-1], np.full((WH[1], WH[0]), 255, np.uint8)])
@@ -58,7 +60,8 @@ def report_scene(folder: Path, root: Path, default_settings: Callable) -> Path:
         refinement=folder / "cameras/refinement.json", sheet=folder / "cameras/refinement.png",
         plates=[folder / f"capture/{c.name}.plate.png" for c in training], depths=[folder / f"depth/{c.name}.exr" for c in training],
         training_videos=[folder / f"capture/{c.name}.mkv" for c in training], masks=[], films=[folder / "enhance/heldout.mp4"],
-        renders=[folder / "render/heldout.mkv"], truth_maps=[folder / "render/heldout.truth.mkv"],
+        renders=[folder / "render/heldout.mkv"], paths=[folder / "render/heldout.json"], ledgers=[folder / "render/heldout.tsv"],
+        truth_maps=[folder / "render/heldout.truth.mkv"],
         heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
         heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"],
         fits=[], detections=[], identities=[],

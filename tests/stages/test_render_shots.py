@@ -16,7 +16,7 @@ from studiorecon.render.composite import Composite
 from studiorecon.render.given import GivenPath, path_steps
 from studiorecon.render.keyframes import read_keys, spline_steps
 from studiorecon.render.kinds import KINDS, film
-from studiorecon.render.ledger import Entry, angles_deg, obstacles, warnings
+from studiorecon.render.ledger import angles_deg, obstacles
 from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
 from studiorecon.render.planning import plan
 from studiorecon.render.shot import subjects_of
@@ -281,15 +281,3 @@ def test_the_ledger_names_what_the_camera_touches(root: Path) -> None:
     steps = [Step(CAMERAS[0], 0.0, "00"), Step(through, 2.0, "00"), Step(in_wall, 0.0, "00")]
     assert obstacles(steps, scene, 0.3) == ["", "p0", "background"]
     assert angles_deg(steps[:1], CAMERAS[1:], np.array([0, 0, 1.0])) == pytest.approx([np.degrees(np.arccos(0.36 / (2.4**2 + 0.36)))])
-
-
-def test_warnings_name_the_pictures() -> None:
-    entries = [
-        Entry(i, "00", 0.0, 0.9 if i < 5 else 0.3, 0.0, 0.1, 70.0 if i in (1, 3) else 10.0, "p0" if i == 7 else "") for i in range(8)
-    ]
-    assert warnings("fly", entries, 0.5, 60.0) == [
-        "shot fly shows less than 50 % measured surfaces in 3 of 8 pictures (5-7)",
-        "shot fly stands more than 60 degrees from every training camera in 2 of 8 pictures (1, 3)",
-        "shot fly passes through p0 in 1 of 8 pictures (7)",
-    ]
-    assert warnings("fly", entries[:1], 0.5, 60.0) == []

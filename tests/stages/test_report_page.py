@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from studiorecon.report import appendix, presence, sections, wipe
 from studiorecon.scene.decisions import Decision
-from studiorecon.scene.files import read_json, write_text
+from studiorecon.scene.files import read_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
 
 from tests.stages.reported_scene import report_scene
@@ -76,6 +76,8 @@ def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None
     assert "too early" not in text, "what a later survey decided counts"
     assert "100 % inferred" in text
     assert "passes through &lt;p0&gt;" in text, "warnings of the logs"
+    assert "shows less than 50 % measured surfaces in 1 of 2 pictures" in text, "and of the films' ledgers"
+    assert "shot heldout passes through &lt;p1&gt;" in text
     assert "drawn" not in text.split("<h2>Warnings")[1].split("<h2>Versions")[0]
     for library, version in metrics["provenance"]["libraries"].items():
         assert f"<td>{library}</td><td>{version}</td>" in text
@@ -168,3 +170,17 @@ def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
     write_text(tmp_path / "capture/plate/cam1.log", "warning: two\na warning: is no warning\n")
     assert appendix.read_warnings(tmp_path) == [("capture.plate.cam1", "two"), ("people.fit.p0", "one")]
     assert "No step warned" in appendix.warnings([])
+
+
+def test_warnings_name_the_pictures_of_a_film(tmp_path: Path) -> None:
+    columns = ("picture", "measured", "angle_deg", "near")
+    rows = [(i, 0.9 if i < 5 else 0.3, 70.0 if i in (1, 3) else 10.0, "p0" if i == 7 else "") for i in range(8)]
+    write_table(tmp_path / "fly.tsv", columns, rows)
+    assert [sentence for _, sentence in appendix.film_warnings([tmp_path / "fly.tsv"], 0.5, 60.0)] == [
+        "shot fly shows less than 50 % measured surfaces in 3 of 8 pictures (5-7)",
+        "shot fly stands more than 60 degrees from every training camera in 2 of 8 pictures (1, 3)",
+        "shot fly passes through p0 in 1 of 8 pictures (7)",
+    ]
+    assert appendix.film_warnings([tmp_path / "fly.tsv"], 0.2, 90.0) == [
+        ("render.shot.fly", "shot fly passes through p0 in 1 of 8 pictures (7)")
+    ]

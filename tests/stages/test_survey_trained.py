@@ -151,7 +151,7 @@ def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) ->
     assert (made["enhancement"].verdict, made["injection"].verdict, made["injection"].forced) == ("on", "off", True)
 
 
-def test_before_training_each_of_them_is_listed_with_where_it_is_decided(default_settings) -> None:
-    listed = later(default_settings("survey")["thresholds"])
+def test_before_training_each_of_them_is_listed_with_where_it_is_decided() -> None:
+    listed = later()
     assert {d.effect for d in listed} == {"refinement", "temporal_appearance", "enhancement", "injection"}
     assert all(d.verdict == "undetermined" and "survey/trained.json" in d.reason for d in listed)

@@ -3,7 +3,7 @@
 
 rule background_train:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         plates=collect(
             "results/{scene}/capture/{camera}.plate.png",
             camera=TRAINING,
@@ -34,12 +34,12 @@ rule background_train:
         mem_mb=3000,
         gpu=DRAWING_GPUS,
     params:
-        settings=settings("background"),
+        settings=settings("background.train"),
         code=code("background.train"),
         device=config["device"],
     shell:
         "python -m studiorecon background.train --settings {params.settings:q} --log {log} --device {params.device}"
-        " --model {input.model} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
+        " --model {input.model[0]:q} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
         " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
         " --threads {threads} --background {output.background} --provenance {output.provenance}"
         " --exposure {input.exposure:q} --gloss {input.gloss:q} --previews logs/{wildcards.scene}/background/train"

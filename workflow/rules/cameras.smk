@@ -20,7 +20,7 @@ if FROM_PEOPLE:
         resources:
             mem_mb=1000,
         params:
-            settings=settings("cameras"),
+            settings=settings("cameras.uncalibrated"),
             code=code("cameras.uncalibrated"),
             focal_px=json.dumps(dict(DATASET.focal_px)),
         shell:
@@ -45,7 +45,7 @@ else:
         resources:
             mem_mb=500,
         params:
-            settings=settings("cameras"),
+            settings=settings("cameras.calibration"),
             code=code("cameras.calibration"),
             cameras=CAMERAS,
             pixel_maps=json.dumps(dict(DATASET.pixel_maps)),
@@ -80,7 +80,7 @@ if CAMERA_NETWORK:
             mem_mb=16000,
             gpu=gpus(CAMERA_NETWORK),
         params:
-            settings=settings("cameras"),
+            settings=settings("cameras.network"),
             code=code("cameras.network"),
             cameras=CAMERAS,
             starts=[DATASET.first_frames[c] for c in CAMERAS],
@@ -116,7 +116,7 @@ rule cameras_refine:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("cameras"),
+        settings=settings("cameras.refine"),
         code=code("cameras.refine"),
     shell:
         "python -m studiorecon cameras.refine --settings {params.settings:q} --log {log}"

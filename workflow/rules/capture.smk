@@ -15,7 +15,7 @@ rule capture_frames:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("capture"),
+        settings=settings("capture.frames"),
         code=code("capture.frames"),
         held_out=lookup("{camera}", within={c: int(c in HELDOUT) for c in CAMERAS}),
         first_frame=lookup("{camera}", within=DATASET.first_frames),
@@ -43,7 +43,7 @@ rule capture_manifest:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("capture"),
+        settings=settings("capture.manifest"),
         code=code("capture.manifest"),
     shell:
         "python -m studiorecon capture.manifest --settings {params.settings:q} --log {log:q}"
@@ -69,7 +69,7 @@ rule capture_plate:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("capture"),
+        settings=settings("capture.plate"),
         code=code("capture.plate"),
     shell:
         "python -m studiorecon capture.plate --settings {params.settings:q} --log {log:q}"

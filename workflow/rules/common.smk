@@ -15,6 +15,7 @@ from studiorecon.models.registry import MODELS
 from studiorecon.models.selection import check_licences, selected
 from studiorecon.scene.dataset import open_dataset
 from studiorecon.schema import mistakes, typed
+from studiorecon.step_settings import told
 from studiorecon.studio.description import planned_dataset, read_description
 
 IMAGES = yaml.safe_load((Path(workflow.basedir) / "envs/images.yaml").read_text())
@@ -83,6 +84,10 @@ SWEEPS = sorted(map(str, Path(f"results/{SCENE}/sweep").glob("*/records.jsonl"))
 BODY_SOURCE = "" if config["people"]["source"] == "keypoints" else config["people"]["source"]
 SIGHTED = bool(DATASET.keypoints) or bool(BODY_SOURCE)
 
+# The cameras of results: a step is told the first file, and reads the other beside it.
+MODEL = [f"results/{{scene}}/cameras/{name}.txt" for name in ("images", "cameras")]
+HELDOUT_MODEL = [f"results/{{scene}}/cameras/heldout/{name}.txt" for name in ("images", "cameras")]
+
 # Cameras come from the user's files or from the people in the pictures.
 FROM_PEOPLE = config["cameras"]["source"] == "people" or (
     config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(DATASET.keypoints)
@@ -140,20 +145,36 @@ SYNTHESIZER = config["views"]["synthesizer"]
 ENHANCE_NETWORK = next((n for n in (config["enhance"]["enhancer"], config["enhance"]["flow"]) if n in MODELS), "")
 
 
-def settings(section):
-    """One stage's section of the configuration as JSON: what its steps are told, but for names of the user's files and what is of one step.
+def section(stage):
+    """One stage's section of the configuration. Where survey.force decides on what it has a setting for, the setting follows."""
+    values = dict(config[stage])
+    if stage == "humans" and "temporal_appearance" in FORCED:
+        values["temporal"] = values["temporal"] | {"use": "always" if FORCED["temporal_appearance"] == "on" else "never"}
+    if stage == "enhance" and FORCED.get("enhancement") == "off":
+        values["enhancer"] = "none"
+    if stage == "enhance" and FORCED.get("injection") == "off":
+        values["injection"] = values["injection"] | {"history": 0}
+    return values
 
-    Where survey.force decides on what the section has a setting for, the setting follows.
-    """
-    apart = {("people", "identities"), ("humans", "objects")}
-    told = {k: v for k, v in config[section].items() if (section, k) not in apart}
-    if section == "humans" and "temporal_appearance" in FORCED:
-        told["temporal"] = told["temporal"] | {"use": "always" if FORCED["temporal_appearance"] == "on" else "never"}
-    if section == "enhance" and FORCED.get("enhancement") == "off":
-        told["enhancer"] = "none"
-    if section == "enhance" and FORCED.get("injection") == "off":
-        told["injection"] = told["injection"] | {"history": 0}
-    return json.dumps(told, sort_keys=True)
+
+def settings(step):
+    """What one step is told of the configuration as JSON: the settings that it reads, so that a change of another one is none of its."""
+    return json.dumps(told(step, section(step.partition(".")[0])), sort_keys=True)
+
+
+def shot_settings(step, *keys):
+    """Function that tells a step of one shot the same, with of render.shots this shot alone; of that, ``keys``, or all that makes the film."""
+
+    def of_shot(wildcards):
+        own = {k: v for k, v in config["render"]["shots"].get(wildcards.shot, {}).items() if (k in keys if keys else k != "reference")}
+        return json.dumps(told(step, section("render")) | {"shots": {wildcards.shot: own} if own else {}}, sort_keys=True)
+
+    return of_shot
+
+
+def shown_settings():
+    """What the page shows: all settings but those that say how to run, not what comes out."""
+    return {k: v for k, v in config.items() if k not in ("sweep", "sweep_minutes", "images")}
 
 
 def code(step):

@@ -4,7 +4,7 @@
 rule deliver_export:
     input:
         manifest="results/{scene}/capture/manifest.json",
-        model="results/{scene}/cameras/images.txt",
+        model=[*MODEL, "results/{scene}/cameras/points3D.txt"],
         background="results/{scene}/background/scene.ply",
         gaussians=human_gaussians,
         avatars=human_avatars,
@@ -25,10 +25,10 @@ rule deliver_export:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("deliver"),
+        settings=settings("deliver.export"),
         code=code("deliver.export"),
     shell:
         "python -m studiorecon deliver.export --settings {params.settings:q} --log {log}"
-        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --background {input.background}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model[0]:q} --background {input.background}"
         " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --fits {input.fits:q} --body {input.body}"
         " --films {input.films:q} --detections {input.detections:q} --identities {input.identities:q} --contents {output.contents}"

@@ -14,7 +14,7 @@ if DEPTH_NETWORK:
 
 rule depth_sweep:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         plates=collect(
             "results/{scene}/capture/{other}.plate.png",
             other=TRAINING,
@@ -32,16 +32,16 @@ rule depth_sweep:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("depth"),
+        settings=settings("depth.sweep"),
         code=code("depth.sweep"),
     shell:
         "python -m studiorecon depth.sweep --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model} --plates {input.plates:q} --sweep {output.sweep:q}"
+        " --camera {wildcards.camera:q} --model {input.model[0]:q} --plates {input.plates:q} --sweep {output.sweep:q}"
 
 
 rule depth_shell:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         plates=collect(
             "results/{scene}/capture/{other}.plate.png",
             other=TRAINING,
@@ -70,18 +70,18 @@ rule depth_shell:
     resources:
         mem_mb=2500,
     params:
-        settings=settings("depth"),
+        settings=settings("depth.shell"),
         code=code("depth.shell"),
     shell:
         "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
-        " --model {input.model} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q}"
+        " --model {input.model[0]:q} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q}"
         " --detections {input.detections:q} --identities {input.identities:q} --shell {output.shell}"
         " --solids {output.solids} --picture {output.picture} --passes {output.passes}"
 
 
 rule depth_refine:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         plates=collect(
             "results/{scene}/capture/{other}.plate.png",
             other=TRAINING,
@@ -102,17 +102,17 @@ rule depth_refine:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("depth"),
+        settings=settings("depth.refine"),
         code=code("depth.refine"),
     shell:
         "python -m studiorecon depth.refine --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model} --plates {input.plates:q} --passes {input.passes}"
+        " --camera {wildcards.camera:q} --model {input.model[0]:q} --plates {input.plates:q} --passes {input.passes}"
         " --shell {input.shell} --solids {input.solids} --depth {output.depth:q}"
 
 
 rule depth_given:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         source=given_depth,
     output:
         depth="results/{scene}/depth/{camera}.exr",
@@ -128,18 +128,18 @@ rule depth_given:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("depth"),
+        settings=settings("depth.given"),
         code=code("depth.given"),
     shell:
         "python -m studiorecon depth.given --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model} --source {input.source:q} --depth {output.depth:q}"
+        " --camera {wildcards.camera:q} --model {input.model[0]:q} --source {input.source:q} --depth {output.depth:q}"
 
 
 if DEPTH_NETWORK in MODELS:
 
     rule depth_network:
         input:
-            model="results/{scene}/cameras/images.txt",
+            model=MODEL,
             plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
         output:
             depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=TRAINING, allow_missing=True),
@@ -154,13 +154,13 @@ if DEPTH_NETWORK in MODELS:
             mem_mb=16000,
             gpu=gpus(DEPTH_NETWORK),
         params:
-            settings=settings("depth"),
+            settings=settings("depth.network"),
             code=code("depth.network"),
             weights=WEIGHTS,
             device=config["device"],
         shell:
             "python -m studiorecon depth.network --settings {params.settings:q} --log {log}"
-            " --model {input.model} --plates {input.plates:q} --weights {params.weights:q} --device {params.device}"
+            " --model {input.model[0]:q} --plates {input.plates:q} --weights {params.weights:q} --device {params.device}"
             " --depths {output.depths:q}"
 
 
@@ -168,7 +168,7 @@ if DEPTH_NETWORK:
 
     rule depth_aligned:
         input:
-            model="results/{scene}/cameras/images.txt",
+            model=MODEL,
             estimate=estimated_depth,
             planes="results/{scene}/depth/{camera}.planes.exr",
         output:
@@ -183,9 +183,9 @@ if DEPTH_NETWORK:
         resources:
             mem_mb=1000,
         params:
-            settings=settings("depth"),
+            settings=settings("depth.aligned"),
             code=code("depth.aligned"),
         shell:
             "python -m studiorecon depth.aligned --settings {params.settings:q} --log {log}"
-            " --camera {wildcards.camera:q} --model {input.model} --estimate {input.estimate:q} --planes {input.planes:q}"
+            " --camera {wildcards.camera:q} --model {input.model[0]:q} --estimate {input.estimate:q} --planes {input.planes:q}"
             " --depth {output.depth:q}"

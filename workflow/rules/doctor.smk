@@ -19,7 +19,7 @@ rule people_sightings:
     resources:
         mem_mb=500,
     params:
-        settings=settings("people"),
+        settings=settings("people.sightings"),
         code=code("people.sightings"),
         layout=DATASET.keypoint_layout,
         first_frame=DATASET.keypoint_first_frame,
@@ -52,7 +52,7 @@ rule cameras_doctor:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("cameras"),
+        settings=settings("cameras.doctor"),
         code=code("cameras.doctor"),
         cameras=CAMERAS,
         starts=[DATASET.first_frames[c] for c in CAMERAS],

@@ -9,7 +9,7 @@ rule enhance_shot:
         train="results/{scene}/render/train.mkv",
         train_path="results/{scene}/render/train.json",
         train_depth="results/{scene}/render/train.depth.mkv",
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         truth=truth_of_replaced,
@@ -31,16 +31,16 @@ rule enhance_shot:
         mem_mb=1500,
         gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
     params:
-        settings=settings("enhance"),
+        settings=settings("enhance.shot"),
         code=code("enhance.shot"),
-        weights=WEIGHTS,
-        device=config["device"],
+        weights=WEIGHTS if ENHANCE_NETWORK else "none",
+        device=config["device"] if ENHANCE_NETWORK else "cpu",
     shell:
         "python -m studiorecon enhance.shot --settings {params.settings:q} --log {log}"
         " --weights {params.weights:q} --device {params.device}"
         " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --render-depth {input.render_depth}"
         " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
-        " --model {input.model} --manifest {input.manifest} --videos {input.videos:q}"
+        " --model {input.model[0]:q} --manifest {input.manifest} --videos {input.videos:q}"
         " --truth {input.truth:q} --edited {input.edited:q} --made {input.made:q} --exposure {input.gains:q} {input.light:q} --video {output.video} --film {output.film}"
 
 
@@ -63,10 +63,10 @@ rule enhance_sheet:
         mem_mb=800,
         gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
     params:
-        settings=settings("enhance"),
+        settings=settings("enhance.sheet"),
         code=code("enhance.sheet"),
-        weights=WEIGHTS,
-        device=config["device"],
+        weights=WEIGHTS if ENHANCE_NETWORK else "none",
+        device=config["device"] if ENHANCE_NETWORK else "cpu",
     shell:
         "python -m studiorecon enhance.sheet --settings {params.settings:q} --log {log}"
         " --weights {params.weights:q} --device {params.device}"
@@ -93,7 +93,7 @@ rule enhance_comparison:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("enhance"),
+        settings=settings("enhance.comparison"),
         code=code("enhance.comparison"),
     shell:
         "python -m studiorecon enhance.comparison --settings {params.settings:q} --log {log}"

@@ -3,7 +3,7 @@
 
 rule humans_train:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         people="results/{scene}/people/people.tsv",
         videos=collect(
@@ -34,12 +34,12 @@ rule humans_train:
         mem_mb=3000,
         gpu=DRAWING_GPUS,
     params:
-        settings=settings("humans"),
+        settings=settings("humans.train"),
         code=code("humans.train"),
         device=config["device"],
     shell:
         "python -m studiorecon humans.train --settings {params.settings:q} --log {log} --device {params.device}"
-        " --person {wildcards.person} --model {input.model} --manifest {input.manifest} --people {input.people}"
+        " --person {wildcards.person} --model {input.model[0]:q} --manifest {input.manifest} --people {input.people}"
         " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
         " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"
         " --exposure {input.gains:q} {input.light:q} --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"
@@ -90,7 +90,7 @@ rule humans_plain:
     resources:
         mem_mb=500,
     params:
-        settings=settings("humans"),
+        settings=settings("humans.plain"),
         code=code("humans.plain"),
     shell:
         "python -m studiorecon humans.plain --settings {params.settings:q} --log {log}"
@@ -100,7 +100,7 @@ rule humans_plain:
 # Where the survey finds things that move: what they are and where they go, from what no body explains.
 rule humans_objects:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
         plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
@@ -120,9 +120,9 @@ rule humans_objects:
     resources:
         mem_mb=1500,
     params:
-        settings=json.dumps({"objects": config["humans"]["objects"]}, sort_keys=True),
+        settings=settings("humans.objects"),
         code=code("humans.objects"),
     shell:
-        "python -m studiorecon humans.objects --settings {params.settings:q} --log {log:q} --model {input.model:q}"
+        "python -m studiorecon humans.objects --settings {params.settings:q} --log {log:q} --model {input.model[0]:q}"
         " --manifest {input.manifest:q} --videos {input.videos:q} --plates {input.plates:q} --people {input.people:q}"
         " --body {input.body:q} --gains {input.gains:q} --light {input.light:q} --threads {threads} --objects {output.objects:q}"

@@ -1,6 +1,6 @@
 rule masks_segment:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         video="results/{scene}/capture/{camera}.mkv",
         plate="results/{scene}/capture/{camera}.plate.png",
         footage="results/{scene}/capture/{camera}.json",
@@ -23,11 +23,11 @@ rule masks_segment:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("masks"),
+        settings=settings("masks.segment"),
         code=code("masks.segment"),
     shell:
         "python -m studiorecon masks.segment --settings {params.settings:q} --log {log:q}"
-        " --camera {wildcards.camera:q} --model {input.model:q} --video {input.video:q} --plate {input.plate:q}"
+        " --camera {wildcards.camera:q} --model {input.model[0]:q} --video {input.video:q} --plate {input.plate:q}"
         " --footage {input.footage:q} --calibration {input.calibration:q} --people {input.people:q} --body {input.body:q}"
         " --given {input.given:q} --tracks {input.tracks:q} --objects {input.objects:q} --light {input.light:q} --masks {output.masks:q}"
 
@@ -51,7 +51,7 @@ if MASK_NETWORK:
             mem_mb=16000,
             gpu=gpus(MASK_NETWORK),
         params:
-            settings=settings("masks"),
+            settings=settings("masks.network"),
             code=code("masks.network"),
             weights=WEIGHTS,
             device=config["device"],

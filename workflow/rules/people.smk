@@ -21,7 +21,7 @@ if BODY_SOURCE:
             mem_mb=8000,
             gpu=gpus(BODY_SOURCE) if BODY_SOURCE in MODELS else 0,
         params:
-            settings=settings("people"),
+            settings=settings("people.bodies"),
             code=code("people.bodies"),
             weights=WEIGHTS,
             device=config["device"],
@@ -49,7 +49,7 @@ else:
         resources:
             mem_mb=500,
         params:
-            settings=settings("people"),
+            settings=settings("people.detections"),
             code=code("people.detections"),
             layout=DATASET.keypoint_layout,
             first_frame=DATASET.keypoint_first_frame,
@@ -61,7 +61,7 @@ else:
 
 checkpoint people_associate:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         detections=detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
@@ -83,12 +83,12 @@ checkpoint people_associate:
     resources:
         mem_mb=2000,
     params:
-        settings=settings("people"),
+        settings=settings("people.associate"),
         code=code("people.associate"),
         plated=PLATED,
     shell:
         "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
-        " --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
+        " --model {input.model[0]:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plated {params.plated:q} --plates {input.plates:q} --corrected {input.corrected:q} --body {input.body:q}"
         " --people {output.people:q} --identities {output.identities:q} --association {output.association:q} --who {output.who:q}"
 
@@ -112,7 +112,7 @@ rule people_desk:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("people"),
+        settings=settings("people.desk"),
         code=code("people.desk"),
     shell:
         "python -m studiorecon people.desk --settings {params.settings:q} --log {log}"
@@ -122,7 +122,7 @@ rule people_desk:
 
 rule people_fit:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         detections=detections,
         identities=tracks_of,
@@ -140,17 +140,17 @@ rule people_fit:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("people"),
+        settings=settings("people.fit"),
         code=code("people.fit"),
     shell:
         "python -m studiorecon people.fit --settings {params.settings:q} --log {log}"
-        " --person {wildcards.person} --model {input.model:q} --manifest {input.manifest:q} --detections {input.detections:q}"
+        " --person {wildcards.person} --model {input.model[0]:q} --manifest {input.manifest:q} --detections {input.detections:q}"
         " --identities {input.identities:q} --standing {input.standing:q} --body {input.body:q} --fit {output.fit:q}"
 
 
 rule people_overlay:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         video="results/{scene}/capture/{camera}.mkv",
         detections=branch(SIGHTED, then="results/{scene}/people/detections/{camera}.npz"),
@@ -171,5 +171,5 @@ rule people_overlay:
         code=code("people.overlay"),
     shell:
         "python -m studiorecon people.overlay --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model:q} --manifest {input.manifest:q} --video {input.video:q}"
+        " --camera {wildcards.camera:q} --model {input.model[0]:q} --manifest {input.manifest:q} --video {input.video:q}"
         " --detections {input.detections:q} --identities {input.identities:q} --fits {input.fits:q} --film {output.film:q}"

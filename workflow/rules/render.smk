@@ -4,7 +4,7 @@
 # Where the survey finds moving shadows: what light throws them, from the floor beside people.
 rule render_light:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         people=fits,
         body=BODY,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
@@ -24,18 +24,18 @@ rule render_light:
     resources:
         mem_mb=3000,
     params:
-        settings=settings("render"),
+        settings=settings("render.light"),
         code=code("render.light"),
     shell:
-        "python -m studiorecon render.light --settings {params.settings:q} --log {log:q} --model {input.model:q}"
+        "python -m studiorecon render.light --settings {params.settings:q} --log {log:q} --model {input.model[0]:q}"
         " --people {input.people:q} --body {input.body:q} --videos {input.videos:q} --masks {input.masks:q}"
         " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --light {output.light:q}"
 
 
 rule render_shot:
     input:
-        model="results/{scene}/cameras/images.txt",
-        heldout_model="results/{scene}/cameras/heldout/images.txt",
+        model=MODEL,
+        heldout_model=HELDOUT_MODEL,
         manifest="results/{scene}/capture/manifest.json",
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
@@ -65,12 +65,12 @@ rule render_shot:
         mem_mb=2000,
         gpu=DRAWING_GPUS,
     params:
-        settings=settings("render"),
+        settings=shot_settings("render.shot"),
         code=code("render.shot"),
         device=config["device"],
     shell:
         "python -m studiorecon render.shot --settings {params.settings:q} --log {log} --device {params.device}"
-        " --shot {wildcards.shot} --model {input.model} --heldout-model {input.heldout_model} --manifest {input.manifest}"
+        " --shot {wildcards.shot} --model {input.model[0]:q} --heldout-model {input.heldout_model[0]:q} --manifest {input.manifest}"
         " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
         " --avatars {input.avatars:q} --body {input.body} --light {input.light:q} --objects {input.objects:q}"
         " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
@@ -102,7 +102,7 @@ rule render_layers:
         mem_mb=2000,
         gpu=DRAWING_GPUS,
     params:
-        settings=settings("render"),
+        settings=shot_settings("render.layers", "replace"),
         code=code("render.layers"),
         device=config["device"],
     shell:

@@ -4,8 +4,8 @@
 rule report_evaluate:
     input:
         manifest="results/{scene}/capture/manifest.json",
-        model="results/{scene}/cameras/images.txt",
-        heldout_model="results/{scene}/cameras/heldout/images.txt",
+        model=MODEL,
+        heldout_model=HELDOUT_MODEL,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT or TRAINING, allow_missing=True),
         render=collect(
             "results/{scene}/render/{shot}.mkv",
@@ -22,6 +22,7 @@ rule report_evaluate:
         fits=fits,
         detections=detections,
         identities="results/{scene}/people/identities.tsv" if DATASET.people else [],
+        truth=[in_dataset(DATASET.truth)] if DATASET.truth else [],
     output:
         metrics="results/{scene}/report/metrics.json",
     log:
@@ -34,21 +35,20 @@ rule report_evaluate:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("report"),
+        settings=settings("report.evaluate"),
         code=code("report.evaluate"),
-        truth=f"--truth {DATASET.truth}" if DATASET.truth else "",
     shell:
         "python -m studiorecon report.evaluate --settings {params.settings:q} --log {log}"
-        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --heldout-model {input.heldout_model}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model[0]:q} --heldout-model {input.heldout_model[0]:q}"
         " --videos {input.videos:q} --render {input.render:q} --render-path {input.render_path:q} --enhanced {input.enhanced:q}"
         " --truth-maps {input.truth_maps:q} --fits {input.fits:q} --detections {input.detections:q}"
-        " --identities {input.identities:q} {params.truth} --threads {threads} --metrics {output.metrics}"
+        " --identities {input.identities:q} --truth {input.truth:q} --threads {threads} --metrics {output.metrics}"
 
 
 rule report_page:
     input:
         manifest="results/{scene}/capture/manifest.json",
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         metrics="results/{scene}/report/metrics.json",
         decisions=collect("results/{scene}/survey/{decided}.json", decided=["decisions", "trained"], allow_missing=True),
         refinement="results/{scene}/cameras/refinement.json",
@@ -63,6 +63,8 @@ rule report_page:
         masks=masks,
         films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
         renders=collect("results/{scene}/render/{shot}.mkv", shot=FILMS, allow_missing=True),
+        paths=collect("results/{scene}/render/{shot}.json", shot=FILMS, allow_missing=True),
+        ledgers=collect("results/{scene}/render/{shot}.tsv", shot=FILMS, allow_missing=True),
         truth_maps=collect("results/{scene}/render/{shot}.truth.mkv", shot=FILMS, allow_missing=True),
         heldout_videos=collect("results/{scene}/capture/{camera}.mkv", camera=HELDOUT, allow_missing=True),
         heldout_render=collect(
@@ -104,9 +106,9 @@ rule report_page:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("report"),
+        settings=settings("report.page"),
         code=code("report.page"),
-        configuration=json.dumps(config, sort_keys=True),
+        configuration=json.dumps(shown_settings(), sort_keys=True),
         benchmarks="benchmarks/{scene}",
         logs="logs/{scene}",
         licences=Path(workflow.basedir) / "resources/licences",
@@ -115,10 +117,10 @@ rule report_page:
         swept=[Path(records).stat().st_mtime_ns for records in SWEEPS],
     shell:
         "python -m studiorecon report.page --settings {params.settings:q} --log {log}"
-        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model} --metrics {input.metrics}"
+        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model[0]:q} --metrics {input.metrics}"
         " --decisions {input.decisions:q} --refinement {input.refinement} --sheet {input.sheet} --plates {input.plates:q}"
         " --depths {input.depths:q} --training-videos {input.training_videos:q} --masks {input.masks:q} --films {input.films:q}"
-        " --renders {input.renders:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
+        " --renders {input.renders:q} --paths {input.paths:q} --ledgers {input.ledgers:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
         " --heldout-path {input.heldout_path:q} --fits {input.fits:q} --detections {input.detections:q}"
         " --identities {input.identities:q} --benchmarks {params.benchmarks} --logs {params.logs} --configuration {params.configuration:q}"

@@ -4,7 +4,7 @@
 checkpoint survey_decide:
     input:
         manifest="results/{scene}/capture/manifest.json",
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         people=people_table,
         identities="results/{scene}/people/identities.tsv" if DATASET.people else [],
         detections=detections,
@@ -27,11 +27,11 @@ checkpoint survey_decide:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("survey"),
+        settings=settings("survey.decide"),
         code=code("survey.decide"),
     shell:
         "python -m studiorecon survey.decide --settings {params.settings:q} --log {log:q}"
-        " --manifest {input.manifest:q} --model {input.model:q} --people {input.people:q}"
+        " --manifest {input.manifest:q} --model {input.model[0]:q} --people {input.people:q}"
         " --identities {input.identities:q} --detections {input.detections:q} --videos {input.videos:q}"
         " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --decisions {output.decisions:q}"
         " --gains {output.gains:q} --course {output.course:q} --gloss {output.gloss:q}"
@@ -39,7 +39,7 @@ checkpoint survey_decide:
 
 rule survey_trained:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         background="results/{scene}/background/scene.ply",
         avatars=human_avatars,
         ledgers=collect("results/{scene}/render/{shot}.tsv", shot=FILMS, allow_missing=True),
@@ -59,12 +59,12 @@ rule survey_trained:
         mem_mb=1500,
         gpu=DRAWING_GPUS,
     params:
-        settings=settings("survey"),
+        settings=settings("survey.trained"),
         code=code("survey.trained"),
-        history=json.loads(settings("enhance"))["injection"]["history"],
+        history=section("enhance")["injection"]["history"],
         device=config["device"],
     shell:
         "python -m studiorecon survey.trained --settings {params.settings:q} --log {log:q} --device {params.device}"
-        " --model {input.model:q} --background {input.background:q} --avatars {input.avatars:q} --ledgers {input.ledgers:q}"
+        " --model {input.model[0]:q} --background {input.background:q} --avatars {input.avatars:q} --ledgers {input.ledgers:q}"
         " --renders {input.renders:q} --enhanced {input.enhanced:q} --paths {input.paths:q} --history {params.history}"
         " --decisions {output.decisions:q}"

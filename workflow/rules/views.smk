@@ -3,7 +3,7 @@
 
 rule views_path:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
     output:
         path="results/{scene}/views/path.json",
@@ -17,11 +17,11 @@ rule views_path:
     resources:
         mem_mb=500,
     params:
-        settings=settings("views"),
+        settings=settings("views.path"),
         code=code("views.path"),
     shell:
         "python -m studiorecon views.path --settings {params.settings:q} --log {log}"
-        " --model {input.model} --manifest {input.manifest} --path {output.path}"
+        " --model {input.model[0]:q} --manifest {input.manifest} --path {output.path}"
 
 
 if SYNTHESIZER == "warp":
@@ -29,7 +29,7 @@ if SYNTHESIZER == "warp":
     rule views_synthesize:
         input:
             path="results/{scene}/views/path.json",
-            model="results/{scene}/cameras/images.txt",
+            model=MODEL,
             plates=collect(
                 "results/{scene}/capture/{camera}.plate.png",
                 camera=TRAINING,
@@ -50,11 +50,11 @@ if SYNTHESIZER == "warp":
         resources:
             mem_mb=1500,
         params:
-            settings=settings("views"),
+            settings=settings("views.synthesize"),
             code=code("views.synthesize"),
         shell:
             "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --segment {wildcards.segment} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
             " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"
 
 
@@ -63,7 +63,7 @@ if SYNTHESIZER == "gen3c":
     rule views_request:
         input:
             path="results/{scene}/views/path.json",
-            model="results/{scene}/cameras/images.txt",
+            model=MODEL,
             plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
             exposure=gains,
@@ -79,11 +79,11 @@ if SYNTHESIZER == "gen3c":
         resources:
             mem_mb=3000,
         params:
-            settings=settings("views"),
+            settings=settings("views.request"),
             code=code("views.request"),
         shell:
             "python -m studiorecon views.request --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --segment {wildcards.segment} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
             " --depth {input.depth:q} --exposure {input.exposure:q} --request {output.request}"
 
     # One segment, one job, one GPU: on a cluster they run side by side, and a finished one stays.
@@ -103,7 +103,7 @@ if SYNTHESIZER == "gen3c":
             mem_mb=64000,
             gpu=1,
         params:
-            settings=settings("views"),
+            settings=settings("views.generate"),
             code=code("views.generate"),
             weights=WEIGHTS,
         shell:
@@ -117,7 +117,7 @@ if SYNTHESIZER != "warp":
         input:
             film=generated_film,
             path="results/{scene}/views/path.json",
-            model="results/{scene}/cameras/images.txt",
+            model=MODEL,
             plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
             exposure=gains,
@@ -134,9 +134,9 @@ if SYNTHESIZER != "warp":
         resources:
             mem_mb=2000,
         params:
-            settings=settings("views"),
+            settings=settings("views.fitted"),
             code=code("views.fitted"),
         shell:
             "python -m studiorecon views.fitted --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --film {input.film:q} --path {input.path} --model {input.model} --plates {input.plates:q}"
+            " --segment {wildcards.segment} --film {input.film:q} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
             " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"

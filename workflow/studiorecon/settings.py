@@ -73,10 +73,17 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
     if origin in (dict, Mapping) or kind is dict:
         if not isinstance(value, Mapping):
             raise Refusal(f"setting {where} must be a section with keys, not {value!r}")
-        return dict(value)
+        names = named_keys(kind)
+        return {k: v for k, v in value.items() if not names or k in names}
     if kind is Any:
         return value
     return _scalar(value, kind, where)
+
+
+def named_keys(kind: Any) -> tuple[str, ...]:
+    """The keys that ``Mapping[Literal["a", "b"], V]`` names: what a step reads of a mapping that several steps share. Else none."""
+    keys = typing.get_args(kind)[:1]
+    return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()
 
 
 def _scalar(value: Any, kind: type, where: str) -> Any:

@@ -63,25 +63,6 @@ def obstacles(steps: Sequence[Step], scene: Composite, clearance_m: float) -> li
     return names
 
 
-def warnings(shot: str, entries: Sequence[Entry], least_measured: float, largest_angle_deg: float) -> list[str]:
-    """Sentences about where a film shows what nobody filmed, or goes through something."""
-    found = []
-    for what, chosen in (
-        (f"shows less than {100 * least_measured:.0f} % measured surfaces", [e for e in entries if e.measured < least_measured]),
-        (
-            f"stands more than {largest_angle_deg:.0f} degrees from every training camera",
-            [e for e in entries if e.angle_deg > largest_angle_deg],
-        ),
-        *(
-            (f"passes through {'walls or furniture' if near == 'background' else near}", [e for e in entries if e.near == near])
-            for near in sorted({e.near for e in entries} - {""})
-        ),
-    ):
-        if chosen:
-            found.append(f"shot {shot} {what} in {len(chosen)} of {len(entries)} pictures ({_ranges([e.picture for e in chosen])})")
-    return found
-
-
 def write_ledger(path: Path, entries: Sequence[Entry]) -> None:
     """Write a ledger as a table."""
     write_table(
@@ -101,11 +82,3 @@ def write_ledger(path: Path, entries: Sequence[Entry]) -> None:
             for e in entries
         ],
     )
-
-
-def _ranges(pictures: Sequence[int]) -> str:
-    """``0-3, 7, 9-12``; at most five stretches are named."""
-    starts = [i for i, p in enumerate(pictures) if i == 0 or p != pictures[i - 1] + 1]
-    ends = [*(s - 1 for s in starts[1:]), len(pictures) - 1]
-    parts = [f"{pictures[a]}-{pictures[b]}" if a < b else str(pictures[a]) for a, b in zip(starts, ends)]
-    return ", ".join(parts[:5]) + (" …" if len(parts) > 5 else "")

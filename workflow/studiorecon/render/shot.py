@@ -16,10 +16,10 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry.path import scene_centre
 from studiorecon.images.streams import writing
 from studiorecon.images.video import to_bytes, write_lossless
-from studiorecon.progress import progress, say, warn
+from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
-from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, warnings, write_ledger
+from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, write_ledger
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replaced
 from studiorecon.render.shading import shading
@@ -41,8 +41,6 @@ class Settings:
     background_rgb: tuple[float, float, float]
     near_m: float
     clearance_m: float
-    least_measured: float
-    largest_angle_deg: float
 
 
 def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> Subjects:
@@ -125,5 +123,3 @@ def run(
     write_ledger(ledger, entries)
     measured, inferred, invented = 100 * np.mean([[e.measured, e.inferred, e.invented] for e in entries], axis=0)
     say(f"shot {shot} is {measured:.0f} % measured, {inferred:.0f} % inferred and {invented:.0f} % invented")
-    for sentence in warnings(shot, entries, settings.least_measured, settings.largest_angle_deg):
-        warn(sentence)

@@ -10,6 +10,7 @@ from typing import Any
 
 from studiorecon.progress import WARNING
 from studiorecon.report import html
+from studiorecon.scene.files import read_table
 
 # What a reader may want to open, below results/<scene>/, and what it holds.
 _FILES = (
@@ -34,6 +35,36 @@ def read_warnings(logs: Path) -> list[tuple[str, str]]:
             if line.startswith(WARNING):
                 found[step, line.removeprefix(WARNING)] = None
     return list(found)
+
+
+def film_warnings(ledgers: Sequence[Path], least_measured: float, largest_angle_deg: float) -> list[tuple[str, str]]:
+    """(step, sentence) about where films show what nobody filmed, or go through something; ``ledgers`` are ``render/<shot>.tsv``."""
+    found = []
+    for path in ledgers:
+        rows = read_table(path, ("picture", "measured", "angle_deg", "near"))
+        stretches = {
+            f"shows less than {100 * least_measured:.0f} % measured surfaces": [float(r["measured"]) < least_measured for r in rows],
+            f"stands more than {largest_angle_deg:.0f} degrees from every training camera": [
+                float(r["angle_deg"]) > largest_angle_deg for r in rows
+            ],
+        }
+        for near in sorted({r["near"] for r in rows} - {""}):
+            through = "walls or furniture" if near == "background" else near
+            stretches[f"passes through {through}"] = [r["near"] == near for r in rows]
+        for what, chosen in stretches.items():
+            pictures = [int(r["picture"]) for r, there in zip(rows, chosen) if there]
+            if pictures:
+                where = f"in {len(pictures)} of {len(rows)} pictures ({_ranges(pictures)})"
+                found.append((f"render.shot.{path.stem}", f"shot {path.stem} {what} {where}"))
+    return found
+
+
+def _ranges(pictures: Sequence[int]) -> str:
+    """``0-3, 7, 9-12``; at most five stretches are named."""
+    starts = [i for i, p in enumerate(pictures) if i == 0 or p != pictures[i - 1] + 1]
+    ends = [*(s - 1 for s in starts[1:]), len(pictures) - 1]
+    parts = [f"{pictures[a]}-{pictures[b]}" if a < b else str(pictures[a]) for a, b in zip(starts, ends)]
+    return ", ".join(parts[:5]) + (" …" if len(parts) > 5 else "")
 
 
 def warnings(found: Sequence[tuple[str, str]]) -> str:

@@ -170,18 +170,19 @@ def run(
     detections: list[Path],
     identities: list[Path],
     metrics: Path,
-    truth: Path | None = None,
+    truth: list[Path] | None = None,
     threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras."""
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
-    if truth is not None and not truth.is_dir():
-        raise Refusal(f"{truth} is not a folder of exact truth; make the studio again, or leave --truth out")
+    exact = truth[0] if truth else None
+    if exact is not None and not exact.is_dir():
+        raise Refusal(f"{exact} is not a folder of exact truth; make the studio again, or leave --truth out")
     cameras, first = held_out or training, common_start(capture.footage)
     starts = first_frames(render_path[0], cameras, capture) if render_path else {}
     versions = {name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
-    views, regions_of = read_views(truth) if truth is not None else {}, None
+    views, regions_of = read_views(exact) if exact is not None else {}, None
     if views and held_out:
         names = [camera.name for camera in training]
 
@@ -193,8 +194,8 @@ def run(
         found = score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, threads) if versions else {}
     nothing = {name: {measure: unmeasured(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     people = [read_person(path) for path in fits]
-    bodies = score_bodies(people, truth, first)
-    joints = {name: values[first:] for name, values in true_joints(truth).items()} if truth is not None else {}
+    bodies = score_bodies(people, exact, first)
+    joints = {name: values[first:] for name, values in true_joints(exact).items()} if exact is not None else {}
     write_json(
         metrics,
         {
@@ -208,7 +209,7 @@ def run(
             "identities": _identities(detections, identities, training, joints),
             "coverage": coverage(truth_maps),
             "definitions": definitions(settings.lpips.net),
-            "provenance": provenance(asdict(settings), "exact truth" if truth is not None else "none"),
+            "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
             "inputs": {path.name: digest(path) for path in (*videos, *fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in (*render, *enhanced)},
             "protocol": PROTOCOL,

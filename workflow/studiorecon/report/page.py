@@ -14,7 +14,7 @@ import numpy as np
 
 from studiorecon.images.exr import read_depth
 from studiorecon.images.seeking import read_frame_at
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.report import appendix, html, presence, sections, sweep_section, terms, verdicts, wipe
 from studiorecon.report.cost import cost
 from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
@@ -32,6 +32,8 @@ from studiorecon.scene.people import read_detections, read_identities, read_pers
 class Settings:
     strip_frames: int
     picture_width: int
+    least_measured: float
+    largest_angle_deg: float
 
 
 def strips(
@@ -87,13 +89,13 @@ def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, wid
     ]
 
 
-def truth_pictures(renders: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int) -> list[str]:
+def truth_pictures(renders: Sequence[Path], paths: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int) -> list[str]:
     """Three pictures of every film, tinted by what they are based on."""
     rows = []
-    for render, truth in zip(renders, maps, strict=True):
+    for render, path, truth in zip(renders, paths, maps, strict=True):
         shares = metrics["coverage"].get(render.stem, {})
         caption = ", ".join(f"{100 * shares[name]:.0f} % {name}" for name in ("measured", "inferred", "invented") if name in shares)
-        steps = len(read_path(render.with_suffix(".json"))[0])
+        steps = len(read_path(path)[0])
         figures = [
             html.figure(html.jpeg(truth_picture(read_frame_at(truth, i), read_frame_at(render, i)), width), f"picture {i}")
             for i in spread(steps, 3)
@@ -117,6 +119,8 @@ def run(
     masks: list[Path],
     films: list[Path],
     renders: list[Path],
+    paths: list[Path],
+    ledgers: list[Path],
     truth_maps: list[Path],
     heldout_videos: list[Path],
     heldout_render: list[Path],
@@ -165,7 +169,7 @@ def run(
     body.append(
         html.heading("What is measured", "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it.")
     )
-    body += truth_pictures(renders, truth_maps, measured, width)
+    body += truth_pictures(renders, paths, truth_maps, measured, width)
     body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
     body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
@@ -178,8 +182,11 @@ def run(
     body.append(solvers_section(solvers))
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
-    body.append(appendix.warnings(appendix.read_warnings(logs)))
+    of_films = appendix.film_warnings(ledgers, settings.least_measured, settings.largest_angle_deg)
+    body.append(appendix.warnings([*appendix.read_warnings(logs), *of_films]))
+    for _, sentence in of_films:
+        warn(sentence)
     body.append(appendix.versions(measured["provenance"], spent["machine"]))
-    body.append(appendix.links(page.parents[1], page, [render.with_suffix(".tsv") for render in renders]))
+    body.append(appendix.links(page.parents[1], page, ledgers))
     write_text(page, html.page(f"{scene}: 4D scene", body, wipe.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")

@@ -13,6 +13,12 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.scene.files import read_json, write_json
 
+# What is decided before training, in the order in which one effect hides another, and what only a trained scene shows.
+Early = Literal[
+    "moving_cameras", "people", "exposure", "changing_light", "lens_distortion", "sync_offset", "rolling_shutter", "depth_shift",
+    "closed_path", "view_synthesis", "view_dependent_colour", "hands", "face", "vertex_term", "moving_shadows", "dynamic_objects",
+]  # fmt: skip
+Late = Literal["refinement", "temporal_appearance", "enhancement", "injection"]
 Verdict = Literal["on", "off", "undetermined"]
 
 # An effect that was on stays on until its statistic is this far inside the threshold.

@@ -74,7 +74,7 @@ def run(
     followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
     material = Material(cameras, names, views, films, followed, float(read_shell(shell).low_m[2]), capture.fps)
     last = decisions.parent / ".last" / decisions.name
-    measured = in_order([*judge(material, settings, switched_on(last)), *later(settings.thresholds)])
+    measured = in_order([*judge(material, settings, switched_on(last)), *later()])
     spared_s = cost_s(cameras, capture.frames)
     made = [
         replace(d, cost_saved_estimate_s=spared_s) if d.effect == "changing_light" and not d.called_for else d

@@ -12,7 +12,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.plate import noise_levels
 from studiorecon.images.stills import shrink
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, decide, in_order, not_measured
+from studiorecon.scene.decisions import Decision, Early, decide, in_order, not_measured
 from studiorecon.scene.intervals import NOTHING, Estimate
 from studiorecon.splatting.harmonics import degree_supported
 from studiorecon.survey import detail, events, gloss, motion, stillness
@@ -62,7 +62,7 @@ class Settings:
         force: effect → "on" or "off".
     """
 
-    thresholds: Mapping[str, float]
+    thresholds: Mapping[Early, float]
     gap_deg: float
     grid_m: float
     height_m: float
@@ -73,7 +73,7 @@ class Settings:
     moments: int
     search_s: float
     min_confidence: float
-    force: Mapping[str, str]
+    force: Mapping[Early, str]
 
 
 @dataclass(frozen=True)

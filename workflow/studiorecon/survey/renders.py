@@ -24,11 +24,11 @@ ENHANCEMENT = "LPIPS at training views over 0.15, or unseen share of the films o
 INJECTION = "change between frames of the enhanced film over the raw one's, static pixels, less 1"
 
 
-def later(thresholds: Mapping[str, float]) -> list[Decision]:
+def later() -> list[Decision]:
     """What is not decided before training, with where it will be."""
     why = "only a trained scene shows it; survey/trained.json decides"
     statistics = {"refinement": REFINEMENT, "temporal_appearance": APPEARANCE, "enhancement": ENHANCEMENT, "injection": INJECTION}
-    return [not_measured(effect, statistic, thresholds[effect], why) for effect, statistic in statistics.items()]
+    return [not_measured(effect, statistic, None, why) for effect, statistic in statistics.items()]
 
 
 def density_px(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:

@@ -20,7 +20,7 @@ from studiorecon.images.seeking import read_frames_from
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
-from studiorecon.scene.decisions import Decision, forced, from_entry, in_order, switched_on, write_decisions
+from studiorecon.scene.decisions import Decision, Late, forced, from_entry, in_order, switched_on, write_decisions
 from studiorecon.scene.files import read_table
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
@@ -49,8 +49,8 @@ OBEYED_BY = "humans.train, which measures it half-way and then trains the networ
 class Settings:
     """Thresholds by effect, and effects that are forced; see ``survey.effects.Settings``."""
 
-    thresholds: Mapping[str, float]
-    force: Mapping[str, str]
+    thresholds: Mapping[Late, float]
+    force: Mapping[Late, str]
 
 
 def raised(camera: Camera, share: float) -> Camera:

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one step is told of the configuration: the settings that its ``Settings`` reads, and nothing else.
+
+A rule's params hold this, so that a changed setting re-runs the steps that read it and no other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import os
+import sys
+import types
+import typing
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from studiorecon import code
+from studiorecon.settings import named_keys
+
+# Name → what is read below it; None = the value as a whole.
+Fields = dict[str, Any]
+# Steps imported before; more than this many are forgotten, oldest first.
+_REMEMBERED = 500
+
+
+def told(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without settings."""
+    return only(section, read_by(step))
+
+
+def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
+    """``values`` cut down to ``fields``, at every level; what ``values`` does not have is left out."""
+    cut: dict[str, Any] = {}
+    for name, below in fields.items():
+        if name in values:
+            value = values[name]
+            cut[name] = only(value, below) if below is not None and isinstance(value, Mapping) else value
+    return cut
+
+
+def read_by(step: str) -> Fields:
+    """The settings that a step reads. The step is imported for it once; what it said is remembered until its code changes.
+
+    Raises FileNotFoundError when there is no such step.
+    """
+    known, mark = _known(_memory()), f"{step} {code.digest(step)}"
+    if mark not in known:
+        module = importlib.import_module(f"studiorecon.{step}")
+        known[mark] = fields_of(module.Settings) if hasattr(module, "Settings") else {}
+        _remember(known)
+    return known[mark]
+
+
+def fields_of(kind: type) -> Fields:
+    """The fields of a settings dataclass; groups of settings are dataclasses, or mappings whose keys the annotation names."""
+    hints = typing.get_type_hints(kind)
+    return {field.name: _below(hints[field.name]) for field in dataclasses.fields(kind)}
+
+
+def _below(hint: Any) -> Fields | None:
+    if dataclasses.is_dataclass(hint):
+        return fields_of(hint)
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        groups = [option for option in typing.get_args(hint) if dataclasses.is_dataclass(option)]
+        return fields_of(groups[0]) if len(groups) == 1 else None
+    return dict.fromkeys(named_keys(hint)) or None
+
+
+def _memory() -> Path:
+    """Beside the byte code, as what ``code`` remembers: importing every step takes seconds, which Snakemake would spend at every start."""
+    return code.PACKAGE / "__pycache__" / f"settings.{sys.implementation.cache_tag}.json"
+
+
+@cache
+def _known(memory: Path) -> dict[str, Fields]:
+    # No file, or none that can be read: steps are imported.
+    with suppress(OSError, ValueError):
+        stored = json.loads(memory.read_text(encoding="ascii"))
+        return stored if isinstance(stored, dict) else {}
+    return {}
+
+
+def _remember(known: dict[str, Fields]) -> None:
+    # As Python does for byte code: where nothing can be written, nothing is remembered.
+    with suppress(OSError):
+        memory = _memory()
+        memory.parent.mkdir(exist_ok=True)
+        partial = memory.with_suffix(f".{os.getpid()}.partial")
+        partial.write_text(json.dumps(dict(list(known.items())[-_REMEMBERED:])), encoding="ascii")
+        partial.replace(memory)
