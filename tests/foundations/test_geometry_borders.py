@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from studiorecon.body import skinning, weight_grid
-from studiorecon.geometry import bundle, correspondence, lens, lifting, path, relative_pose, rotations, scale, smoothing, surface
+from studiorecon.geometry import bundle, correspondence, groups, lens, lifting, path, relative_pose, rotations, scale, smoothing, surface
 from studiorecon.geometry.depth_alignment import align_depth
 from studiorecon.geometry.distortion import distort, fold_radius, undistort
 from studiorecon.geometry.triangulation import triangulate
@@ -90,7 +90,7 @@ SHAPES: dict[str, Case] = {
     "adjust-huber": (lambda: adjusted(zeros(2, 5, 2), zeros(2, 5), zeros(5, 3), np.ones(3)), r"huber_px has shape \(3,\)"),
     "ray_distances": (lambda: correspondence.ray_distances(zeros(3), zeros(4, 3), zeros(3), zeros(4)), r"second has shape \(4,\)"),
     "groups_of": (lambda: correspondence.groups_of(zeros(3, 3), zeros(2), zeros(3, 3), 1.0), "view has shape .* with M = 3"),
-    "groups_by_affinity": (lambda: correspondence.groups_by_affinity(zeros(3, 4), zeros(3, 3)), r"affinity has shape \(3, 4\)"),
+    "groups_by_affinity": (lambda: groups.groups_by_affinity(zeros(3, 4), zeros(3, 3)), r"affinity has shape \(3, 4\)"),
     "ray_directions": (lambda: correspondence.ray_directions(zeros(17, 3), CAMERAS[0]), r"keypoints has shape \(17, 3\)"),
     "median_over_shared": (lambda: correspondence.median_over_shared(zeros(3, 4), zeros(3, 5), 1), r"present has shape \(3, 5\)"),
     "relative_pose": (lambda: relative_pose.relative_pose(zeros(20, 2), zeros(19, 2), 0.01), r"second has shape \(19, 2\)"),
@@ -143,7 +143,7 @@ NUMBERS: dict[str, Case] = {
     ),
     "adjust-points": (lambda: adjusted(zeros(2, 5, 2), np.ones((2, 5)), bad(5, 3), np.ones(2)), "points_m that are seen of shape"),
     "adjust-huber": (lambda: adjusted(zeros(2, 5, 2), np.ones((2, 5)), zeros(5, 3), bad(2)), "huber_px of shape"),
-    "groups_by_affinity": (lambda: correspondence.groups_by_affinity(bad(3, 3), zeros(3, 3)), "affinity of shape"),
+    "groups_by_affinity": (lambda: groups.groups_by_affinity(bad(3, 3), zeros(3, 3)), "affinity of shape"),
     "relative_pose": (lambda: relative_pose.relative_pose(bad(20, 2), zeros(20, 2), 0.01), "first of shape"),
     "resection": (lambda: relative_pose.resection(zeros(20, 3), bad(20, 2), 0.01), "normalised of shape"),
     "working": (lambda: lens.working_from_calibration(zeros(2), PINHOLE, bad(3, 3)), "intrinsics of shape"),

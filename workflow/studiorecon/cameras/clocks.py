@@ -102,9 +102,11 @@ def _costs(
     nothing = np.zeros(2 * search + 1)
     cost, count = dict.fromkeys(range(len(cameras)), nothing), dict.fromkeys(range(len(cameras)), 0.0)
     for group in groups:
-        for own in (t for v, t in group if v == view):
-            for other, track in ((v, t) for v, t in group if v != view):
-                gaps = _gaps(stable, cameras, rays, (view, own), (other, track), search)
+        # Tracks of one camera in a group are one person at different times: however often a track broke off, they are one series.
+        series = {v: _series(stable[v], [t for w, t in group if w == v]) for v in {v for v, _ in group}}
+        for other in series if view in series else ():
+            if other != view:
+                gaps = _gaps(cameras, rays, (view, series[view]), (other, series[other]), search)
                 misfit, gap_count = _misfit(gaps) if gaps.shape[1] >= _LEAST_FRAMES else (nothing, 0.0)
                 cost[other], count[other] = cost[other] + misfit, count[other] + gap_count
     heard = [v for v in count if count[v] > 0]
@@ -113,19 +115,24 @@ def _costs(
     return np.median([cost[v] - cost[v].min() for v in heard], axis=0), float(np.median([count[v] for v in heard]))
 
 
+def _series(seen: Detections, tracks: Sequence[int]) -> dict[int, int]:
+    """Frame → detection of some tracks of a camera, in the order of frames."""
+    rows = np.flatnonzero(np.isin(seen.track, tracks))
+    return {int(seen.frame[i]): int(i) for i in rows[np.argsort(seen.frame[rows], kind="stable")]}
+
+
 def _gaps(
-    stable: Sequence[Detections],
     cameras: Sequence[Camera],
     rays: Sequence[tuple[np.ndarray, np.ndarray]],
-    own: tuple[int, int],
-    other: tuple[int, int],
+    own: tuple[int, dict[int, int]],
+    other: tuple[int, dict[int, int]],
     search: int,
 ) -> np.ndarray:
-    """(2 search + 1, T, 12) signed gaps between rays in metres, NaN unknown; the T frames have partners at every lag."""
-    rows = {int(stable[other[0]].frame[i]): int(i) for i in np.flatnonzero(stable[other[0]].track == other[1])}
+    """(2 search + 1, T, 12) signed gaps between rays of two (view, series) in metres, NaN unknown; the T frames have partners at every lag."""
     shifts = range(-search, search + 1)
-    mine = [i for i in np.flatnonzero(stable[own[0]].track == own[1]) if all(int(stable[own[0]].frame[i]) - s in rows for s in shifts)]
-    partners = np.array([[rows[int(stable[own[0]].frame[i]) - s] for i in mine] for s in shifts], dtype=int)
+    frames = [f for f in own[1] if all(f - s in other[1] for s in shifts)]
+    mine = np.array([own[1][f] for f in frames], dtype=int)
+    partners = np.array([[other[1][f - s] for f in frames] for s in shifts], dtype=int)
     first, second = rays[own[0]][0][mine][None], rays[other[0]][0][partners]
     across = np.cross(first, second)
     sine = np.linalg.norm(across, axis=-1)

@@ -16,13 +16,13 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.body.layouts import LAYOUTS
+from studiorecon.geometry.groups import groups_by_affinity
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 # Joints that a detector places within centimetres from every side; faces are seen from the front only.
 STABLE_KEYPOINTS = tuple(f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right"))
 _NEAR_M = 0.1
-_BEAM = 200
 _MIN_SHARED = 4
 
 
@@ -132,51 +132,11 @@ def groups_of(distance_m: np.ndarray, view: np.ndarray, together: np.ndarray, ga
     return groups_by_affinity(affinity, forbidden)
 
 
-def groups_by_affinity(affinity: np.ndarray, forbidden: np.ndarray) -> list[list[int]]:
-    """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not linked.
-
-    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. Raises ValueError for other
-    shapes, and for affinities that are not finite: a pair that was not measured has 0 (A02).
-    """
-    require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
-    forbidden = forbidden | np.eye(len(affinity), dtype=bool)
-    left, found = set(range(len(affinity))), []
-    while True:
-        best = _best_group(sorted(left), affinity, forbidden)
-        if len(best) < 2:
-            return found
-        found.append(best)
-        left -= set(best)
-
-
 def group_affinity(group: Sequence[int], distance_m: np.ndarray, gate_m: float) -> float:
     """Mean of 1 - d / gate over the measured pairs of a group, 0 when there is none."""
     block = distance_m[np.ix_(group, group)][np.triu_indices(len(group), 1)]
     block = block[np.isfinite(block)]
     return float(np.clip(1 - block / gate_m, 0, 1).mean()) if len(block) else 0.0
-
-
-def _best_group(nodes: list[int], affinity: np.ndarray, forbidden: np.ndarray) -> list[int]:
-    """Beam search over groups, grown one node at a time in node order from every linked pair."""
-    beam: dict[tuple[int, ...], float] = {}
-    for i, a in enumerate(nodes):
-        for b in nodes[i + 1 :]:
-            if affinity[a, b] > 0 and not forbidden[a, b]:
-                beam[a, b] = float(affinity[a, b])
-    best: tuple[tuple[int, ...], float] = ((), 0.0)
-    while beam:
-        top = min(beam.items(), key=lambda item: (-item[1], item[0]))
-        if top[1] > best[1]:
-            best = top
-        grown: dict[tuple[int, ...], float] = {}
-        for group, score in sorted(beam.items(), key=lambda item: (-item[1], item[0]))[:_BEAM]:
-            members = list(group)
-            for node in nodes:
-                gain = float(affinity[node, members].sum())
-                if gain > 0 and node not in group and not forbidden[node, members].any():
-                    grown[tuple(sorted((*group, node)))] = score + gain
-        beam = grown
-    return list(best[0])
 
 
 def ray_directions(keypoints: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, groups_by_affinity, stable_detections
+from studiorecon.geometry.correspondence import STABLE_KEYPOINTS, stable_detections
+from studiorecon.geometry.groups import groups_by_affinity
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.pairs import TrackPairs, margins, sights, track_pairs
