@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays against painted meshes (Open3D's RaycastingScene), and the light that falls on what they hit."""
+"""Rays against painted meshes (Intel's Embree, through embreex), and the light that falls on what they hit."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 
-from studiorecon.errors import Refusal
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMP_SHARES, LAMPS_M
 from studiorecon.studio.solids import Solid
 
@@ -16,6 +17,7 @@ POINTS_PER_LAMP = 16
 _LAMP_WEIGHT = 9.4
 _AMBIENT = 0.24
 _SKIN_M = 2e-3  # shadow rays start this far off the surface, so that it does not shade itself
+_TO_THE_TARGET = 0.999  # shadow rays end this far along their way, so that the target does not block itself
 
 
 @dataclass(frozen=True)
@@ -47,44 +49,31 @@ class Hits:
 
 
 class Tracer:
-    """Solids in a ray-casting structure that is built once (single-threaded: cameras run side by side instead).
-
-    Raises Refusal where open3d cannot be loaded: it needs system libraries that servers without a desktop lack.
-    """
+    """Solids in a ray-casting structure that is built once; rays are cast by one thread, since cameras run side by side instead."""
 
     def __init__(self, solids: Sequence[Solid]) -> None:
-        try:
-            import open3d as o3d
-        except (ImportError, OSError) as error:
-            raise Refusal(
-                f"open3d, which films the made studio, cannot be loaded ({error}); on Debian and Ubuntu: "
-                "apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1"
-            ) from None
-
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene = EmbreeScene(robust=True)
         for solid in solids:
             vertices = np.ascontiguousarray(solid.vertices_m, dtype=np.float32)
-            self._scene.add_triangles(self._tensor(vertices), self._tensor(np.ascontiguousarray(solid.faces, dtype=np.uint32)))
+            TriangleMesh(self._scene, vertices, np.ascontiguousarray(solid.faces, dtype=np.int32))
 
     def cast(self, origins_m: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays from (N, 3) or (3,) origins along (N, 3) directions of any length."""
-        answer = self._scene.cast_rays(self._tensor(_rays(origins_m, directions)), nthreads=1)
-        distance = answer["t_hit"].numpy()
-        solid = answer["geometry_ids"].numpy().astype(np.int64)
+        answer = self._scene.run(*_rays(origins_m, directions), output=True)
+        met = answer["geomID"] >= 0
+        normal = np.where(met[:, None], answer["Ng"], 0)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(np.float32).tiny)
         return Hits(
-            distance=distance,
-            solid=np.where(np.isfinite(distance), solid, -1),
-            face=np.where(np.isfinite(distance), answer["primitive_ids"].numpy().astype(np.int64), 0),
-            barycentric=answer["primitive_uvs"].numpy(),
-            normal=answer["primitive_normals"].numpy(),
+            distance=np.where(met, answer["tfar"], np.float32(np.inf)),
+            solid=answer["geomID"].astype(np.int64),
+            face=np.where(met, answer["primID"], 0).astype(np.int64),
+            barycentric=np.where(met[:, None], np.column_stack([answer["u"], answer["v"]]), 0),
+            normal=normal,
         )
 
     def blocked(self, origins_m: np.ndarray, targets_m: np.ndarray) -> np.ndarray:
         """(N,) bool: something stands between the points and their targets."""
-        directions = targets_m - origins_m
-        rays = self._tensor(_rays(origins_m, directions))
-        return self._scene.test_occlusions(rays, tnear=0.0, tfar=0.999, nthreads=1).numpy()
+        return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
 
 
 def lamp_points(subset: int, subsets: int) -> np.ndarray:
@@ -132,10 +121,10 @@ def ambient_light(points_m: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return light
 
 
-def _rays(origins_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    rays = np.empty((len(directions), 6), dtype=np.float32)
-    rays[:, :3], rays[:, 3:] = origins_m, directions
-    return rays
+def _rays(origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    # Two arrays of one length: embreex reads as many directions as there are origins without looking.
+    directions = np.ascontiguousarray(directions, dtype=np.float32)
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(origins_m, dtype=np.float32), directions.shape)), directions
 
 
 @dataclass(frozen=True)
