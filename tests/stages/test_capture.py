@@ -17,9 +17,9 @@ from studiorecon.body.presence import people_regions
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.capture import plate as plate_step
-from studiorecon.capture.source import decode, digest, open_source, uneven
 from studiorecon.capture.sync import Lag, lags, motion_energy
 from studiorecon.errors import Refusal
+from studiorecon.images.footage import decode, digest, open_source, uneven
 from studiorecon.images.plate import noise_levels, write_plate
 from studiorecon.images.stills import read_plate
 from studiorecon.images.video import read_stack, write_lossless

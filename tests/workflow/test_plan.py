@@ -57,13 +57,36 @@ def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Pa
     assert not [rule for rule in plan if rule.split("_")[0] in ("people", "masks", "humans")]
 
 
+def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> None:
+    (dataset / "keypoints").rename(dataset / "hidden")
+    (dataset / "intri.yml").rename(dataset / "no calibration")
+    videos_alone = on(house, dataset).plan()
+    (dataset / "no calibration").rename(dataset / "intri.yml")
+    plan, doctor = on(house, dataset).plan(), on(house, dataset).plan("doctor")
+    (dataset / "hidden").rename(dataset / "keypoints")
+    assert plan["people_detect"] == videos_alone["people_detect"] == doctor["people_detect"] == 3
+    assert "people_sightings" not in plan
+    assert videos_alone["people_sightings"] == doctor["people_sightings"] == 3
+    assert videos_alone["cameras_uncalibrated"] == 1
+    assert "people_detect" not in on(house, dataset).plan(), "keypoint files come first"
+
+
+def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset: Path) -> None:
+    (dataset / "keypoints/back").rename(dataset / "hidden")
+    plan = on(house, dataset).plan()
+    always = on(house, dataset).plan("--configfile", on(house, dataset).overlay(people={"source": "detector"}))
+    (dataset / "hidden").rename(dataset / "keypoints/back")
+    assert plan["people_detect"] == 1
+    assert always["people_detect"] == 3
+
+
 def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path) -> None:
     (dataset / "keypoints").rename(dataset / "hidden")
     (dataset / "plates").mkdir()
     for camera in ("left", "right", "back"):
         (dataset / "plates" / f"{camera}.png").touch()
     films = [f"results/{dataset.name}/people/overlay/{c}.mp4" for c in ("left", "right", "back")]
-    plan = on(house, dataset).plan(*films)
+    plan = on(house, dataset).plan(*films, "--configfile", on(house, dataset).overlay(people={"source": "keypoints"}))
     shutil.rmtree(dataset / "plates")
     (dataset / "hidden").rename(dataset / "keypoints")
     assert plan["people_associate"] == 1
@@ -93,7 +116,8 @@ def test_without_a_calibration_the_cameras_are_found_from_the_people(house: Hous
 )
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
     (dataset / remove).rename(dataset / "hidden")
-    done = on(house, dataset).snakemake("--dry-run", "--cores", "1", check=False)
+    files_only = "--configfile", on(house, dataset).overlay(people={"source": "keypoints"})
+    done = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files_only, check=False)
     (dataset / "hidden").rename(dataset / remove)
     assert done.returncode != 0
     assert words in done.stdout

@@ -61,7 +61,7 @@ if CAMERA_NETWORK:
             sources=[in_dataset(DATASET.footage[c]) for c in CAMERAS],
             sightings=collect(
                 "results/{scene}/people/sightings/{camera}.npz",
-                camera=CAMERAS if set(CAMERAS) <= set(DATASET.keypoints) else [],
+                camera=CAMERAS if set(CAMERAS) <= set(WATCHED) else [],
                 allow_missing=True,
             ),
             body=BODY,

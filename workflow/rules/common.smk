@@ -80,9 +80,26 @@ SHOTS = ["train", *FILMS]
 # Records of the sweeps that were run on this scene.
 SWEEPS = sorted(map(str, Path(f"results/{SCENE}/sweep").glob("*/records.jsonl")))
 
-# Who is where comes from keypoint files, or from a network that estimates bodies (people.source).
-BODY_SOURCE = "" if config["people"]["source"] == "keypoints" else config["people"]["source"]
-SIGHTED = bool(DATASET.keypoints) or bool(BODY_SOURCE)
+# Who is where comes from keypoint files, from the detector, or from a network that estimates bodies (people.source).
+BODY_SOURCE = "" if config["people"]["source"] in ("auto", "keypoints", "detector") else config["people"]["source"]
+# Cameras in whose pictures the detector looks for people: those without keypoint files, or all.
+DETECTED = (
+    {
+        "auto": [c for c in CAMERAS if c not in DATASET.keypoints],
+        "detector": CAMERAS,
+    }.get(config["people"]["source"], [])
+    if DATASET.people
+    else []
+)
+# Cameras in which people can be told before there is a calibration.
+WATCHED = [c for c in CAMERAS if c in DATASET.keypoints or c in DETECTED]
+# Those that the doctor looks at: nobody is looked for in held-out pictures for its sake.
+CHECKED = [c for c in WATCHED if c in TRAINING or c not in DETECTED]
+SIGHTED = bool(WATCHED) or bool(BODY_SOURCE)
+DETECTOR_FILES = [
+    local(str(Path(workflow.basedir) / "resources/detector" / name))
+    for name in ("pose_detection.onnx", "pose_landmark_full.onnx", "confidence.json")
+]
 
 # The cameras of results: a step is told the first file, and reads the other beside it.
 MODEL = [f"results/{{scene}}/cameras/{name}.txt" for name in ("images", "cameras")]
@@ -90,7 +107,7 @@ HELDOUT_MODEL = [f"results/{{scene}}/cameras/heldout/{name}.txt" for name in ("i
 
 # Cameras come from the user's files or from the people in the pictures.
 FROM_PEOPLE = config["cameras"]["source"] == "people" or (
-    config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(DATASET.keypoints)
+    config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(WATCHED)
 )
 
 # Or from a network, whose COLMAP model is then read like the user's.
@@ -115,19 +132,19 @@ if CORRECTED and not Path(CORRECTED[0]).is_file():
     raise WorkflowError(f"people.identities names {CORRECTED[0]}, which does not exist; copy results/{SCENE}/people/identities.tsv there")
 if DATASET.people and not SIGHTED and len(PLATED) < config["people"]["hull"]["limits"]["cameras"]:
     raise WorkflowError(
-        f"dataset {DATASET.folder} has no 2D keypoints: put keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or clean "
-        f"plates of {config['people']['hull']['limits']['cameras']} training cameras (plates/<camera>.png; there are {len(PLATED)}), or "
+        f"dataset {DATASET.folder} has no 2D keypoints and people.source is keypoints: set it to auto, put keypoints/<camera>/*.json (OpenPose, "
+        f"AlphaPose, MMPose, …) there, or clean plates of {config['people']['hull']['limits']['cameras']} training cameras (plates/<camera>.png; there are {len(PLATED)}), or "
         "write people: 0 into capture.yaml for an empty room"
     )
-if DATASET.keypoints and DATASET.people and not BODY_SOURCE and (blind := [c for c in TRAINING if c not in DATASET.keypoints]):
+if WATCHED and DATASET.people and not BODY_SOURCE and (blind := [c for c in TRAINING if c not in WATCHED]):
     raise WorkflowError(
         f"camera {blind[0]} of dataset {DATASET.folder} has no keypoints in {next(iter(DATASET.keypoints.values())).parent}: "
-        f"add {blind[0]}/*.json there, or leave the camera out with train: [...] in capture.yaml"
+        f"add {blind[0]}/*.json there, leave the camera out with train: [...] in capture.yaml, or set people.source to auto"
     )
-if FROM_PEOPLE and (unseen := [c for c in CAMERAS if c not in DATASET.keypoints]):
+if FROM_PEOPLE and (unseen := [c for c in CAMERAS if c not in WATCHED]):
     raise WorkflowError(
         f"dataset {DATASET.folder} has no calibration, so its cameras are found from people, and camera {unseen[0]} has no keypoints: add "
-        f"{unseen[0]}/*.json, leave the camera out with train: [...] in capture.yaml, or bring a calibration"
+        f"{unseen[0]}/*.json, set people.source to auto, leave the camera out with train: [...] in capture.yaml, or bring a calibration"
     )
 
 
@@ -350,7 +367,9 @@ def footage_source(wildcards):
 
 
 def keypoint_source(wildcards):
-    """Recorded keypoints of one camera."""
+    """Keypoints of one camera: recorded ones, or what the detector found."""
+    if wildcards.camera in DETECTED:
+        return f"results/{wildcards.scene}/people/found/{wildcards.camera}.npz"
     return in_dataset(DATASET.keypoints[wildcards.camera])
 
 

@@ -1,5 +1,5 @@
 # Doctor: before anything expensive, does the calibration fit the people? snakemake doctor --config dataset=DIR
-# Reads keypoint files, headers and three pictures per camera; nothing is decoded in full.
+# Reads keypoints (the detector's are found once and serve the whole run), headers and three pictures per camera.
 
 
 rule people_sightings:
@@ -37,8 +37,8 @@ rule cameras_doctor:
     input:
         calibration="results/{scene}/cameras/calibration.json",
         sources=[in_dataset(DATASET.footage[c]) for c in CAMERAS],
-        sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=list(DATASET.keypoints), allow_missing=True),
-        sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=list(DATASET.keypoints), allow_missing=True),
+        sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=CHECKED, allow_missing=True),
+        sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=CHECKED, allow_missing=True),
     output:
         report="results/{scene}/cameras/doctor.json",
         doctor="results/{scene}/cameras/doctor.html",

@@ -32,6 +32,32 @@ if BODY_SOURCE:
 
 else:
 
+    rule people_detect:
+        input:
+            source=footage_source,
+            networks=DETECTOR_FILES,
+        output:
+            found="results/{scene}/people/found/{camera}.npz",
+        log:
+            "logs/{scene}/people/detect/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/detect/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=2000,
+        params:
+            settings=settings("people.detect"),
+            code=code("people.detect"),
+            start=lookup("{camera}", within=DATASET.first_frames),
+            frame_count=DATASET.frame_count,
+            picture_fps=config["capture"]["picture_fps"],
+        shell:
+            "python -m studiorecon people.detect --settings {params.settings:q} --log {log:q}"
+            " --camera {wildcards.camera:q} --source {input.source:q} --start {params.start} --count {params.frame_count}"
+            " --picture-fps {params.picture_fps} --networks {input.networks:q} --found {output.found:q}"
+
     rule people_detections:
         input:
             keypoints=keypoint_source,

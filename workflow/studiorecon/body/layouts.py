@@ -36,7 +36,15 @@ _HALPE26 = (
     *_COCO17, "head_top", "neck", "mid_hip", "left_big_toe", "right_big_toe", "left_small_toe", "right_small_toe", "left_heel",
     "right_heel",
 )  # fmt: skip
+# MediaPipe's 33. Its eyes have corners, its feet one tip, which is the big toe's.
+_BLAZEPOSE33 = (
+    "nose", "left_inner_eye", "left_eye", "left_outer_eye", "right_inner_eye", "right_eye", "right_outer_eye", "left_ear", "right_ear",
+    "left_mouth", "right_mouth", "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
+    "left_little_finger", "right_little_finger", "left_index_finger", "right_index_finger", "left_thumb", "right_thumb", "left_hip",
+    "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_heel", "right_heel", "left_big_toe", "right_big_toe",
+)  # fmt: skip
 _NAMES = {
+    "blazepose33": _BLAZEPOSE33,
     "coco17": _COCO17,
     "openpose_coco18": _COCO18,
     "body_25": _BODY_25,

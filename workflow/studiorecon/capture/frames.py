@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.capture.lenses import lens_of
-from studiorecon.capture.source import Source, decode, digest, open_source, uneven
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
+from studiorecon.images.footage import Source, decode, digest, open_source, uneven
 from studiorecon.images.video import write_lossless
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens

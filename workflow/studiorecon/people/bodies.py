@@ -30,7 +30,7 @@ _KEYS = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
 class Settings:
     """Where bodies come from, and how few points are too few; see config.yaml."""
 
-    source: Literal["keypoints", "comotion", "precomputed"]
+    source: Literal["auto", "keypoints", "detector", "comotion", "precomputed"]
     detection_confidence: float
     detection_keypoints: int
 

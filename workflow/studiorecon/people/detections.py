@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import working_from_calibration, working_from_video
+from studiorecon.people.found import Found, is_found, read_found
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import Entry, read_keypoints
 from studiorecon.people.tracking import TrackingLimits, tracks, without_duplicates
@@ -82,21 +83,40 @@ def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footag
     keypoints = to_working_pixels(recorded, lens, footage, settings)
     if broken := unusable(recorded):
         say(f"camera {footage.camera}: {broken} of {recorded[..., 0].size} keypoints are not finite, and were left out")
-    keep = (keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints
-    frame, keypoints = frame[keep], keypoints[keep]
-    keep = without_duplicates(frame, keypoints, settings.tracking)
-    frame, keypoints = frame[keep], keypoints[keep]
-    return Detections(footage.camera, layout, frame, tracks(frame, keypoints, settings.tracking), keypoints)
+    return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings)
+
+
+def detections_of_found(found: Found, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+    """The same of what the detector found, whose pixels and frames are always those of the footage."""
+    rows = np.flatnonzero((found.frame >= footage.first_source_frame) & (found.frame < footage.first_source_frame + footage.frames))
+    in_video = replace(settings, keypoint_pixels="video", keypoint_centres=0.5)
+    keypoints = to_working_pixels(found.keypoints[rows], lens, footage, in_video)
+    frame = found.frame[rows] - footage.first_source_frame
+    given = Detections(footage.camera, found.layout, frame, np.zeros_like(frame), keypoints, points_m=found.points_m[rows], row=rows)
+    return followed(given, settings)
+
+
+def followed(given: Detections, settings: Settings) -> Detections:
+    """``given`` without what is too little or found twice, and with track ids."""
+    kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints)
+    kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
+    return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking))
 
 
 def run(
     settings: Settings, camera: str, keypoints: Path, layout: str, first_frame: int, footage: Path, calibration: Path, detections: Path
 ) -> None:
-    """Read the recorded ``keypoints`` of ``camera``, numbered from ``first_frame`` on; write ``detections`` (npz)."""
+    """Read the ``keypoints`` of ``camera``, recorded (numbered from ``first_frame`` on) or the detector's; write ``detections`` (npz)."""
     found = read_footage(footage)
     lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
     if lens is None:
         raise Refusal(f"camera {camera} is not in {calibration}")
+    if is_found(keypoints):
+        whole = read_found(keypoints)
+        result = detections_of_found(whole, lens, found, settings)
+        _tell(result, whole.note, found)
+        write_detections(detections, result)
+        return
     entries, kind = read_keypoints(keypoints)
     if not entries:
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
@@ -113,9 +133,13 @@ def run(
             f"{numbers[0]} to {numbers[-1]}); write the number of the video's first frame into capture.yaml as "
             "keypoint_first_frame"
         )
+    _tell(result, kind, found)
+    write_detections(detections, result)
+
+
+def _tell(result: Detections, kind: str, footage: Footage) -> None:
     seen = len(np.unique(result.frame))
     say(
-        f"camera {camera}: {len(result.frame)} detections ({kind}, {chosen}) in {seen} of {found.frames} frames, "
+        f"camera {footage.camera}: {len(result.frame)} detections ({kind}, {result.layout}) in {seen} of {footage.frames} frames, "
         f"{len(np.unique(result.track))} tracks"
     )
-    write_detections(detections, result)

@@ -12,7 +12,8 @@ import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import mapped_lens
-from studiorecon.people.detections import Settings, detections_of
+from studiorecon.people.detections import Settings, detections_of, detections_of_found
+from studiorecon.people.found import is_found, read_found
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import read_keypoints
 from studiorecon.progress import say
@@ -60,6 +61,14 @@ def run(
     [scale, x, y] of ``Dataset.pixel_maps``, or [].
     """
     wh = picture_wh(source)
+    if is_found(keypoints):
+        whole = read_found(keypoints)
+        about = {"camera": camera, "wh": list(wh), "frames": whole.looked[1], "pixel_map": json.loads(pixel_map)}
+        found = detections_of_found(whole, *_as_filmed(camera, wh, whole.looked[1], start, source, pixel_map), settings)
+        say(f"camera {camera}: {len(found.frame)} sightings ({whole.note}), {len(np.unique(found.track))} tracks")
+        write_detections(sightings, found)
+        write_json(size, about)
+        return
     entries, kind = read_keypoints(keypoints)
     if not entries:
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
@@ -73,11 +82,15 @@ def run(
     chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
     if note:
         say(note)
-    # Pixels stay the video's own: a pinhole of any focal length maps them onto themselves.
-    intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
-    lens = mapped_lens(Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map))
-    footage = Footage(camera, False, wh, intrinsics.tolist(), 1.0, frames, start, source.name, "", wh, 0, 0.0, [])
+    lens, footage = _as_filmed(camera, wh, frames, start, source, pixel_map)
     found = detections_of(entries, chosen, lens, footage, first_frame, settings)
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
     write_json(size, {"camera": camera, "wh": list(wh), "frames": frames, "pixel_map": json.loads(pixel_map)})
+
+
+def _as_filmed(camera: str, wh: tuple[int, int], frames: int, start: int, source: Path, pixel_map: str) -> tuple[Lens, Footage]:
+    """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them onto themselves."""
+    intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
+    lens = mapped_lens(Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map))
+    return lens, Footage(camera, False, wh, intrinsics.tolist(), 1.0, frames, start, source.name, "", wh, 0, 0.0, [])

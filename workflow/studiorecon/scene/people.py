@@ -16,6 +16,8 @@ from studiorecon.scene.files import read_table, write_npz, write_table
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source")
 IDENTITY_COLUMNS = ("camera", "track", "person")
+OPTIONAL_FIELDS = ("body_pose", "pelvis", "body_root", "body_shape", "points_m", "row")
+"""What only some detectors bring, in the order of ``Detections``."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Detections:
             None when the detector estimates no bodies.
         pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown; or None.
         body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's; or None.
+        points_m: (D, K, 3) a network's guess of where the keypoints are, metres about the middle of the hips, camera's axes; or None.
+        row: (D,) int, row in the detector's file that holds the person's mask (-1 = none); or None.
     """
 
     camera: str
@@ -43,6 +47,13 @@ class Detections:
     pelvis: np.ndarray | None = None
     body_root: np.ndarray | None = None
     body_shape: np.ndarray | None = None
+    points_m: np.ndarray | None = None
+    row: np.ndarray | None = None
+
+    def only(self, which: np.ndarray) -> Detections:
+        """Those that ``which`` (bool mask or indices) chooses."""
+        per_detection = [n for n in self.__dataclass_fields__ if n not in ("camera", "layout") and getattr(self, n) is not None]
+        return replace(self, **{name: getattr(self, name)[which] for name in per_detection})
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 def read_detections(path: Path) -> Detections:
     with _open(path) as data:
-        body = (data[name] if name in data.files else None for name in ("body_pose", "pelvis", "body_root", "body_shape"))
+        body = (data[name] if name in data.files else None for name in OPTIONAL_FIELDS)
         return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body)
 
 

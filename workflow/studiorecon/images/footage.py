@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -132,7 +132,34 @@ def digest(source: Source) -> str:
     return whole.hexdigest()
 
 
+def stills(source: Source, wanted: Sequence[int]) -> Iterator[np.ndarray]:
+    """The frames numbered ``wanted`` (ascending), as ``decode`` gives them; numbers past the end are left out.
+
+    Raises Refusal as ``decode`` does, but for damage after the last of them.
+    """
+    chosen = set(wanted)
+    if source.pictures:
+        wanted = [number for number in wanted if number < len(source.pictures)]
+        yield from _decode_folder(replace(source, pictures=tuple(source.pictures[number] for number in wanted)))
+        return
+    for number, frame in enumerate(_video_frames(source)):
+        if number in chosen:
+            yield _upright(frame, source)
+        if number == max(chosen, default=-1):
+            return
+
+
 def _decode_video(source: Source) -> Iterator[tuple[np.ndarray, float | None]]:
+    for frame in _video_frames(source):
+        yield _upright(frame, source), frame.time
+
+
+def _upright(frame: av.VideoFrame, source: Source) -> np.ndarray:
+    picture = frame.to_ndarray(format="rgb24")
+    return np.ascontiguousarray(np.rot90(picture, source.rotation_deg // 90)) if source.rotation_deg else picture
+
+
+def _video_frames(source: Source) -> Iterator[av.VideoFrame]:
     number = -1
     try:
         with av.open(str(source.path)) as container:
@@ -141,9 +168,7 @@ def _decode_video(source: Source) -> Iterator[tuple[np.ndarray, float | None]]:
             for number, frame in enumerate(container.decode(stream)):
                 if frame.is_corrupt:
                     raise Refusal(f"{source.path}: frame {number} is damaged; copy it again, or choose others with frames: in capture.yaml")
-                picture = frame.to_ndarray(format="rgb24")
-                upright = np.ascontiguousarray(np.rot90(picture, source.rotation_deg // 90)) if source.rotation_deg else picture
-                yield upright, frame.time
+                yield frame
     except av.FFmpegError as error:
         raise Refusal(
             f"{source.path} cannot be read after frame {number} ({error.strerror or error}); copy it again, or use what is there with "
