@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.cameras.formats.raw import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.geometry.bundle import BundleSettings, adjust
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.raw_camera import camera_from_world_of_pose, intrinsics_matrix, rigid_camera_from_world
 
 from tests.foundations.camera_ring import LIMITS, look_at, ring, seen
 

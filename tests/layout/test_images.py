@@ -114,6 +114,39 @@ def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> No
                 assert any(canonicalize_name(p) in has for p in packages), f"{module} imports {top}, which image {network} lacks"
 
 
+# What draws on a GPU and measures LPIPS: then a rule that draws runs in vision (DRAWN_BY), which has both.
+ONLY_IN_VISION = {"torch", "gsplat"}
+
+
+def steps_and_images() -> list[tuple[str, str]]:
+    """(step, image) of every rule that runs a step in an image of ours; networks' images are looked at by network, above."""
+    found = set()
+    for path in RULES:
+        for block in re.split(r"\n(?= *(?:rule|checkpoint) )", path.read_text()):
+            step = re.search(r"python -m studiorecon (\w+\.\w+)", block)
+            container = re.search(r"container:\n((?: +.*\n)+?) +threads:", block)
+            if step and container:
+                named = re.findall(r'(?<!_)image\("(\w+)"\)', container.group(1))
+                found |= {(step.group(1), name) for name in [*named, *(["core", "vision"] if "DRAWN_BY" in container.group(1) else [])]}
+    return sorted(found)
+
+
+@pytest.mark.parametrize(("step", "image"), steps_and_images())
+def test_an_image_has_what_a_step_imports_anywhere(step: str, image: str) -> None:
+    """In functions too: what is imported late is missing late, hours into a run."""
+    has = pins(image)
+    for module, path in code.reached([step]).items():
+        if module.startswith("models."):
+            continue
+        nodes = list(ast.walk(ast.parse(path.read_text())))
+        names = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+        names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
+        allowed = {*sys.stdlib_module_names, "studiorecon", "__future__", *(ONLY_IN_VISION if image == "core" else ())}
+        for top in {name.split(".")[0] for name in names} - allowed:
+            packages = PACKAGES.get(top, (top,))
+            assert any(canonicalize_name(p) in has for p in packages), f"{module} imports {top}, which the image {image} of {step} lacks"
+
+
 def test_every_rules_container_exists() -> None:
     for path in RULES:
         for block in re.split(r"\n(?= *(?:rule|checkpoint) )", path.read_text()):

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from studiorecon import settings as settings_module
 from studiorecon.cameras import calibration, refine
-from studiorecon.cameras.formats.raw import rigid_camera_from_world
 from studiorecon.cameras.names import match_names
 from studiorecon.cameras.world import camera_up, metres_per_unit
 from studiorecon.errors import Refusal
@@ -23,6 +22,7 @@ from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.colmap import quaternion_from_rotation, read_model
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import write_detections
+from studiorecon.scene.raw_camera import rigid_camera_from_world
 
 from tests.foundations.camera_ring import detect, ring, walk
 
@@ -258,7 +258,7 @@ def _z_from(axis: str) -> np.ndarray:
 
 
 def calibration_raw(camera: Camera):
-    from studiorecon.cameras.formats.raw import RawCamera
+    from studiorecon.scene.raw_camera import RawCamera
 
     return RawCamera(camera.name, camera.wh, camera.intrinsics, "opencv", np.zeros(8), camera.camera_from_world)
 

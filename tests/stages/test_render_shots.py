@@ -191,7 +191,11 @@ def test_a_path_file_is_followed_as_it_stands(tmp_path: Path) -> None:
         (None, "is missing"),
         ({"frames": []}, "has no frames"),
         ({"fl_x": 100, "w": 10, "frames": [{"transform_matrix": np.eye(4).tolist()}]}, "picture 0 .* has no h"),
-        ({"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]}, "no rigid pose"),
+        ({"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": np.diag([1.0, 2, 1, 1]).tolist()}]}, "not a rotation"),
+        (
+            {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]},
+            "no rigid pose; remove its scale of 2",
+        ),
     ],
 )
 def test_a_broken_path_file_is_refused_by_name(tmp_path: Path, content: dict | None, sentence: str) -> None:
@@ -281,3 +285,12 @@ def test_the_ledger_names_what_the_camera_touches(root: Path) -> None:
     steps = [Step(CAMERAS[0], 0.0, "00"), Step(through, 2.0, "00"), Step(in_wall, 0.0, "00")]
     assert obstacles(steps, scene, 0.3) == ["", "p0", "background"]
     assert angles_deg(steps[:1], CAMERAS[1:], np.array([0, 0, 1.0])) == pytest.approx([np.degrees(np.arccos(0.36 / (2.4**2 + 0.36)))])
+
+
+def test_a_path_through_bent_lenses_is_drawn_straight_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    pose = (CAMERAS[0].world_from_camera @ np.diag([1.0, -1, -1, 1])).tolist()
+    content = {"fl_x": 100, "w": 10, "h": 10, "k1": -0.1, "frames": [{"transform_matrix": pose}]}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    (step,) = path_steps(GivenPath("path", str(tmp_path / "transforms.json"), "hold"), "fly", WH, T)
+    assert step.camera.camera_from_world == pytest.approx(CAMERAS[0].camera_from_world)
+    assert "without the distortion of its lenses" in capsys.readouterr().out

@@ -13,7 +13,7 @@ from studiorecon import code as package_code
 from studiorecon.errors import Refusal
 from studiorecon.models.registry import MODELS
 from studiorecon.models.selection import check_licences, selected
-from studiorecon.scene.dataset import open_dataset
+from studiorecon.scene.dataset import colmap_files, open_dataset
 from studiorecon.schema import mistakes, typed
 from studiorecon.step_settings import told
 from studiorecon.studio.description import planned_dataset, read_description
@@ -406,9 +406,10 @@ def given_depth(wildcards):
 
 
 def shot_path(wildcards):
-    """The camera path file that a shot follows, if it is of that kind."""
+    """The camera path file that a shot follows, if it is of that kind, and what belongs to it: a COLMAP model is several files."""
     file = config["render"]["shots"].get(wildcards.shot, {}).get("file")
-    return [local(file)] if file else []
+    parts = colmap_files(Path(file)) if file and Path(file).stem == "images" else [file] if file else []
+    return [local(str(part)) for part in parts]
 
 
 def stand_ins(wildcards):

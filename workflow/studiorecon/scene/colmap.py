@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """COLMAP text models: what the pipeline's own cameras are stored as, and what other tools read.
 
-Only undistorted pinhole cameras are written; ``cameras`` reads COLMAP models of users with distortion.
+Only undistorted pinhole cameras are written, and only what was written here is read here: nearly every step reads such a model, which
+takes less time than an import of pycolmap would, and spares the networks' images a package. Models of users, with distortion, rigs or in
+binary, are ``scene.colmap_models``'.
 """
 
 from __future__ import annotations

@@ -173,10 +173,10 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
         for path in paths:
             if not path.exists():
                 raise Refusal(f"capture.yaml names the calibration {path}, which does not exist")
-        return paths
+        return _with_rigs(paths)
     for names in _CALIBRATIONS:
         if all((folder / n).is_file() for n in names):
-            return tuple(folder / n for n in names)
+            return _with_rigs(tuple(folder / n for n in names))
     for pattern in ("*.toml", "calibration/*.toml", "*.qca.txt", "calibration/*.qca.txt"):
         found = [p for p in sorted(folder.glob(pattern)) if p.suffix != ".toml" or _holds_cameras(p)]
         if len(found) == 1:
@@ -185,6 +185,19 @@ def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, 
             names = ", ".join(p.name for p in found)
             raise Refusal(f"{folder} holds {len(found)} calibrations ({names}); name one in capture.yaml: calibration: FILE")
     return ()
+
+
+def colmap_files(images: Path) -> tuple[Path, ...]:
+    """The files of the COLMAP model of an ``images.txt`` or ``images.bin`` that say where its cameras stand: its poses are only whole
+    together with ``rigs`` and ``frames``, where there are some."""
+    beside = [images.with_name(f"{part}{images.suffix}") for part in ("rigs", "frames")]
+    return (images.with_name(f"cameras{images.suffix}"), images, *(path for path in beside if path.is_file()))
+
+
+def _with_rigs(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The calibration's files, with rigs and frames of a COLMAP model that stand beside those named."""
+    images = [path for path in paths if path.name in ("images.txt", "images.bin")]
+    return tuple(dict.fromkeys([*paths, *(path for file in images for path in colmap_files(file) if path.is_file())]))
 
 
 def _holds_cameras(path: Path) -> bool:

@@ -14,8 +14,10 @@ import numpy as np
 
 from studiorecon.cameras.formats import colmap_files
 from studiorecon.cameras.formats.pickles import read_pickle
-from studiorecon.cameras.formats.raw import RawCamera, Reading, merged_static, rigid_camera_from_world
+from studiorecon.cameras.formats.raw import Reading, merged_static
 from studiorecon.errors import Refusal
+from studiorecon.scene.colmap_models import posed_pictures
+from studiorecon.scene.raw_camera import RawCamera, rigid_camera_from_world
 
 _ANCHOR = "aria01"
 _SUFFIXES = (".pkl", ".npy")
@@ -35,7 +37,7 @@ def read(files: list[Path]) -> Reading:
     similarity_file = next(f for f in files if f.suffix in _SUFFIXES)
     model = [f for f in files if f.suffix not in _SUFFIXES]
     colmap_from_metric = _similarity(similarity_file)
-    everything = colmap_files.posed_pictures(model)
+    everything = posed_pictures(model)
     exo = [c for c in everything if not c.name.lower().startswith("aria")]
     notes = []
     if len(exo) < len(everything):

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.cameras.formats.raw import RawCamera, Reading, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.cameras.formats.raw import Reading
 from studiorecon.errors import Refusal
+from studiorecon.scene.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 
 
 def recognises(files: list[Path]) -> bool:

@@ -8,15 +8,10 @@ from pathlib import Path
 import numpy as np
 import tomllib
 
-from studiorecon.cameras.formats.raw import (
-    RawCamera,
-    Reading,
-    intrinsics_matrix,
-    opencv_distortion,
-    rigid_camera_from_world,
-)
+from studiorecon.cameras.formats.raw import Reading
 from studiorecon.errors import Refusal
 from studiorecon.geometry.rotations import exp
+from studiorecon.scene.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
 
 _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.cameras.formats.raw import RawCamera, Reading, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.cameras.formats.raw import Reading
 from studiorecon.errors import Refusal
+from studiorecon.scene.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 
 _SUBPIXELS = 64.0
 # Qualisys cameras look along -z with y up; ours along +z with y down.

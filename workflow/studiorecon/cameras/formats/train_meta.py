@@ -8,8 +8,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from studiorecon.cameras.formats.raw import RawCamera, Reading, intrinsics_matrix, merged_static, rigid_camera_from_world
+from studiorecon.cameras.formats.raw import Reading, merged_static
 from studiorecon.errors import Refusal
+from studiorecon.scene.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 
 
 def recognises(files: list[Path]) -> bool:

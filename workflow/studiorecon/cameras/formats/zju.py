@@ -8,8 +8,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from studiorecon.cameras.formats.pickles import read_pickle
-from studiorecon.cameras.formats.raw import RawCamera, Reading, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.cameras.formats.raw import Reading
 from studiorecon.errors import Refusal
+from studiorecon.scene.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
 
 
 def recognises(files: list[Path]) -> bool:
