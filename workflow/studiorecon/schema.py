@@ -56,6 +56,13 @@ def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
             yield f"{name}.{below}", part
 
 
+def part_of(schema: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """What describes one setting, by its dotted name; empty where the schema says nothing of it."""
+    for step in name.split("."):
+        schema = _property(schema, step)
+    return schema
+
+
 def _readings(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
     """What a scalar may have meant, likeliest first."""
     if isinstance(value, float) and value.is_integer() and schema.get("type") == "integer":

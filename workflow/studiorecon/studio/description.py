@@ -15,9 +15,9 @@ import yaml
 
 from studiorecon import settings
 from studiorecon.errors import Refusal
+from studiorecon.home import RESOURCES
 from studiorecon.scene.dataset import Dataset
 
-RESOURCES = Path(__file__).resolve().parents[3] / "resources"
 DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
 
 Format = Literal["easymocap", "colmap", "pose2sim", "caliscope", "nerfstudio"]

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``studiorecon``: the words, what they say to bad input, and the same from an installed wheel in an empty folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from studiorecon import command, home
+from studiorecon.catalogue import films_of, settings_of
+from studiorecon.errors import Refusal
+from studiorecon.render.kinds import KINDS
+
+from .conftest import ROOT
+
+PARTS = ("Snakefile", "workflow/", "config/", "envs/", "profiles/", "resources/")
+LEFT_OUT = {"resources/overview.jpg"}
+
+
+def test_a_word_is_one_call_of_the_snakefile() -> None:
+    made = command.snakemake_command("doctor", "DIR", "2", None, [])
+    assert made == [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "doctor",
+        "--snakefile",
+        str(ROOT / "Snakefile"),
+        "--cores",
+        "2",
+        "--config",
+        "dataset=DIR",
+    ]
+
+
+def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
+    rest = ["--dry-run", "--config", "scene=x", "people={desk: {height_px: 160}}", "-n", "--configfile", "mine.yaml", "--quiet"]
+    made = command.snakemake_command("", "DIR", "all", "standard", rest)
+    assert made.count("--config") == made.count("--configfile") == 1, "Snakemake would only take the last"
+    assert made[made.index("--configfile") :] == [
+        "--configfile", str(home.PRESETS / "standard.yaml"), "mine.yaml",
+        "--config", "dataset=DIR", "scene=x", "people={desk: {height_px: 160}}",
+    ]  # fmt: skip
+    assert {"--dry-run", "-n", "--quiet"} <= set(made)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["run", "nowhere"], "there is no folder nowhere; give the folder of your capture"),
+        (["doctor", "film.mp4"], "film.mp4 is a file; give the folder"),
+        (["run", ".", "--preset", "papper"], "there is no preset papper; did you mean paper?"),
+        (["view"], "no finished scene of demo in results/ of this folder; make it with: studiorecon demo"),
+        (["view", "takes/one"], "make it with: studiorecon run takes/one"),
+        (["settings", "people.dsk"], "there is no setting people.dsk; did you mean people.desk?"),
+    ],
+)
+def test_bad_input_is_a_sentence(
+    words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "film.mp4").touch()
+    assert command.main(words) == 1
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+@pytest.fixture
+def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    page = tmp_path / "results/take/report/index.html"
+    page.parent.mkdir(parents=True)
+    page.write_text("<p>the page</p>")
+    (tmp_path / "secret.txt").write_text("not part of the scene")
+    return tmp_path / "results/take"
+
+
+@pytest.mark.parametrize("folder", ["take", "somewhere/take", "results/take", "take.yaml"])
+def test_a_scene_is_found_by_its_capture_its_name_or_its_results(scene: Path, folder: str) -> None:
+    assert command.finished_scene(folder).resolve() == scene
+    with pytest.raises(Refusal, match="finished here: take"):
+        command.finished_scene("other")
+
+
+@pytest.fixture
+def address(scene: Path) -> Iterator[str]:
+    with command.serve(scene, 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_a_page_is_served_from_this_machine_alone_and_nothing_above_it(address: str) -> None:
+    with urllib.request.urlopen(f"{address}/report/index.html") as page:
+        assert b"the page" in page.read()
+    for path in ("/../../secret.txt", "/%2e%2e/%2e%2e/secret.txt"):
+        with pytest.raises(urllib.error.HTTPError) as missing:
+            urllib.request.urlopen(address + path)
+        missing.value.close()
+        assert missing.value.code == 404
+    port = int(address.rpartition(":")[2])
+    with pytest.raises(Refusal, match=f"port {port} of 127.0.0.1 cannot be had .*--port 0"):
+        command.serve(Path("."), port)
+
+
+def test_every_setting_has_a_meaning_and_its_default() -> None:
+    schema = yaml.safe_load(home.SCHEMA.read_text())
+    config = yaml.safe_load(home.CONFIGURATION.read_text())
+    found = {setting.name: setting for setting in settings_of(home.CONFIGURATION, schema)}
+    assert found["people.desk.height_px"].default == "150"
+    assert "paper: 1280×704" in found["capture.width"].meaning, "the comment above it"
+    assert found["people.fit.tolerance"].meaning == "relative gain of a step below which it has converged", "the comment beside it"
+    assert "commercial" in found["licences"].choices
+    for name, setting in found.items():
+        assert setting.meaning, f"{name} has no meaning"
+        value = config
+        for part in name.split("."):
+            value = value[part]
+        if setting.default is not None:
+            assert yaml.safe_load(setting.default) == value or setting.default == value, name
+    films = {setting.name: setting for setting in films_of(KINDS, schema)}
+    assert films["render.shots.NAME (kind orbit).radius"].default == "0.9"
+    assert all(setting.meaning for setting in films.values())
+
+
+def test_settings_are_printed_by_section(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["settings", "people.desk"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "people.desk.height_px = 150" in lines
+    assert not [line for line in lines if line.startswith("people.keypoint")]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from hatchling.builders.wheel import WheelBuilder
+
+    (built,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path_factory.mktemp("wheel")), versions=["standard"])
+    return Path(built)
+
+
+def test_the_wheel_holds_the_workflow_whole(wheel: Path) -> None:
+    listing = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listing.returncode:
+        pytest.skip("not a repository: nobody knows which files belong to it")
+    wanted = {
+        name.replace("workflow/studiorecon/", "studiorecon/")
+        if name.startswith("workflow/studiorecon/")
+        else f"studiorecon/_workflow/{name}"
+        for name in listing.stdout.splitlines()
+        if name.startswith(PARTS) and name not in LEFT_OUT and not name.startswith("resources/bake_") and (ROOT / name).exists()
+    }
+    with zipfile.ZipFile(wheel) as packed:
+        names = set(packed.namelist())
+        assert "studiorecon = studiorecon.command:main" in packed.read(next(n for n in names if n.endswith("entry_points.txt"))).decode()
+    assert wanted <= names, sorted(wanted - names)[:5]
+    assert not [name for name in names if "__pycache__" in name or ("resources/weights/" in name and not name.endswith("README.md"))]
+
+
+def installed(wheel: Path, folder: Path, *words: str) -> subprocess.CompletedProcess:
+    """Run the command as installed from the wheel, in an empty folder: the wheel's files come before the checkout's."""
+    with zipfile.ZipFile(wheel) as packed:
+        packed.extractall(folder / "site")
+    (folder / "empty").mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "PATH": "/usr/bin:/bin"}
+    return subprocess.run(
+        [sys.executable, "-m", "studiorecon.command", *words],
+        cwd=folder / "empty", env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+
+
+def test_the_demo_is_planned_from_an_installed_wheel_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    done = installed(wheel, tmp_path, "demo", "--cores", "1", "--", "--dry-run")
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert f"Snakefile: {tmp_path}/site/studiorecon/_workflow/Snakefile" in done.stdout
+    assert "studio_capture" in done.stdout
+    assert str(ROOT) not in done.stdout.replace(sys.prefix, ""), "nothing is taken from the checkout"
+
+
+@pytest.mark.slow
+def test_a_studio_is_reconstructed_from_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
+    done = installed(wheel, tmp_path, "run", "resources/studio/tiny.yaml", "--cores", "2", "--", "--config", "depth={solids: 0}")
+    assert done.returncode == 0, done.stdout[-6000:]
+    assert (tmp_path / "empty/results/tiny/enhance/orbit.mp4").stat().st_size > 0
+    assert "results/tiny/report/index.html is there" in done.stdout

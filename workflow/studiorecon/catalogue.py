@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every setting with its meaning and default, as config.yaml's comments and the schema tell them."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from studiorecon.schema import part_of
+
+# A key of block style, and what stands behind it on its line.
+_KEY = re.compile(r"( *)([\w-]+):(?:\s+(.*))?$")
+_MARKER = re.compile(r"# (----|\(end of )")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting or section.
+
+    Attributes:
+        name: dotted, ``people.desk.height_px``.
+        meaning: in words; may be empty for a section.
+        default: as YAML, None for a section.
+        choices: the values it may have, where they are words.
+    """
+
+    name: str
+    meaning: str
+    default: str | None
+    choices: tuple[str, ...] = ()
+
+
+def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]:
+    """Every setting of config.yaml in its order, sections before what they hold; the comment there counts before the schema's words."""
+    text = configuration.read_text(encoding="utf-8")
+    values, comments = yaml.safe_load(text), dict(_comments(text))
+    found = []
+    for name, value in _flat(values):
+        part = part_of(schema, name)
+        meaning = comments.get(name) or part.get("description", "")
+        section = isinstance(value, Mapping) and bool(value)
+        found.append(Setting(name, meaning, None if section else _written(value), tuple(map(str, part.get("enum", ())))))
+    return found
+
+
+def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
+    """What a film of every kind may say, as ``render.shots.NAME (kind orbit).frames``; the defaults are those of its dataclass."""
+    found = []
+    for kind, settings in kinds.items():
+        described, name = schema["$defs"][kind]["properties"], f"render.shots.NAME (kind {kind})"
+        found.append(Setting(name, described["kind"]["description"], None))
+        for field in dataclasses.fields(settings):
+            part = described[field.name]
+            part = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
+            if field.name != "kind":
+                default = "needed" if field.default is dataclasses.MISSING else _written(field.default)
+                found.append(Setting(f"{name}.{field.name}", part.get("description", ""), default, tuple(part.get("enum", ()))))
+    return found
+
+
+def told(settings: list[Setting], columns: int) -> str:
+    """The settings as text, wrapped to so many columns."""
+    lines = []
+    for setting in settings:
+        choices = f"One of {', '.join(setting.choices)}." if setting.choices else ""
+        words = " ".join(filter(None, (setting.meaning, choices)))
+        lines.append(setting.name if setting.default is None else f"{setting.name} = {setting.default}")
+        lines += textwrap.wrap(words, columns, initial_indent="    ", subsequent_indent="    ")
+    return "\n".join(lines)
+
+
+def _flat(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        yield f"{above}{key}", value
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{key}.")
+
+
+def _written(value: Any) -> str:
+    plain = list(value) if isinstance(value, tuple) else value
+    return yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=1000).removesuffix("\n").removesuffix("\n...")
+
+
+def _comments(text: str) -> Iterator[tuple[str, str]]:
+    """(dotted name, comment) of every key that has one: the lines right above it at its own indentation, then what stands behind it."""
+    path: list[tuple[int, str]] = []
+    above: list[str] = []
+    for line in text.splitlines():
+        bare = line.strip()
+        if bare.startswith("#") and not _MARKER.match(bare):
+            above.append(line)
+            continue
+        key = _KEY.match(line)
+        if key is None:
+            above = []
+            continue
+        indent, name, rest = len(key[1]), key[2], key[3] or ""
+        while path and path[-1][0] >= indent:
+            path.pop()
+        path.append((indent, name))
+        own = [words.strip().lstrip("# ") for words in above if len(words) - len(words.lstrip()) == indent]
+        beside = rest.partition(" # ")[2] if " # " in rest else rest[2:] if rest.startswith("# ") else ""
+        words = " ".join(filter(None, [*own, beside]))
+        if words:
+            yield ".".join(name for _, name in path), words
+        above = []

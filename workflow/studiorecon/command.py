@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``studiorecon``: the workflow as a command for people, each word a thin call of the packaged Snakefile.
+
+Results, logs and Snakemake's own files go to the current folder, wherever the package is installed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import http.server
+import importlib.util
+import os
+import subprocess
+import sys
+import webbrowser
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from studiorecon.errors import Refusal
+from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
+
+_DEMO = "resources/studio/demo.yaml"
+_PORT = 8642
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one word; the exit status is Snakemake's, or 1 with a sentence where there is nothing to run."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    cut = given.index("--") if "--" in given else len(given)
+    options = _parser().parse_args(given[:cut])
+    options.rest = given[cut + 1 :]
+    try:
+        return options.word(options)
+    except Refusal as refusal:
+        print(f"studiorecon: {refusal}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # Whoever read our words has read enough, as with `studiorecon settings | head`; Python must not try to flush the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="studiorecon",
+        description="From the videos of a few static, far-apart cameras to a 4D scene. Results go to results/ in the current folder.",
+        epilog="What stands behind -- goes to Snakemake: studiorecon run DIR -- --dry-run --config capture='{width: 960}'",
+    )
+    words = parser.add_subparsers(metavar="WORD", required=True)
+
+    def word(name: str, does: Any, told: str, runs: bool = True) -> argparse.ArgumentParser:
+        made = words.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".", epilog=parser.epilog if runs else None)
+        made.set_defaults(word=does)
+        if runs:
+            made.add_argument("--cores", default="all", metavar="N", help="processor cores to use (default: all)")
+        return made
+
+    demo = word("demo", _demo, "film a made studio and reconstruct it: minutes, and needs no data")
+    doctor = word("doctor", _doctor, "look at calibration, clocks, exposures and coverage before anything expensive")
+    run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
+    view = word("view", _view, "show a finished scene's page in the browser", runs=False)
+    settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
+    for made in (doctor, run):
+        made.add_argument("folder", type=Path, metavar="DIR", help="the capture: videos/ with one file per camera, and what else you have")
+    for made in (demo, run):
+        made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
+    view.add_argument("folder", nargs="?", default="demo", metavar="DIR", help="the capture or its results folder (default: the demo's)")
+    view.add_argument("--port", type=int, default=_PORT, help=f"port on 127.0.0.1 (default: {_PORT}; 0 takes a free one)")
+    view.add_argument("--no-browser", action="store_true", help="only serve and print the address")
+    settings.add_argument("name", nargs="?", default="", help="only what begins so: people, people.desk, render.shots")
+    return parser
+
+
+def _demo(options: argparse.Namespace) -> int:
+    return _snakemake("", _DEMO, options, "report/index.html")
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    return _snakemake("doctor", _capture(options.folder), options, "cameras/doctor.html")
+
+
+def _run(options: argparse.Namespace) -> int:
+    return _snakemake("", _capture(options.folder), options, "report/index.html")
+
+
+def _capture(folder: Path) -> str:
+    if not folder.exists() and not (HOME / folder).is_file():
+        raise Refusal(f"there is no folder {folder}; give the folder of your capture, which holds videos/ with one file per camera")
+    if folder.is_file() and folder.suffix not in (".yaml", ".yml"):
+        raise Refusal(f"{folder} is a file; give the folder of your capture, which holds videos/ with one file per camera")
+    return str(folder)
+
+
+def _presets() -> list[str]:
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def preset_file(name: str) -> Path:
+    """The overlay of a preset's name, or of a path; raises Refusal with the nearest name when there is neither."""
+    file = PRESETS / f"{name}.yaml"
+    if file.is_file():
+        return file
+    if Path(name).is_file():
+        return Path(name)
+    near = difflib.get_close_matches(name, _presets(), 1)
+    raise Refusal(f"there is no preset {name}; {f'did you mean {near[0]}?' if near else 'there are ' + ', '.join(_presets())}")
+
+
+def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
+    """The call of the packaged Snakefile. Of an option that Snakemake takes once, what ``rest`` says is joined with what we say."""
+    config, rest = _taken(rest, ("--config", "-C"))
+    overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
+    overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
+    command = [sys.executable, "-m", "snakemake", *([target] if target else []), "--snakefile", str(SNAKEFILE), "--cores", cores, *rest]
+    # Last, since they take as many words as follow.
+    return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
+
+
+def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Values of an option that takes several words, and the words without it."""
+    values: list[str] = []
+    others: list[str] = []
+    inside = False
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name in names:
+            inside = not equals
+            values += [value] if equals else []
+        elif inside and not word.startswith("-"):
+            values.append(word)
+        else:
+            inside = False
+            others.append(word)
+    return values, others
+
+
+def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str) -> int:
+    if importlib.util.find_spec("snakemake") is None:
+        raise Refusal("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
+    command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
+    # Rules call `python`: the one that this command runs under, also where its environment is not activated.
+    path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
+    with subprocess.Popen(command, env={**os.environ, "PATH": path}) as process:
+        while True:
+            try:
+                status = process.wait()
+                break
+            except KeyboardInterrupt:
+                # Snakemake was told as well, and ends its jobs in order.
+                continue
+    made = Path("results") / _scene(dataset, options.rest) / page
+    if status == 0 and made.is_file():
+        print(f"{made} is there{'; studiorecon view ' + str(options.folder) if hasattr(options, 'folder') and not target else ''}")
+    return status
+
+
+def _scene(dataset: str, rest: Sequence[str]) -> str:
+    named = [word.partition("=")[2] for word in rest if word.startswith("scene=")]
+    return (named or [Path(dataset).stem if dataset.endswith((".yaml", ".yml")) else Path(dataset).resolve().name])[-1]
+
+
+def finished_scene(folder: str) -> Path:
+    """The results folder that is meant by a capture's folder, a scene's name or that folder itself; raises Refusal when it has no page."""
+    name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else Path(folder).resolve().name
+    for place in (Path(folder), Path("results") / folder, Path("results") / name):
+        if (place / "report" / "index.html").is_file():
+            return place
+    there = sorted(page.parents[1].name for page in Path("results").glob("*/report/index.html"))
+    others = f"; finished here: {', '.join(there)}" if there else ""
+    raise Refusal(
+        f"there is no finished scene of {folder} in results/ of this folder{others}; make it with: studiorecon "
+        f"{'demo' if folder == 'demo' else f'run {folder}'}"
+    )
+
+
+def serve(place: Path, port: int) -> http.server.ThreadingHTTPServer:
+    """A server of one folder on 127.0.0.1, not yet running; raises Refusal when the port is taken."""
+    try:
+        return http.server.ThreadingHTTPServer(("127.0.0.1", port), partial(_Quiet, directory=str(place)))
+    except (OSError, OverflowError) as error:
+        raise Refusal(f"port {port} of 127.0.0.1 cannot be had ({error}); choose another with --port, or --port 0 for a free one") from None
+
+
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: Any) -> None:
+        """Requests are nothing to tell anybody."""
+
+
+def _view(options: argparse.Namespace) -> int:
+    with serve(finished_scene(str(options.folder)), options.port) as server:
+        address = f"http://127.0.0.1:{server.server_port}/report/index.html"
+        print(f"{address} (Ctrl-C ends it)", flush=True)
+        if not options.no_browser:
+            webbrowser.open(address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> int:
+    import yaml
+
+    from studiorecon import catalogue
+    from studiorecon.render.kinds import KINDS
+
+    schema: Mapping[str, Any] = yaml.safe_load(SCHEMA.read_text(encoding="utf-8"))
+    every = [*catalogue.settings_of(CONFIGURATION, schema), *catalogue.films_of(KINDS, schema)]
+    chosen = [setting for setting in every if f"{setting.name}.".startswith(f"{options.name}." if options.name else "")]
+    chosen = chosen or [setting for setting in every if setting.name.startswith(options.name)]
+    if not chosen:
+        near = difflib.get_close_matches(options.name, [setting.name for setting in every], 1, 0.5)
+        raise Refusal(f"there is no setting {options.name}{f'; did you mean {near[0]}?' if near else ''}")
+    print(catalogue.told(chosen, 110))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
