@@ -158,6 +158,7 @@ def test_a_row_lies_over_the_base_and_a_preset_starts_anew(tmp_path: Path) -> No
     [
         (("x", "", "", "humans.iteration=1"), "humans.iteration, which config/config.yaml does not have"),
         (("x", "", "", "humans=1"), "a section"),
+        (("x", "", "", "render.shots.around.frames=4"), "render.shots.around.frames, which config/config.yaml does not have"),
         (("x", "", "", "humans.iterations"), "not of the form"),
         (("x", "", "none-such", ""), "preset none-such"),
         (("a/b", "", "", ""), "folder's name"),
