@@ -122,7 +122,7 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
         keep = without_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
         who = nearest(take, camera, frame, keypoints)
-        track = tracks(frame, keypoints, options.tracking)
+        track = tracks(frame, keypoints, options.tracking, 30.0)
         found.append(Detections(camera.name, LAYOUT, frame, track, keypoints, *bodies(take, camera, frame, who, rng)))
         owners.append(who)
     return found, owners

@@ -197,7 +197,7 @@ def whole_step(body: BodyModel, section: dict) -> dict[str, float]:
     truth, cameras = body.joints(poses, BETAS, trans), ring()
     found = detections(body, poses, trans, cameras, 3.0, 0.05, 0.10, seed=0)
     identities = {(c.name, 0): "p0" for c in cameras}
-    rough = {**section, "smooth": {**section["smooth"], "alpha": 1.0, "sigma_frames": 0.0}}
+    rough = {**section, "smooth": {**section["smooth"], "memory_s": 0.0, "sigma_s": 0.0}}
     out = {}
     for name, values in (("smoothed", section), ("unsmoothed", rough)):
         settings = settings_module.load(step.Settings, values, "people")
@@ -231,7 +231,7 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
         keypoints = np.stack([of[v].keypoints for of in seen], axis=1).reshape(frames * count, len(NAMES), 3)
         keep = without_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
-        found.append(Detections(camera.name, "body_25b", frame, tracks(frame, keypoints, options.tracking), keypoints))
+        found.append(Detections(camera.name, "body_25b", frame, tracks(frame, keypoints, options.tracking, FPS), keypoints))
     out["tracks_s"] = time.process_time() - started
     limits = found_step.association, found_step.triangulation, found_step.evidence
     verdicts, rows = identities_from_keypoints(*limits, cameras, found, [], frames, FPS)

@@ -143,7 +143,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
             about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.first_frames[c], dataset.frame_count, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
             found = out / f"{c}.npz", out / f"{c}.json"
-            sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, pixel_map, *found)
+            sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, 60.0, pixel_map, *found)
         doctor.run(
             loaded(doctor.Settings), take, out / "calibration.json", list(MAN), [dataset.footage[c] for c in MAN],
             [out / f"{c}.npz" for c in MAN], [out / f"{c}.json" for c in MAN], [dataset.first_frames[c] for c in MAN], dataset.frame_count,

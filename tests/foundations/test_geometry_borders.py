@@ -21,7 +21,7 @@ MIDDLE = np.array([0.0, 0.0, 1.0])
 PINHOLE = Lens("cam", (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), "opencv", np.zeros(5), np.eye(4), np.eye(2, 3))
 SETTINGS = bundle.BundleSettings(iterations=1, prior_deg=1.0, prior_m=0.1)
 EYES = np.tile(np.eye(3), (4, 24, 1, 1))
-FPS = smoothing.Smoothing(0.5, 1, 30, "cascade", True, "rotations")
+FPS = smoothing.Smoothing(0.05, 0.03, "cascade", True, "rotations")
 Case = tuple[Callable[[], object], str]
 
 

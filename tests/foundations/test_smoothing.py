@@ -53,11 +53,11 @@ def test_interior_equals_the_two_exponential_passes() -> None:
 
 @pytest.mark.parametrize("fps", [15.0, 60.0, 120.0])
 def test_smoothing_keeps_its_length_in_seconds(fps: float) -> None:
-    reference = Smoothing(0.5, 1.0, 30.0, "cascade", True, "rotations")
+    reference = Smoothing(1 / (30 * np.log(2)), 1 / 30, "cascade", True, "rotations")
     alpha, sigma = smoothing.at_frame_rate(reference, fps)
     # A motion of two seconds keeps the same share at every frame rate.
     assert smoothing.gain(alpha, sigma, 2 * fps) == pytest.approx(smoothing.gain(0.5, 1.0, 60), abs=0.01)
-    assert smoothing.at_frame_rate(Smoothing(0.5, 1.0, 0.0, "cascade", True, "rotations"), fps) == (0.5, 1.0)
+    assert smoothing.at_frame_rate(reference, 30.0) == pytest.approx((0.5, 1.0))
 
 
 def test_gaps_are_filled_along_the_shortest_way_and_ends_held() -> None:

@@ -11,6 +11,8 @@ from studiorecon.geometry.smoothing import Smoothing
 
 Z = np.array([0.0, 0.0, 1.0])
 PAPER = (0.5, 1.0)
+# The time in which an exponential pass that takes half of the new sample at 30 frames per second forgets to 1/e.
+HALF_S = 1 / (30 * np.log(2))
 
 
 def about(axis: np.ndarray, degrees: np.ndarray) -> np.ndarray:
@@ -27,7 +29,7 @@ def test_angles_alternating_about_half_a_turn_stay_there(passes: str) -> None:
     turns = about(Z, np.where(np.arange(40) % 2, 179.0, -179.0))
     smooth = smoothing.smooth_rotations(turns, *PAPER, passes)
     assert apart_deg(smooth, about(Z, np.full(40, 180.0))).max() < 1
-    literal = Smoothing(0.5, 1.0, 0.0, passes, True, "axis_angles").smooth_body(
+    literal = Smoothing(HALF_S, 1 / 30, passes, True, "axis_angles").smooth_body(
         np.tile(turns[:, None], (1, 24, 1, 1)), np.zeros((40, 3)), 30.0
     )
     assert apart_deg(literal[0][:, 3], about(Z, np.full(40, 180.0))).min() > 90  # the naive form, selectable (U42)
@@ -164,17 +166,17 @@ def test_windows_are_averaged_on_the_sphere_of_rotations(step_deg: float) -> Non
 
 
 def test_what_is_smoothed_follows_the_settings() -> None:
-    """U42: the root with the pose, or the pose alone; U41: the deviation counts frames at the reference rate."""
+    """U42: the root with the pose, or the pose alone; U41: the deviation is a time."""
     rng = np.random.default_rng(4)
     local, trans = rotations.exp(rng.normal(0, 0.3, (30, 24, 3))), rng.normal(size=(30, 3))
-    whole = Smoothing(0.5, 1.0, 30.0, "cascade", True, "rotations").smooth_body(local, trans, 30.0)
-    body = Smoothing(0.5, 1.0, 30.0, "cascade", False, "rotations").smooth_body(local, trans, 30.0)
+    whole = Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans, 30.0)
+    body = Smoothing(HALF_S, 1 / 30, "cascade", False, "rotations").smooth_body(local, trans, 30.0)
     np.testing.assert_array_equal(whole[0][:, 1:], body[0][:, 1:])
     np.testing.assert_array_equal(body[0][:, 0], local[:, 0])
     np.testing.assert_array_equal(body[1], trans)
     np.testing.assert_allclose(whole[1], smoothing.smooth_vectors(trans, 0.5, 1.0))
     assert apart_deg(whole[0][:, 0], local[:, 0]).mean() > 1
-    faster = Smoothing(0.5, 1.0, 30.0, "cascade", True, "rotations").smooth_body(local, trans, 60.0)
+    faster = Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans, 60.0)
     np.testing.assert_allclose(faster[1], smoothing.smooth_vectors(trans, 1 - 0.5**0.5, 2.0))
     with pytest.raises(ValueError, match=r"trans_m has shape \(29, 3\)"):
-        Smoothing(0.5, 1.0, 30.0, "cascade", True, "rotations").smooth_body(local, trans[:29], 30.0)
+        Smoothing(HALF_S, 1 / 30, "cascade", True, "rotations").smooth_body(local, trans[:29], 30.0)

@@ -54,7 +54,7 @@ def made_take(
         frames_seen, points = np.array(frame, dtype=int), np.array(keypoints).reshape(len(frame), -1, 3)
         keep = without_duplicates(frames_seen, points, TRACKING)
         frames_seen, points = frames_seen[keep], points[keep]
-        found.append(Detections(camera.name, LAYOUT, frames_seen, tracks(frames_seen, points, TRACKING), points))
+        found.append(Detections(camera.name, LAYOUT, frames_seen, tracks(frames_seen, points, TRACKING, described.fps), points))
     return cameras, found
 
 

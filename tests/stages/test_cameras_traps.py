@@ -76,7 +76,7 @@ def examine(default_settings: Callable[..., dict[str, Any]]) -> Callable[..., di
         for c, path in data.keypoints.items():
             files = out / f"{c}.npz", out / f"{c}.json"
             about = data.keypoint_layout, data.keypoint_first_frame, data.first_frames[c], data.frame_count, data.footage[c]
-            sightings.run(people, c, path, *about, "[]", *files)
+            sightings.run(people, c, path, *about, 30.0, "[]", *files)
         doctor.run(
             settings_module.load(doctor.Settings, section, "cameras"), "trap", out / "calibration.json", list(data.cameras),
             [data.footage[c] for c in data.cameras], [out / f"{c}.npz" for c in data.keypoints],

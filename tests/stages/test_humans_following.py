@@ -14,7 +14,7 @@ from tests.stages.test_humans_objects import CAMERAS, FPS, FRAMES
 
 BALL_M, LONG_M = np.array([0.12, 0.12, 0.12]), np.array([0.24, 0.09, 0.06])
 NO_CROP = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.uint8)
-SETTINGS = FollowSettings(speed_m_s=12.0, gap_s=0.5, least_frames=6)
+SETTINGS = FollowSettings(speed_m_s=12.0, gap_s=0.5, least_s=0.4)
 
 
 def outline_px(camera: Camera, centre_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:

@@ -49,6 +49,10 @@ def skeleton(x: float, y: float, size: float = 100.0, count: int = 17) -> np.nda
     return np.concatenate([np.array([x, y]) + size * rng.uniform(-0.5, 0.5, (count, 2)), np.full((count, 1), 0.8)], axis=1)
 
 
+def tracking(people_settings, **changed) -> TrackingLimits:
+    return replace(people_settings(detections.Settings).tracking, **changed)
+
+
 def test_openpose_folders_are_read_by_the_last_integer_and_stray_files_and_empty_people_are_skipped(tmp_path):
     full = {"people": [{"pose_keypoints_2d": skeleton(50, 60).reshape(-1).tolist()}, {"pose_keypoints_2d": []}]}
     (tmp_path / "take2_cam.000000000007_keypoints.json").write_text(json.dumps(full))
@@ -160,22 +164,36 @@ def test_keypoints_numbered_beside_the_clip_are_refused(tmp_path, people_setting
     assert read_detections(files[-1]).frame.tolist() == [10]
 
 
-def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart():
-    limits = TrackingLimits(step_share=0.15, shape_share=0.1, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
+def test_tracks_bridge_gaps_and_end_where_two_people_cannot_be_told_apart(people_settings):
+    limits = tracking(people_settings, gap_s=0.2)
     frames = [t for t in range(20) if t not in (5, 6)]
-    one = tracks(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits)
+    one = tracks(np.array(frames), np.stack([skeleton(100 + 2 * t, 100) for t in frames]), limits, 30.0)
     assert set(one.tolist()) == {0}
-    gone = tracks(np.array([0, 1, 10]), np.stack([skeleton(100, 100)] * 3), limits)
+    gone = tracks(np.array([0, 1, 10]), np.stack([skeleton(100, 100)] * 3), limits, 30.0)
     assert gone.tolist() == [0, 0, 1]
     meeting = np.repeat(np.arange(20), 2)
     apart = [skeleton(100 + (10 - t) * 8 * side, 100) for t in range(20) for side in (-1, 1)]
-    ids = tracks(meeting, np.stack(apart), limits)
+    ids = tracks(meeting, np.stack(apart), limits, 30.0)
     for track in np.unique(ids):  # no track is on both sides of the meeting
         assert len({(i % 2, t < 10) for i, t in enumerate(meeting) if ids[i] == track and abs(t - 10) > 2}) <= 1
 
 
-def test_a_person_found_twice_in_one_frame_counts_once():
-    limits = TrackingLimits(step_share=0.15, shape_share=0.1, gap_frames=5, duplicate_share=0.04, clear_ratio=2.0)
+@pytest.mark.parametrize("fps", [10, 15, 30, 60, 120])
+def test_whoever_walks_or_waves_is_one_track_at_every_frame_rate(people_settings, fps):
+    """Half a body height per second sideways; hands and feet swing at 1.5 body heights per second; noise is the same in every picture."""
+    rng, times_s = np.random.default_rng(0), np.arange(0, 3, 1 / fps)
+    swing = np.where(np.arange(17) % 2, 1.0, -1.0) * np.repeat([0, 0.5, 1, 0, 0.5, 1], [7, 2, 2, 2, 2, 2])
+    frames, people = np.arange(len(times_s)), []
+    for t in times_s:
+        person = skeleton(100 + 100 * t, 100, size=200)
+        person[:, 0] += 48 * swing * np.sin(2 * np.pi * t)
+        person[:, :2] += rng.normal(0, 2.0, (17, 2))
+        people.append(person)
+    assert set(tracks(frames, np.stack(people), tracking(people_settings), fps).tolist()) == {0}
+
+
+def test_a_person_found_twice_in_one_frame_counts_once(people_settings):
+    limits = tracking(people_settings)
     weak = skeleton(101, 100)
     weak[:, 2] = 0.3
     both = np.stack([weak, skeleton(100, 100), skeleton(300, 100)])

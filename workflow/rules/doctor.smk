@@ -25,11 +25,12 @@ rule people_sightings:
         first_frame=DATASET.keypoint_first_frame,
         start=lookup("{camera}", within=DATASET.first_frames),
         frame_count=DATASET.frame_count,
+        picture_fps=config["capture"]["picture_fps"],
         pixel_map=lookup("{camera}", within={c: json.dumps(DATASET.pixel_maps.get(c, [])) for c in CAMERAS}),
     shell:
         "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
         " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-        " --start {params.start} --count {params.frame_count} --source {input.source:q} --pixel-map {params.pixel_map:q}"
+        " --start {params.start} --count {params.frame_count} --source {input.source:q} --picture-fps {params.picture_fps} --pixel-map {params.pixel_map:q}"
         " --sightings {output.sightings:q} --size {output.size:q}"
 
 

@@ -128,7 +128,7 @@ def _gaps(
     other: tuple[int, dict[int, int]],
     search: int,
 ) -> np.ndarray:
-    """(2 search + 1, T, 12) signed gaps between rays of two (view, series) in metres, NaN unknown; the T frames have partners at every lag."""
+    """(2 search + 1, T, 12) signed gaps between rays of two (view, series), metres, NaN unknown; the T frames have partners at all lags."""
     shifts = range(-search, search + 1)
     frames = [f for f in own[1] if all(f - s in other[1] for s in shifts)]
     mine = np.array([own[1][f] for f in frames], dtype=int)

@@ -27,17 +27,15 @@ class Smoothing:
     """How strongly to smooth.
 
     Attributes:
-        alpha: share of the new sample in each exponential pass, in (0, 1]; 1 = no exponential smoothing (paper: 0.5).
-        sigma_frames: deviation of the Gaussian in frames; 0 = none (paper: 1).
-        reference_fps: frame rate the two refer to; at other rates the smoothing keeps its length in seconds. 0 = never scaled.
+        memory_s: time in which an exponential pass forgets to 1/e, seconds; 0 = no exponential smoothing (paper: α = 0.5 per frame).
+        sigma_s: deviation of the Gaussian in seconds; 0 = none (paper: 1 frame).
         passes: "cascade" runs the second pass over the first one's result, "average" takes the mean of the two (numerics U40).
         root: also the pelvis's turn and position, not the body's pose alone (U42).
         turns_on: "rotations" (SO(3)), or "axis_angles": their components, as the paper's predecessor does (U42), wrong near half a turn.
     """
 
-    alpha: float
-    sigma_frames: float
-    reference_fps: float
+    memory_s: float
+    sigma_s: float
     passes: str
     root: bool
     turns_on: str
@@ -60,14 +58,14 @@ class Smoothing:
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
-    """(α, σ in frames) with the same decay per second at ``fps`` as ``smoothing`` has at its reference rate.
+    """(α, σ in frames) at ``fps``: the share of the new sample is what an exponential of ``memory_s`` forgets in one frame.
 
     Raises ValueError for a frame rate that is not positive.
     """
     if not fps > 0:
         raise ValueError(f"fps must be positive, not {fps}")
-    ratio = smoothing.reference_fps / fps if smoothing.reference_fps > 0 else 1.0
-    return 1.0 - (1.0 - smoothing.alpha) ** ratio, smoothing.sigma_frames / ratio
+    forgotten = 1.0 - np.exp(-1.0 / (fps * smoothing.memory_s)) if smoothing.memory_s > 0 else 1.0
+    return float(forgotten), smoothing.sigma_s * fps
 
 
 def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:

@@ -28,12 +28,12 @@ class FollowSettings:
     Attributes:
         speed_m_s: nothing moves faster beside what it is expected to do.
         gap_s: so long it may go unseen; shorter gaps are filled by a straight line.
-        least_frames: frames in which two cameras must see it, in half of these without anybody before it.
+        least_s: time in which two cameras must see it, half of it without anybody before it.
     """
 
     speed_m_s: float
     gap_s: float
-    least_frames: int
+    least_s: float
 
 
 @dataclass(frozen=True)
@@ -87,20 +87,21 @@ def followed(
     is smoothed over time: outlines fix the middle within millimetres, and a bounce is not smooth.
     """
     free = [sighting for _, sighting in track if sighting.free >= 2]
-    if len(track) < settings.least_frames or 2 * len(free) < settings.least_frames:
+    least = max(2.0, settings.least_s * fps)
+    if len(track) < least or 2 * len(free) < least:
         return (
-            f"two cameras see it in {len(track)} frames, with nobody before it in {len(free)}; "
-            f"{settings.least_frames} and half as many are needed"
+            f"two cameras see it for {len(track) / fps:.2f} s, with nobody before it for {len(free) / fps:.2f} s; "
+            f"{settings.least_s:g} s and half as much are needed"
         )
     radius_m, centres, is_round = _spheres(track, free, cameras, frames)
     if not is_round:
         radius_m, centres = _middles(track, free, cameras, frames)
     whole = [frame for frame, sighting in track if sighting.free >= 2]
     valid = np.isfinite(centres).all(axis=1)
-    if valid.sum() < settings.least_frames:
-        return f"only {int(valid.sum())} frames agree with a thing of {100 * radius_m:.0f} cm radius; {settings.least_frames} are needed"
-    if sum(valid[frame] for frame in whole) < settings.least_frames / 2:
-        return f"fewer than {settings.least_frames / 2:.0f} frames that agree show the whole of it"
+    if valid.sum() < least:
+        return f"only {valid.sum() / fps:.2f} s agree with a thing of {100 * radius_m:.0f} cm radius; {settings.least_s:g} s are needed"
+    if sum(valid[frame] for frame in whole) < least / 2:
+        return f"less than {settings.least_s / 2:g} s that agree show the whole of it"
     reach = np.ptp(centres[valid], axis=0)
     if np.linalg.norm(reach) <= radius_m:
         return "it stands still: what the plate lacks belongs on the plate"

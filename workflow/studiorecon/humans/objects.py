@@ -116,7 +116,7 @@ def objects_in(
             say(f"a thing in {where} is left out: {result if isinstance(result, str) else 'no look shows the whole of it'}")
     if not made_objects:
         say(
-            f"no thing is seen by two cameras in {settings.follow.least_frames} frames: films show none. Clean plates of your own "
+            f"no thing is seen by two cameras for {settings.follow.least_s:g} s: films show none. Clean plates of your own "
             "(plates/CAMERA.png) and more cameras help"
         )
     return made_objects

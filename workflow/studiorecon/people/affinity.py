@@ -33,8 +33,7 @@ class AssociationLimits:
     undecided_margin: float
     track_agreement: float
     camera_share: float
-    least_frames: int
-    least_share: float
+    least_s: float
     torso_m: tuple[float, float]
     reentry_speed_m_s: float
     reentry_s: float

@@ -83,7 +83,7 @@ def detections_of(entries: list[Entry], layout: str, lens: Lens, footage: Footag
     keypoints = to_working_pixels(recorded, lens, footage, settings)
     if broken := unusable(recorded):
         say(f"camera {footage.camera}: {broken} of {recorded[..., 0].size} keypoints are not finite, and were left out")
-    return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings)
+    return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps)
 
 
 def detections_of_found(found: Found, lens: Lens, footage: Footage, settings: Settings) -> Detections:
@@ -93,14 +93,14 @@ def detections_of_found(found: Found, lens: Lens, footage: Footage, settings: Se
     keypoints = to_working_pixels(found.keypoints[rows], lens, footage, in_video)
     frame = found.frame[rows] - footage.first_source_frame
     given = Detections(footage.camera, found.layout, frame, np.zeros_like(frame), keypoints, points_m=found.points_m[rows], row=rows)
-    return followed(given, settings)
+    return followed(given, settings, footage.fps)
 
 
-def followed(given: Detections, settings: Settings) -> Detections:
+def followed(given: Detections, settings: Settings, fps: float) -> Detections:
     """``given`` without what is too little or found twice, and with track ids."""
     kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.detection_keypoints)
     kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
-    return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking))
+    return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))
 
 
 def run(

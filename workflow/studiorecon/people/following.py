@@ -23,8 +23,8 @@ _SIDES = ("left", "right")
 _ARM = {side: [JOINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "elbow")] for side in _SIDES}
 _LEGS = [JOINT_NAMES.index(f"{side}_{joint}") for side in _SIDES for joint in ("hip", "knee", "ankle", "foot")]
 _SWUNG = [JOINT_NAMES.index(f"{side}_{joint}") for side in _SIDES for joint in ("hip", "knee")]
-# Share of a joint's speed that it is expected to keep from frame to frame.
-_KEPT_SPEED = 0.8
+# Time in which a joint is expected to lose its speed to 1/e, seconds.
+_KEPT_SPEED_S = 0.15
 # How much a hip's or knee's speed typically changes: radians per second squared, and the error of a turn, radians.
 _ACCELERATION, _TURN_ERROR_RAD = 25.0, 0.1
 # A loss of agreement worth one nat in one frame; what the arms' return to the relaxed pose must win to be believed.
@@ -135,7 +135,8 @@ def _predicted(way: _Way, walk: Walk, frame: int) -> State:
     """The state at ``frame`` if everything goes on as it did: joints turn on, the pelvis moves as the hull does."""
     local = way.now.local
     if way.before is not None:
-        share = _KEPT_SPEED * abs(frame - way.frame) / walk.fps / way.elapsed_s
+        elapsed_s = abs(frame - way.frame) / walk.fps
+        share = np.exp(-elapsed_s / _KEPT_SPEED_S) * elapsed_s / way.elapsed_s
         local = local @ rotations.exp(min(share, 1.0) * rotations.log(np.swapaxes(way.before.local, -1, -2) @ local))
     moved = np.append(walk.place_m(frame) - walk.place_m(way.frame), 0.0)
     return State(local, way.now.trans + moved, way.now.betas, 0.0, way.now.corrections)

@@ -17,8 +17,10 @@ from studiorecon.people.star import star_groups
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# Tracks of fewer detections found no group; they join where their keypoints lie on a group's points.
-_LONG = 5
+# Tracks with detections for less than this time, seconds, found no group; they join where their keypoints lie on a group's points.
+_LONG_S = 0.15
+# A camera sees somebody in a frame where so many of the stable keypoints agree with the others'.
+_AGREEING = 3
 # Such a track needs so many keypoints to compare with, and must agree so much better with one group than with any other.
 _COMPARABLE, _CLEARLY = 6, 0.25
 
@@ -31,7 +33,7 @@ class Group:
         members: (view, track) pairs, sorted.
         points_m: (T, K, 3) stable keypoints, NaN where undetermined.
         agreement: (V,) share of each view's keypoints that agree with the points, NaN where it has none.
-        seen: (V, T) bool: the view has an agreeing keypoint in that frame.
+        seen: (V, T) bool: the view has at least three agreeing keypoints in that frame.
     """
 
     members: tuple[tuple[int, int], ...]
@@ -68,7 +70,7 @@ def group_tracks(
         return [_group(members, stable, cameras, frames, agree) for members in star_groups(seen, limits)]
     pairs = track_pairs(seen, stable, cameras, limits)
     groups = []
-    long = np.flatnonzero(pairs.detections >= min(_LONG, pairs.detections.max(initial=0)))
+    long = np.flatnonzero(pairs.detections >= min(max(2.0, _LONG_S * fps), pairs.detections.max(initial=0)))
     for nodes in groups_by_affinity(pairs.affinity[np.ix_(long, long)], pairs.forbidden[np.ix_(long, long)]):
         members = [(int(pairs.view[n]), int(pairs.track[n])) for n in long[nodes]]
         group = _without_strangers(_group(members, stable, cameras, frames, agree), stable, cameras, frames, limits, agree)
@@ -108,7 +110,7 @@ def _group(
     judged = (confidence > agree.min_confidence) & found.valid.reshape(times, count)
     total = judged.sum((1, 2))
     agreement = np.where(total > 0, (inliers & judged).sum((1, 2)) / np.maximum(total, 1), np.nan)
-    return Group(tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.any(-1))
+    return Group(tuple(sorted(members)), found.points_m.reshape(times, count, 3), agreement, inliers.sum(-1) >= _AGREEING)
 
 
 def _observed(members: Sequence[tuple[int, int]], stable: Sequence[Detections], frames: int) -> tuple[np.ndarray, np.ndarray]:

@@ -42,6 +42,18 @@ def picture_wh(source: Path) -> tuple[int, int]:
     return (frame.height, frame.width) if round(frame.rotation / 90) % 2 else (frame.width, frame.height)
 
 
+def frame_rate(source: Path, picture_fps: float) -> float:
+    """Frames per second of a video that can be read; of a folder of pictures ``picture_fps``. Raises Refusal where it does not say."""
+    if source.is_dir():
+        return picture_fps
+    with av.open(str(source)) as container:
+        stream = container.streams.video[0]
+        rate = stream.average_rate or stream.guessed_rate
+    if not rate:
+        raise Refusal(f"{source} does not say its frame rate; rewrite it with a constant one")
+    return float(rate)
+
+
 def run(
     settings: Settings,
     camera: str,
@@ -51,20 +63,21 @@ def run(
     start: int,
     count: int,
     source: Path,
+    picture_fps: float,
     pixel_map: str,
     sightings: Path,
     size: Path,
 ) -> None:
     """Write the tracks of ``camera`` to ``sightings`` (npz) and the video's size and frame count to ``size`` (JSON).
 
-    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go); ``pixel_map`` (JSON):
-    [scale, x, y] of ``Dataset.pixel_maps``, or [].
+    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go), ``picture_fps`` the rate of
+    a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or [].
     """
     wh = picture_wh(source)
     if is_found(keypoints):
         whole = read_found(keypoints)
         about = {"camera": camera, "wh": list(wh), "frames": whole.looked[1], "pixel_map": json.loads(pixel_map)}
-        found = detections_of_found(whole, *_as_filmed(camera, wh, whole.looked[1], start, source, pixel_map), settings)
+        found = detections_of_found(whole, *_as_filmed(camera, wh, whole.looked[1], start, source, picture_fps, pixel_map), settings)
         say(f"camera {camera}: {len(found.frame)} sightings ({whole.note}), {len(np.unique(found.track))} tracks")
         write_detections(sightings, found)
         write_json(size, about)
@@ -82,15 +95,18 @@ def run(
     chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
     if note:
         say(note)
-    lens, footage = _as_filmed(camera, wh, frames, start, source, pixel_map)
+    lens, footage = _as_filmed(camera, wh, frames, start, source, picture_fps, pixel_map)
     found = detections_of(entries, chosen, lens, footage, first_frame, settings)
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
     write_json(size, {"camera": camera, "wh": list(wh), "frames": frames, "pixel_map": json.loads(pixel_map)})
 
 
-def _as_filmed(camera: str, wh: tuple[int, int], frames: int, start: int, source: Path, pixel_map: str) -> tuple[Lens, Footage]:
+def _as_filmed(
+    camera: str, wh: tuple[int, int], frames: int, start: int, source: Path, picture_fps: float, pixel_map: str
+) -> tuple[Lens, Footage]:
     """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them onto themselves."""
     intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
     lens = mapped_lens(Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map))
-    return lens, Footage(camera, False, wh, intrinsics.tolist(), 1.0, frames, start, source.name, "", wh, 0, 0.0, [])
+    fps = frame_rate(source, picture_fps)
+    return lens, Footage(camera, False, wh, intrinsics.tolist(), fps, frames, start, source.name, "", wh, 0, 0.0, [])

@@ -3,31 +3,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 _REFUSED = 1e6
+# How long a track's speed is told from, and carried on: an arm swings back after a quarter of a stride.
+_REMEMBERED_S = 0.2
+# How fast an outline may change beyond ``shape_share``, shares of the box diagonal per second: somebody turns, bends, sits down.
+_RESHAPED_S = 0.8
+# A rival this near to where a track goes on, as a share of the gate, makes it doubtful however well the other one fits: people who meet
+# may pass or turn back.
+_TOO_NEAR = 0.2
 
 
 @dataclass(frozen=True)
 class TrackingLimits:
-    """When two detections of one camera are the same person.
+    """When two detections of one camera are the same person. Lengths are shares of the person's box diagonal, times are seconds.
 
     Attributes:
-        step_share: largest median keypoint distance between them, as a share of the person's box diagonal, per frame apart.
-        shape_share: largest median keypoint distance once the two are laid on each other (same measure): a person's outline changes
-            little between frames, a false detection's is another one. However long the gap, what is shaped otherwise is no rival.
-        gap_frames: frames without a detection after which a track ends.
-        duplicate_share: two detections of one frame closer than this (same measure) are one person found twice.
+        place_share, speed_share_s: largest median keypoint distance of a detection from where its track was, or goes on to: so much at
+            once, and so much more per second since the track was last seen.
+        shape_share: the same at once when the two are laid on each other: a person's outline changes little in a moment, a false
+            detection's is another one.
+        gap_s: time without a detection after which a track ends.
+        duplicate_share: two detections of one frame closer than this are one person found twice.
         clear_ratio: the second best continuation of a track must be this many times further away, else it ends: two short
             tracks are joined again by the other cameras, one that jumped to another person is not taken apart any more.
     """
 
-    step_share: float
+    place_share: float
+    speed_share_s: float
     shape_share: float
-    gap_frames: int
+    gap_s: float
     duplicate_share: float
     clear_ratio: float
 
@@ -99,25 +109,66 @@ def match(cost: np.ndarray, limit: float) -> list[tuple[int, int]]:
     return [(int(r), int(c)) for r, c in zip(rows, columns) if admissible[r, c]]
 
 
-def tracks(frame: np.ndarray, keypoints: np.ndarray, limits: TrackingLimits) -> np.ndarray:
-    """(D,) track id of every detection, numbered by first appearance; ``keypoints`` (D, K, 3), NaN where confidence is 0."""
+def tracks(frame: np.ndarray, keypoints: np.ndarray, limits: TrackingLimits, fps: float) -> np.ndarray:
+    """(D,) track id of every detection, numbered by first appearance; ``keypoints`` (D, K, 3), NaN where confidence is 0.
+
+    A track goes on where its keypoints were, or where they are by now at the speed they had, whichever is nearer: people walk on, and
+    people stop. Ten pictures a second and a hundred and twenty so meet the same gates.
+    """
     ids = np.full(len(frame), -1)
-    latest: dict[int, int] = {}
+    open_tracks: dict[int, list[int]] = {}
     for t in np.unique(frame):
         now = np.flatnonzero(frame == t)
-        open_tracks = [k for k, d in latest.items() if t - frame[d] <= limits.gap_frames]
-        gaps = np.array([t - frame[latest[k]] for k in open_tracks], dtype=np.float64)
-        before = keypoints[[latest[k] for k in open_tracks]]
-        shares = distance_shares(before, keypoints[now]) / np.maximum(gaps[:, None], 1.0)
-        shares = np.where(shape_shares(before, keypoints[now]) < limits.shape_share, shares, np.inf)
-        for row, column in match(shares, limits.step_share):
-            rivals = np.concatenate([np.delete(shares[row], column), np.delete(shares[:, column], row)])
-            if (rivals < min(limits.clear_ratio * shares[row, column], limits.step_share)).any():
+        open_tracks = {k: seen for k, seen in open_tracks.items() if (t - frame[seen[-1]]) / fps <= limits.gap_s}
+        names = list(open_tracks)
+        elapsed_s = np.array([(t - frame[open_tracks[k][-1]]) / fps for k in names])[:, None]
+        cost = _strangeness(
+            keypoints[[open_tracks[k][-1] for k in names]],
+            np.array([_gone_on(frame, keypoints, open_tracks[k], int(t), fps) for k in names]).reshape(-1, *keypoints.shape[1:]),
+            keypoints[now],
+            elapsed_s,
+            limits,
+        )
+        for row, column in match(cost, 1.0):
+            rivals = np.concatenate([np.delete(cost[row], column), np.delete(cost[:, column], row)])
+            if (rivals < np.clip(limits.clear_ratio * cost[row, column], _TOO_NEAR, 1.0)).any():
                 # Ended for good: as an open track it would be a rival of its own continuation in every later frame.
-                del latest[open_tracks[row]]
+                del open_tracks[names[row]]
             else:
-                ids[now[column]] = open_tracks[row]
+                ids[now[column]] = names[row]
         for detection in now[ids[now] < 0]:
             ids[detection] = ids.max() + 1
-        latest.update({int(ids[d]): int(d) for d in now})
+        for detection in now:
+            seen = open_tracks.setdefault(int(ids[detection]), [])
+            seen.append(int(detection))
+            while (t - frame[seen[0]]) / fps > _REMEMBERED_S and len(seen) > 2:
+                seen.pop(0)
     return ids
+
+
+def _strangeness(before: np.ndarray, ahead: np.ndarray, now: np.ndarray, elapsed_s: np.ndarray, limits: TrackingLimits) -> np.ndarray:
+    """(A, B) how far detections ``now`` (B, K, 3) are from tracks, by where they were and where they would be, as a share of the gate."""
+    strayed = np.minimum(distance_shares(before, now), distance_shares(ahead, now))
+    changed = np.minimum(shape_shares(before, now), shape_shares(ahead, now))
+    alike = changed < limits.shape_share + _RESHAPED_S * elapsed_s
+    return np.where(alike, strayed / (limits.place_share + limits.speed_share_s * elapsed_s), np.inf)
+
+
+def _gone_on(frame: np.ndarray, keypoints: np.ndarray, seen: Sequence[int], t: int, fps: float) -> np.ndarray:
+    """(K, 3) keypoints of a track at frame ``t`` if each goes on at the speed that a straight line through its last moments has.
+
+    A keypoint swings back after a while: none is carried further than ``_REMEMBERED_S``.
+    """
+    last, recent = keypoints[seen[-1]], list(seen)
+    if len(recent) < 2:
+        return last
+    ago_s = (frame[recent] - frame[recent[-1]]) / fps
+    present = keypoints[recent][..., 2] > 0
+    weight = present.astype(np.float64)
+    count = np.maximum(weight.sum(0), 1.0)
+    places = np.where(present[..., None], keypoints[recent][..., :2], 0.0)
+    middle_s, middle = (weight * ago_s[:, None]).sum(0) / count, places.sum(0) / count[:, None]
+    off_s = weight * (ago_s[:, None] - middle_s)
+    speed = (off_s[..., None] * (places - middle)).sum(0) / np.maximum((off_s**2).sum(0), 1e-9)[:, None]
+    ahead_s = min((t - frame[recent[-1]]) / fps, _REMEMBERED_S)
+    return np.column_stack([last[:, :2] + ahead_s * speed, last[:, 2]])

@@ -18,6 +18,8 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+_ENOUGH_CAMERAS = 3
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -36,13 +38,14 @@ class Verdict:
     reason: str
 
 
-def judge(group: Group, cameras: Sequence[Camera], frames: int, limits: AssociationLimits) -> str | None:
+def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits) -> str | None:
     """Why a group is not a person of this scene, as the end of a sentence; None when it is one."""
-    seen_by = int(group.seen.any(1).sum())
-    needed = int(np.ceil(limits.camera_share * len(cameras)))
-    least = max(limits.least_frames, int(np.ceil(limits.least_share * frames)))
+    least = min(limits.least_s * fps, 0.5 * frames)
     if len(group.frames) < least:
-        return f"two cameras agree in {len(group.frames)} frames only, {least} are needed"
+        return f"two cameras agree for {len(group.frames) / fps:.2f} s only, {least / fps:.2f} s are needed"
+    # Where rays of three cameras meet for a while, somebody stands, however many more cameras are blocked or look elsewhere.
+    seen_by = int((group.seen.sum(1) >= least / 2).sum())
+    needed = min(int(np.ceil(limits.camera_share * len(cameras))), _ENOUGH_CAMERAS)
     if seen_by < needed:
         return f"a bystander: {seen_by} of {len(cameras)} cameras see it, {needed} are needed"
     length = torso_m(group)
@@ -90,7 +93,7 @@ def identities_from_keypoints(
     reasons: dict[tuple[int, int], str] = {}
     kept = []
     for group in groups:
-        reason = judge(group, cameras, frames, association)
+        reason = judge(group, cameras, frames, fps, association)
         if reason is None:
             kept.append(group)
         else:
