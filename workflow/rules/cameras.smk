@@ -96,7 +96,7 @@ rule cameras_refine:
     input:
         calibration="results/{scene}/cameras/calibration.json",
         manifest="results/{scene}/capture/manifest.json",
-        detections=detections,
+        detections=first_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
     output:
         model="results/{scene}/cameras/images.txt",

@@ -55,7 +55,7 @@ rule capture_plate:
         video="results/{scene}/capture/{camera}.mkv",
         footage="results/{scene}/capture/{camera}.json",
         calibration="results/{scene}/cameras/calibration.json",
-        detections=branch(DATASET.people and SIGHTED, then="results/{scene}/people/detections/{camera}.npz"),
+        detections=first_detection,
         given=given_plate,
     output:
         plate="results/{scene}/capture/{camera}.plate.png",

@@ -356,6 +356,19 @@ def detections(wildcards):
     return [f"results/{wildcards.scene}/people/detections/{c}.npz" for c in TRAINING]
 
 
+def first_detections(wildcards):
+    """The same before the second look, which needs cameras that are refined on them; of recorded keypoints there is no second one."""
+    if not DATASET.people or not SIGHTED:
+        return []
+    return [f"results/{wildcards.scene}/people/{'first' if c in DETECTED else 'detections'}/{c}.npz" for c in TRAINING]
+
+
+def first_detection(wildcards):
+    """The same of one camera, if anybody can be there."""
+    found = "first" if wildcards.camera in DETECTED else "detections"
+    return [f"results/{wildcards.scene}/people/{found}/{wildcards.camera}.npz"] if DATASET.people and SIGHTED else []
+
+
 def people_table(wildcards):
     """The table of people, as an optional input: absent when the room is known to be empty."""
     return [f"results/{wildcards.scene}/people/people.tsv"] if DATASET.people else []

@@ -1,5 +1,7 @@
-# People: 2D keypoints of every camera, who is who (the checkpoint), and one body per person over time.
+# People: who is found in every camera's pictures, or recorded keypoints; who is who (the checkpoint); one body per person over time.
+# What the detector found goes through two looks: people/first is what a camera alone says, people/detections what all of them say.
 
+import re
 
 if BODY_SOURCE:
 
@@ -69,6 +71,8 @@ else:
             "logs/{scene}/people/detections/{camera}.log",
         benchmark:
             "benchmarks/{scene}/people/detections/{camera}.tsv"
+        wildcard_constraints:
+            camera="|".join(map(re.escape, [c for c in CAMERAS if c not in DETECTED])) or "^$",
         container:
             image("core")
         threads: 1
@@ -83,6 +87,102 @@ else:
             "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
             " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
             " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
+
+    rule people_first_detections:
+        input:
+            keypoints=keypoint_source,
+            footage="results/{scene}/capture/{camera}.json",
+            calibration="results/{scene}/cameras/calibration.json",
+        output:
+            detections="results/{scene}/people/first/{camera}.npz",
+        log:
+            "logs/{scene}/people/first/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/first/{camera}.tsv"
+        wildcard_constraints:
+            camera="|".join(map(re.escape, DETECTED)) or "^$",
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("people.detections"),
+            code=code("people.detections"),
+            layout=DATASET.keypoint_layout,
+            first_frame=DATASET.keypoint_first_frame,
+        shell:
+            "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
+            " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
+            " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
+
+    # Who is who before the second look: the same step, from the first detections, without clean plates and without anybody's corrections.
+    rule people_first_associate:
+        input:
+            model=MODEL,
+            manifest="results/{scene}/capture/manifest.json",
+            detections=first_detections,
+            videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
+            body=BODY,
+        output:
+            people="results/{scene}/people/first/people.tsv",
+            identities="results/{scene}/people/first/identities.tsv",
+            association="results/{scene}/people/first/association.json",
+            who=directory("results/{scene}/people/first/who"),
+        log:
+            "logs/{scene}/people/first/associate.log",
+        benchmark:
+            "benchmarks/{scene}/people/first/associate.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=2000,
+        params:
+            settings=settings("people.associate"),
+            code=code("people.associate"),
+        shell:
+            "python -m studiorecon people.associate --settings {params.settings:q} --log {log}"
+            " --model {input.model[0]:q} --manifest {input.manifest:q} --detections {input.detections:q} --videos {input.videos:q}"
+            " --plated --plates --corrected --body {input.body:q}"
+            " --people {output.people:q} --identities {output.identities:q} --association {output.association:q} --who {output.who:q}"
+
+    rule people_second_look:
+        input:
+            source=footage_source,
+            networks=DETECTOR_FILES,
+            model=MODEL,
+            manifest="results/{scene}/capture/manifest.json",
+            calibration="results/{scene}/cameras/calibration.json",
+            body=BODY,
+            first=first_detections,
+            identities="results/{scene}/people/first/identities.tsv",
+            found="results/{scene}/people/found/{camera}.npz",
+        output:
+            detections="results/{scene}/people/detections/{camera}.npz",
+            seen="results/{scene}/people/seen/{camera}.npz",
+            report="results/{scene}/people/seen/{camera}.json",
+        log:
+            "logs/{scene}/people/second_look/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/second_look/{camera}.tsv"
+        wildcard_constraints:
+            camera="|".join(map(re.escape, DETECTED)) or "^$",
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1500,
+        params:
+            settings=settings("people.second_look"),
+            code=code("people.second_look"),
+            picture_fps=config["capture"]["picture_fps"],
+        shell:
+            "python -m studiorecon people.second_look --settings {params.settings:q} --log {log:q}"
+            " --camera {wildcards.camera:q} --source {input.source:q} --picture-fps {params.picture_fps} --networks {input.networks:q}"
+            " --model {input.model[0]:q} --manifest {input.manifest:q} --calibration {input.calibration:q} --body {input.body:q}"
+            " --first {input.first:q} --identities {input.identities:q} --found {input.found:q}"
+            " --detections {output.detections:q} --seen {output.seen:q} --report {output.report:q}"
 
 
 checkpoint people_associate:

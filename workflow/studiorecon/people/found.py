@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,16 @@ class Found:
             looked,
             note,
         )
+
+    def grown(self, rows: Sequence[tuple]) -> Found:
+        """With more rows (as for ``of``) behind those that are there, of whatever frame: the numbers of those do not change."""
+        if not rows:
+            return self
+        more = Found.of(self.camera, self.layout, self.keypoints.shape[1], rows, self.looked, self.note)
+        edge = more.mask.shape[1]
+        own = replace(self, mask=self.mask.reshape(-1, edge, edge))
+        arrays = ("frame", "keypoints", "presence", "points_m", "mask", "mask_from_picture")
+        return replace(own, **{n: np.concatenate([getattr(own, n), getattr(more, n)]) for n in arrays})
 
 
 def write_found(path: Path, found: Found) -> None:

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the other cameras say that somebody is in one camera's pictures, what of its detections agrees, and where to look again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.model import BodyModel
+from studiorecon.people.blazepose import LAYOUT, Region
+from studiorecon.people.points import Triangulation, lift, observations
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# A landmark agrees when it lies this near to where the other cameras see the joint, as a share of the person's extent in the picture
+# (of somebody standing about 10 cm).
+_NEAR_SHARE = 0.06
+# Landmarks less sure than this have no say.
+_SURE = 0.3
+# Shares of landmarks that agree: from which somebody found is left alone, a new look is believed, and below which it is somebody else.
+_GOOD, BELIEVED, _ELSEWHERE = 0.6, 0.6, 0.3
+# By how much another look, or left and right exchanged, must agree better.
+BETTER = 0.25
+# So many joints must be known, and be inside the picture.
+_LEAST = 8
+# How far the circle around a body reaches beyond its joints.
+_CIRCLE = 1.15
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Where the other cameras say that one person is: pixels (T, K, 2), NaN where they do not know, of the camera's layout."""
+
+    person: str
+    pixels: np.ndarray
+
+    def at(self, frame: int) -> np.ndarray | None:
+        """(K, 2) pixels in one frame; None where too few joints are known."""
+        pixels = self.pixels[frame]
+        return pixels if np.isfinite(pixels[:, 0]).sum() >= _LEAST else None
+
+
+def expected(
+    person: str,
+    view: int,
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    identities: dict[tuple[str, int], str],
+    body: BodyModel,
+    frames: int,
+    limits: Triangulation,
+) -> Expected:
+    """Where all cameras but ``view`` see the joints of ``person``, projected into that camera."""
+    names, keypoints = observations(person, list(detections), identities, body, frames)
+    others = [v for v in range(len(cameras)) if v != view]
+    points = lift(names, keypoints[others], [cameras[v] for v in others], limits, 0.0)
+    pixels, depth = cameras[view].project(points.points_m)
+    layout = LAYOUTS[detections[view].layout].keypoints
+    out = np.full((frames, len(layout), 2), np.nan)
+    for k, name in enumerate(layout):
+        if name in names:
+            column = names.index(name)
+            out[:, k] = np.where((depth[:, column] > 0)[:, None], pixels[:, column], np.nan)
+    return Expected(person, out)
+
+
+def agreement(keypoints: np.ndarray, pixels: np.ndarray) -> float:
+    """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2); 0 when too few can be compared."""
+    known = (keypoints[:, 2] >= _SURE) & np.isfinite(pixels[:, 0])
+    if known.sum() < _LEAST:
+        return 0.0
+    extent = np.linalg.norm(np.nanmax(pixels, axis=0) - np.nanmin(pixels, axis=0))
+    return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < _NEAR_SHARE * extent).mean())
+
+
+def exchanged(layout: str, values: np.ndarray) -> np.ndarray:
+    """Values (..., K, C) of a layout's keypoints with left and right exchanged."""
+    order = np.arange(values.shape[-2])
+    for left, right in LAYOUTS[layout].pairs:
+        order[[left, right]] = right, left
+    return values[..., order, :]
+
+
+def region_of(pixels: np.ndarray, wh: tuple[int, int]) -> Region | None:
+    """Where to look for a person of whom these joints (K, 2) are known, pixels of the footage; None when outside, or hips are unknown."""
+    at = {name: pixels[k] for k, name in enumerate(LAYOUTS[LAYOUT].keypoints) if np.isfinite(pixels[k]).all()}
+    inside = np.isfinite(pixels).all(-1) & (pixels >= 0).all(-1) & (pixels < wh).all(-1)
+    if inside.sum() < _LEAST or not {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= set(at):
+        return None
+    hips, shoulders = (at["left_hip"] + at["right_hip"]) / 2, (at["left_shoulder"] + at["right_shoulder"]) / 2
+    up = shoulders - hips
+    radius = _CIRCLE * np.nanmax(np.linalg.norm(pixels - hips, axis=1))
+    return Region.around(hips, hips + up * radius / max(np.linalg.norm(up), 1e-9))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be done with one camera's detections before looking again.
+
+    Attributes:
+        track: (D,) tracks, some given to the person that they agree with.
+        swapped, dropped: (D,) bool: left and right are to be exchanged; somebody else, or found twice.
+        looks: (frame, index of the person, detection to be replaced or -1) where the network is to look again.
+    """
+
+    track: np.ndarray
+    swapped: np.ndarray
+    dropped: np.ndarray
+    looks: list[tuple[int, int, int]]
+
+
+def planned(found: Detections, people: Sequence[Expected], identities: dict[tuple[str, int], str], frames: int) -> Plan:
+    """Which detections of a camera stay, change sides, or go, and where to look again."""
+    count = len(found.frame)
+    track, swapped, dropped = found.track.copy(), np.zeros(count, bool), np.zeros(count, bool)
+    owner = [identities.get((found.camera, int(t)), "") for t in found.track]
+    usual = {p.person: np.unique(track[[o == p.person for o in owner]]) for p in people}
+    looks: list[tuple[int, int, int]] = []
+    for frame in range(frames):
+        here = np.flatnonzero(found.frame == frame)
+        places = [p.at(frame) for p in people]
+        scores = np.array([[agreement(found.keypoints[d], q) if q is not None else 0.0 for q in places] for d in here])
+        scores = scores.reshape(len(here), len(people))
+        for k, (person, place) in enumerate(zip(people, places)):
+            if place is None:
+                continue
+            own = [i for i, d in enumerate(here) if owner[d] == person.person]
+            free = [i for i, d in enumerate(here) if not owner[d] and scores[i, k] >= BELIEVED]
+            best = max(own, key=lambda i: scores[i, k], default=None)
+            if best is None and free and len(usual[person.person]):
+                # Found, but left over by the association: it goes to the person's track nearest in number.
+                best = max(free, key=lambda i: scores[i, k])
+                track[here[best]] = usual[person.person][0]
+            if best is None:
+                looks.append((frame, k, -1))
+                continue
+            dropped[[here[i] for i in [*own, *free] if i != best and scores[i, k] >= _GOOD]] = True
+            if scores[best, k] >= _GOOD:
+                continue
+            other_way = agreement(exchanged(found.layout, found.keypoints[here[best]]), place)
+            if other_way >= max(BELIEVED, scores[best, k] + BETTER):
+                swapped[here[best]] = True
+            elif scores[best, k] < _GOOD:
+                rivals = np.delete(scores[best], k)
+                dropped[here[best]] |= scores[best, k] < _ELSEWHERE and bool((rivals >= _GOOD).any())
+                looks.append((frame, k, int(here[best])))
+    return Plan(track, swapped, dropped, looks)
