@@ -9,7 +9,7 @@ import shutil
 import stat
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ("Snakefile", "workflow", "envs", "config", "profiles", "resources")
+WITNESS = Path(__file__).parent / "witness"
 # What a finished house is run with: every step does its work, none of them for long.
 QUICK = {
     "depth": {"solids": 0},
@@ -31,6 +32,8 @@ class House:
 
     folder: Path
     dataset: str
+    # Where every Python process of a run here leaves what it loaded and whom it asked (witness/sitecustomize.py), if anywhere.
+    witness: Path | None = None
 
     def snakemake(self, *arguments: str, check: bool = True, path: Path | None = None) -> subprocess.CompletedProcess:
         """Run snakemake here on the house's dataset; output and errors come back as one text."""
@@ -48,7 +51,9 @@ class House:
         binaries = [*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]]
         # Some machines forbid byte code beside the sources; snakemake would compile itself at every call.
         byte_code = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(self.folder.parent / "bytecode")}
-        return {**os.environ, **byte_code, "PYTHONPATH": str(self.folder / "workflow"), "PATH": os.pathsep.join(binaries)}
+        watched = {"STUDIORECON_WITNESS": str(self.witness)} if self.witness else {}
+        path = os.pathsep.join([str(self.folder / "workflow"), *([str(WITNESS)] if watched else [])])
+        return {**os.environ, **byte_code, **watched, "PYTHONPATH": path, "PATH": os.pathsep.join(binaries)}
 
     def plan(self, *arguments: str) -> dict[str, int]:
         """Jobs per rule of a dry run; empty when there is nothing to do."""
@@ -101,7 +106,9 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> House:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> House:
     """A house in which the smallest studio ran to its end."""
-    made = make_house(tmp_path_factory.mktemp("finished"), "resources/studio/tiny.yaml")
+    made = replace(
+        make_house(tmp_path_factory.mktemp("finished"), "resources/studio/tiny.yaml"), witness=tmp_path_factory.mktemp("witness")
+    )
     settings = made.folder / "config" / "config.yaml"
     settings.write_text(yaml.safe_dump(over(yaml.safe_load(settings.read_text()), QUICK), sort_keys=False))
     made.snakemake("--cores", "2")

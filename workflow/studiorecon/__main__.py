@@ -22,6 +22,7 @@ from pathlib import Path
 
 from studiorecon import settings as settings_module
 from studiorecon.errors import Refusal
+from studiorecon.libraries import remedy, unloaded
 from studiorecon.models.offline import stay_offline
 from studiorecon.progress import VOICE
 
@@ -39,8 +40,10 @@ def main(argv: list[str] | None = None) -> int:
     try:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
-    except (ModuleNotFoundError, AttributeError) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name and not f"studiorecon.{step}".startswith(error.name):
+    except (ImportError, OSError, AttributeError) as error:
+        if unloaded(error) is not None:
+            return _cannot_load(step, error, argv)
+        if not isinstance(error, AttributeError) and not f"studiorecon.{step}".startswith(str(getattr(error, "name", None))):
             raise
         print(f"studiorecon: there is no step {step!r}; the rules in workflow/rules name them all", file=sys.stderr)
         return 2
@@ -63,6 +66,9 @@ def _keep_to_the_threads_given() -> None:
     given = os.environ.get("OMP_NUM_THREADS", "")
     if "numba" not in sys.modules and given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
         os.environ.setdefault("NUMBA_NUM_THREADS", given)
+    # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and which wait for one
+    # another in busy loops: several times slower as soon as two jobs share the cores.
+    os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
 
 
 def _keep_byte_code() -> None:
@@ -82,10 +88,27 @@ def _run(module: types.ModuleType, step: str, options: dict) -> int:
     except Refusal as refusal:
         _fail(f"{step}: {refusal}")
         return 1
-    except Exception:
-        _fail(traceback.format_exc())
+    except Exception as error:
+        _fail(f"{step}: {_sentence(error)}" if unloaded(error) is not None else traceback.format_exc())
         return 1
     return 0
+
+
+def _sentence(error: Exception) -> str:
+    library = unloaded(error)
+    return f"the library {library} cannot be loaded ({next(iter(str(error).splitlines()), 'no reason given')}); {remedy(library)}"
+
+
+def _cannot_load(step: str, error: Exception, argv: list[str]) -> int:
+    # What options the step has is not known without it: of them only the log is looked for.
+    log = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    log.add_argument("--log", type=Path)
+    path = log.parse_known_args(argv)[0].log
+    print(text := f"{step}: {_sentence(error)}", file=sys.stderr, flush=True)
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n", encoding="utf-8")
+    return 1
 
 
 def _section(given: str, stage: str) -> dict:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import Refusal
+from studiorecon.libraries import remedy
 from studiorecon.models.card import WeightFile
 from studiorecon.models.offline import may_fetch
 
@@ -43,8 +44,8 @@ def _client(name: str, file: WeightFile) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError:
         raise Refusal(
-            f"to fetch {file.path} the package {name.split('.')[0]} is needed, which is not installed; install it, or get the file by hand "
-            f"from {file.source} {file.repository}".rstrip()
+            f"to fetch {file.path} the package {name.split('.')[0]} is needed, which is not installed ({remedy(name)}); "
+            f"or get the file by hand from {file.source} {file.repository}".rstrip()
         ) from None
 
 

@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from studiorecon.errors import Refusal
+from studiorecon.libraries import remedy
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def read_lpips(folder: Path, threads: int, net: Net = "vgg", without: str = "set
     try:
         import torch
     except ModuleNotFoundError:
-        raise Refusal(f"LPIPS needs the package torch, which is not installed; install it or {without}") from None
+        raise Refusal(f"LPIPS needs the package torch, which is not installed ({remedy('torch')}); get it or {without}") from None
     torch.set_num_threads(threads)
     read = []
     for path in paths:

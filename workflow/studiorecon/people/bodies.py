@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.images.video import read_frames
+from studiorecon.libraries import remedy
 from studiorecon.models import comotion
 from studiorecon.models.comotion import Comotion
 from studiorecon.models.protocols import Bodies
@@ -95,7 +96,7 @@ def _rows(path: Path) -> dict[str, np.ndarray]:
     try:
         import torch
     except ModuleNotFoundError:
-        raise Refusal(f"{path} is a torch file and torch is not installed; save it as .npz") from None
+        raise Refusal(f"{path} is a torch file and torch is not installed ({remedy('torch')}); or save it as .npz") from None
     stored: Any = torch.load(path, map_location="cpu", weights_only=True)
     return {name: values.numpy() for name, values in stored.items()}
 

@@ -51,7 +51,7 @@ def _missing_for_cuda() -> str:
     """What CUDA would need and does not find, with how to get it; empty when nothing is missing."""
     for name in ("gsplat", "torch"):
         if importlib.util.find_spec(name) is None:
-            return f"the package {name}, which is not installed (pip install 'studiorecon[gpu]')"
+            return f"the package {name}, which is not installed (uv sync --inexact --extra gpu, or pip install 'studiorecon[gpu]')"
     claim()
     import torch
 
