@@ -173,3 +173,22 @@ def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
     for path in MODULES:
         outside = [node for node in ast.parse(path.read_text()).body if isinstance(node, (ast.Import, ast.ImportFrom))]
         assert not code.imported_at(outside) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"
+
+
+# Inputs that a step finds without being told: named in its settings, or part of the package.
+FOUND_BY_THE_STEP = {
+    ("render_shot", "followed"),
+    ("render_shot", "stand_ins"),
+    ("render_layers", "stand_ins"),
+    ("studio_capture", "defaults"),
+}
+
+
+@pytest.mark.parametrize(("file", "step", "block"), rules(), ids=[r[1] for r in rules()])
+def test_a_rule_takes_no_input_that_its_step_is_not_told_of(file: str, step: str, block: str) -> None:
+    rule = re.search(r"(?:rule|checkpoint) (\w+):", block).group(1)
+    lines = re.search(r"\n *input:\n(.*?)\n *(?:output|log|params):", block, re.DOTALL)
+    told = block.partition("shell:")[2] + block.partition("params:")[2]
+    deepest = min((len(line) - len(line.lstrip()) for line in lines.group(1).splitlines() if line.strip()), default=0) if lines else 0
+    for name in re.findall(rf"^ {{{deepest}}}(\w+)=", lines.group(1), re.MULTILINE) if lines else []:
+        assert f"input.{name}" in told or (rule, name) in FOUND_BY_THE_STEP, f"{file}: {rule} takes {name} and {step} is not told of it"

@@ -65,7 +65,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable) -> Path:
         heldout_videos=[folder / f"capture/{c.name}.mkv" for c in held_out], heldout_render=[folder / "render/heldout.mkv"],
         heldout_enhanced=[folder / "enhance/heldout.mkv"], heldout_path=[folder / "render/heldout.json"],
         fits=[], detections=[], identities=[],
-        benchmarks=folder / "none", logs=folder / "logs",
+        linked=[], benchmarks=folder / "none", logs=folder / "logs",
         configuration=json.dumps({"dataset": "x"}), licences=root / "resources/licences",
         paper=root / "resources/paper/results.tsv", solvers=root / "resources/solvers.tsv", sweeps=[], costs=folder / "report/cost.json",
         page=folder / "report/index.html",

@@ -87,8 +87,12 @@ rule report_page:
         identities="results/{scene}/people/identities.tsv" if DATASET.people else [],
         paper=local(str(Path(workflow.basedir) / "resources/paper/results.tsv")),
         solvers=local(str(Path(workflow.basedir) / "resources/solvers.tsv")),
-        # Last, so that the page counts what they cost.
-        delivered="results/{scene}/deliver/manifest.json",
+        # Only linked: the page comes last, and counts what they cost.
+        linked=[
+            *(["results/{scene}/people/desk.html"] if DATASET.people else []),
+            "results/{scene}/depth/shell.json",
+            "results/{scene}/deliver/manifest.json",
+        ],
     output:
         costs="results/{scene}/report/cost.json",
         page=report(
@@ -123,5 +127,5 @@ rule report_page:
         " --renders {input.renders:q} --paths {input.paths:q} --ledgers {input.ledgers:q} --truth-maps {input.truth_maps:q} --heldout-videos {input.heldout_videos:q}"
         " --heldout-render {input.heldout_render:q} --heldout-enhanced {input.heldout_enhanced:q}"
         " --heldout-path {input.heldout_path:q} --fits {input.fits:q} --detections {input.detections:q}"
-        " --identities {input.identities:q} --benchmarks {params.benchmarks} --logs {params.logs} --configuration {params.configuration:q}"
+        " --identities {input.identities:q} --linked {input.linked:q} --benchmarks {params.benchmarks} --logs {params.logs} --configuration {params.configuration:q}"
         " --licences {params.licences:q} --paper {input.paper:q} --solvers {input.solvers:q} --sweeps {params.sweeps:q} --costs {output.costs} --page {output.page}"

@@ -13,17 +13,17 @@ from studiorecon.report import html
 from studiorecon.scene.files import read_table
 
 # What a reader may want to open, below results/<scene>/, and what it holds.
-_FILES = (
-    ("report/metrics.json", "every measure, per camera and frame, with its definition"),
-    ("report/cost.json", "seconds and memory of every rule"),
-    ("survey/decisions.json", "effects decided before training"),
-    ("survey/trained.json", "effects decided on the trained scene"),
-    ("cameras/refinement.json", "reprojection before and after refinement"),
-    ("people/identities.tsv", "which track of which camera is whom; edit a copy to correct it"),
-    ("people/desk.html", "everybody's pictures per camera and time"),
-    ("depth/shell.json", "the fitted room"),
-    ("deliver/manifest.json", "everything delivered, with checksums"),
-)
+_FILES = {
+    "report/metrics.json": "every measure, per camera and frame, with its definition",
+    "report/cost.json": "seconds and memory of every rule",
+    "survey/decisions.json": "effects decided before training",
+    "survey/trained.json": "effects decided on the trained scene",
+    "cameras/refinement.json": "reprojection before and after refinement",
+    "people/identities.tsv": "which track of which camera is whom; edit a copy to correct it",
+    "people/desk.html": "everybody's pictures per camera and time",
+    "depth/shell.json": "the fitted room",
+    "deliver/manifest.json": "everything delivered, with checksums",
+}
 
 
 def read_warnings(logs: Path) -> list[tuple[str, str]]:
@@ -82,13 +82,12 @@ def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
     return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
 
 
-def links(results: Path, page: Path, ledgers: Sequence[Path]) -> str:
-    """Relative links to the data of the scene in ``results``; they work where the page lies in its folder."""
-    files = [(results / name, what) for name, what in _FILES]
-    files += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
+def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
+    """Relative links to data of the scene in ``results``; they work where the page lies in its folder."""
+    told = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
+    told += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
     items = []
-    for path, what in files:
-        if path.is_file():
-            address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
-            items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
+    for path, what in told:
+        address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
+        items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
     return html.heading("The numbers as files", "Beside this page, in the results folder.") + f"<ul>{''.join(items)}</ul>"

@@ -129,6 +129,7 @@ def run(
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
+    linked: list[Path],
     benchmarks: Path,
     logs: Path,
     configuration: str,
@@ -187,6 +188,6 @@ def run(
     for _, sentence in of_films:
         warn(sentence)
     body.append(appendix.versions(measured["provenance"], spent["machine"]))
-    body.append(appendix.links(page.parents[1], page, ledgers))
+    body.append(appendix.links(page.parents[1], page, [metrics, costs, *decisions, refinement, *identities, *linked], ledgers))
     write_text(page, html.page(f"{scene}: 4D scene", body, wipe.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")
