@@ -32,6 +32,7 @@ PLANNED: dict[str, set[str] | None] = {
     "weights": set(),
     "licences": set(),
     "views.closed": {"views_path"},
+    "capture.picture_fps": {"people_detect", "people_second_look", "people_sightings"},
     "enhance.injection.history": {"enhance_shot", "survey_trained"},
 }
 # The page prints the settings that a result may depend on.
