@@ -29,6 +29,7 @@ import numpy as np
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
 from studiorecon.cameras import calibration, doctor, refine, uncalibrated
+from studiorecon.capture import clocks
 from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
 from studiorecon.geometry.triangulation import Limits, triangulate
@@ -140,14 +141,15 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
         maps = json.dumps(dict(dataset.pixel_maps))
         calibration.run(loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
         for c in MAN:
-            about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.first_frames[c], dataset.frame_count, dataset.footage[c]
+            about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
             found = out / f"{c}.npz", out / f"{c}.json"
             sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, 60.0, pixel_map, *found)
+        footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
+        clocks.run(loaded(clocks.Settings), list(MAN), footage, seen, "{}", 0, 0, out / "clocks.json", out / "sync.json")
         doctor.run(
-            loaded(doctor.Settings), take, out / "calibration.json", list(MAN), [dataset.footage[c] for c in MAN],
-            [out / f"{c}.npz" for c in MAN], [out / f"{c}.json" for c in MAN], [dataset.first_frames[c] for c in MAN], dataset.frame_count,
-            out / "doctor.json", out / "doctor.html",
+            loaded(doctor.Settings), take, out / "calibration.json", list(MAN), footage, seen, [out / f"{c}.json" for c in MAN],
+            out / "clocks.json", out / "sync.json", out / "doctor.json", out / "doctor.html",
         )  # fmt: skip
 
     _, cost = timed(steps)

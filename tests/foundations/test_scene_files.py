@@ -136,7 +136,7 @@ class TestDataset:
         (folder / "capture.yaml").write_text("held_out: ['03']\nframes: {first: 5, count: 7}\n")
         dataset = open_dataset(folder)
         assert (dataset.training, dataset.held_out) == (("01", "02"), ("03",))
-        assert (dataset.first_frames, dataset.frame_count) == ({"01": 5, "02": 5, "03": 5}, 7)
+        assert (dataset.starts, dataset.first_frame, dataset.frame_count) == ({}, 5, 7)
         assert [p.name for p in dataset.calibration] == ["intri.yml", "extri.yml"]
         assert set(dataset.keypoints) == {"01", "02", "03"}
         assert dataset.identities is None
@@ -144,18 +144,18 @@ class TestDataset:
         assert open_dataset(folder).identities == folder / "identities.tsv"
 
     @pytest.mark.parametrize(
-        ("text", "frames"),
+        ("text", "starts"),
         [
             ("starts: {'02': 13}", (0, 13, 0)),
-            ("starts: {'02': -13}", (13, 0, 13)),
-            ("starts: {'01': 2, '02': 9, '03': 4}\nframes: {first: 100}", (100, 107, 102)),
-            ("starts: {'01': 2, '02': 9, '03': -4}\ntrain: ['01', '02']", (0, 7)),
+            ("starts: {'02': -13.4}", (0, -13.4, 0)),
+            ("starts: {'01': 2, '02': 9, '03': -4}\ntrain: ['01', '02']", (2, 9)),
+            ("frames: {first: 3}", ()),
         ],
-        ids=["started early", "started late", "every camera and a part", "a camera that is not used"],
+        ids=["started early", "started late, between two frames", "a camera that is not used", "nothing said"],
     )
-    def test_cameras_that_were_not_started_together(self, folder: Path, text: str, frames: tuple[int, ...]) -> None:
+    def test_cameras_that_were_not_started_together(self, folder: Path, text: str, starts: tuple[float, ...]) -> None:
         (folder / "capture.yaml").write_text(text)
-        assert tuple(open_dataset(folder).first_frames.values()) == frames
+        assert tuple(open_dataset(folder).starts.values()) == starts
 
     @pytest.mark.parametrize(
         ("text", "words"),
@@ -169,7 +169,7 @@ class TestDataset:
             ("identities: nowhere.tsv", "does not exist"),
             ("starts: 13", "starts must look like"),
             ("starts: {'04': 13}", "'04' under starts.*01, 02, 03"),
-            ("starts: {'02': 0.5}", "whole number of frames"),
+            ("starts: {'02': early}", "number of frames, such as 13 or 12.6"),
             (": : :", "not valid YAML"),
         ],
     )

@@ -16,7 +16,8 @@ from studiorecon.errors import Refusal
 from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.people import Detections, write_detections
+from studiorecon.scene.clocks import Clock, Clocks, write_clocks
+from studiorecon.scene.people import Detections, read_detections, write_detections
 from studiorecon.settings import load
 
 from tests.models.planted import room_views
@@ -105,7 +106,12 @@ def test_footage_becomes_a_calibration_in_metres(
     settings = load(network.Settings, default_settings("cameras", source="pi3x"), "cameras")
     model = tmp_path / "network/images.txt"
     sources, sightings = [tmp_path / f"{n}.mkv" for n in names], [tmp_path / f"{n}.npz" for n in names]
-    network.run(settings, names, sources, starts, sightings, root / "resources/body.npz", tmp_path, "cpu", model)
+    # Every camera has two pictures of the room, after as many of something else as its start says.
+    clocks = tuple(Clock(name, 24.0, start + 2, offset_s=-start / 24) for name, start in zip(names, starts))
+    write_clocks(tmp_path / "clocks.json", Clocks(24.0, 0.0, 2, clocks))
+    for path, start in zip(sightings, starts):
+        write_detections(path, replace(read_detections(path), frame=read_detections(path).frame + start))
+    network.run(settings, names, sources, tmp_path / "clocks.json", sightings, root / "resources/body.npz", tmp_path, "cpu", model)
     ((cameras, pictures),) = asked
     assert cameras == names
     for picture, (_, rgb, _) in zip(pictures, room_views(WH), strict=True):

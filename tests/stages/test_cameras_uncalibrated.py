@@ -14,6 +14,7 @@ from studiorecon.cameras.standing_world import world_from_people
 from studiorecon.errors import Refusal
 from studiorecon.geometry.relative_pose import relative_pose, resection
 from studiorecon.geometry.rotations import angle, exp
+from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import write_detections
 
@@ -36,11 +37,12 @@ def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, ro
     truth, detections = made_take(occluded=False)
     for d in detections:
         write_detections(tmp_path / f"{d.camera}.npz", d)
-        write_json(tmp_path / f"{d.camera}.json", {"camera": d.camera, "wh": [1280, 704], "frames": 60})
+        write_json(tmp_path / f"{d.camera}.json", {"camera": d.camera, "wh": [1280, 704]})
     names = [c.name for c in truth]
+    write_clocks(tmp_path / "clocks.json", Clocks(30.0, 0.0, 60, tuple(Clock(n, 30.0, 60) for n in names)))
     uncalibrated.run(
-        options, [tmp_path / f"{n}.npz" for n in names], [tmp_path / f"{n}.json" for n in names], root / "resources/body.npz",
-        '{"' + '": 914.0, "'.join(names) + '": 914.0}', tmp_path / "calibration.json",
+        options, [tmp_path / f"{n}.npz" for n in names], [tmp_path / f"{n}.json" for n in names], tmp_path / "clocks.json",
+        root / "resources/body.npz", '{"' + '": 914.0, "'.join(names) + '": 914.0}', tmp_path / "calibration.json",
     )  # fmt: skip
     content = read_json(tmp_path / "calibration.json")
     found = [

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from itertools import zip_longest
 from pathlib import Path
@@ -17,7 +16,7 @@ from studiorecon.body.presence import people_regions
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.capture import plate as plate_step
-from studiorecon.capture.sync import Lag, lags, motion_energy
+from studiorecon.capture.timeline import clock_of, common_moments, timeline_of
 from studiorecon.errors import Refusal
 from studiorecon.images.footage import decode, digest, open_source, uneven
 from studiorecon.images.plate import noise_levels, write_plate
@@ -25,6 +24,7 @@ from studiorecon.images.stills import read_plate
 from studiorecon.images.video import read_stack, write_lossless
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
+from studiorecon.scene.clocks import as_counted, write_clocks
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.settings import load
@@ -67,7 +67,12 @@ def run_frames(default_settings, tmp_path: Path):
         options = load(frames_step.Settings, default_settings("capture", **settings), "capture")
         out = tmp_path / "out"
         calibration = calibration or calibrated(tmp_path)
-        frames_step.run(options, source, calibration, camera, 0, first, count, out / "a.mkv", out / "a.json")
+        try:
+            clocks = common_moments([clock_of(camera, timeline_of(open_source(source, 30.0)))], first, count)
+        except Refusal:
+            clocks = as_counted(camera, 30.0, first, count or 1)
+        write_clocks(out / "clocks.json", clocks)
+        frames_step.run(options, source, calibration, out / "clocks.json", camera, 0, count, out / "a.mkv", out / "a.json")
         return read_footage(out / "a.json")
 
     return run
@@ -96,16 +101,17 @@ class TestFrames:
         assert source.wh == (upright.shape[1], upright.shape[0])
         np.testing.assert_allclose(next(decode(source, 1, 1)).astype(int), upright.astype(int), atol=30)
 
-    def test_a_recorder_that_dropped_frames_is_named(self, tmp_path: Path, run_frames, capsys: pytest.CaptureFixture) -> None:
-        """Frames 5 and 6 of the moment are not in the file: from frame 5 on it is two frames early."""
+    def test_a_recorder_that_dropped_frames_is_named_and_what_it_lacks_is_shown_from_beside(self, tmp_path: Path, run_frames) -> None:
+        """Frames 5 and 6 of the moment are not in the file: the pictures before and after them stand in."""
         shown = [k for k in range(14) if k not in (5, 6)]
-        write_video(tmp_path / "a.mp4", smooth_pictures(12), times=shown)
+        pictures = smooth_pictures(14)
+        write_video(tmp_path / "a.mp4", pictures[shown], times=shown)
         footage = run_frames(tmp_path / "a.mp4")
         (told,) = [change for change in footage.changes if "do not come evenly" in change]
         assert "1 of 11 steps differ from the usual 33 ms, most after frame 4 (100 ms)" in told
-        assert "a.mp4: frames do not come evenly" in capsys.readouterr().out
-        assert any("after frame 4 " in change for change in run_frames(tmp_path / "a.mp4", first=2).changes), "counted as in the file"
-        assert not any("evenly" in change for change in run_frames(tmp_path / "a.mp4", first=5).changes), "what is used is even"
+        assert (footage.frames, footage.source_frames) == (14, (0, 1, 2, 3, 4, 4, 5, 5, 6, 7, 8, 9, 10, 11))
+        found = read_stack(tmp_path / "out/a.mkv").astype(int)
+        assert [int(np.abs(pictures - f).mean((1, 2, 3)).argmin()) for f in found] == [0, 1, 2, 3, 4, 4, 7, 7, 8, 9, 10, 11, 12, 13]
 
     def test_the_jitter_of_a_phone_is_no_gap(self) -> None:
         times = np.arange(90) / 30 + np.random.default_rng(0).uniform(-0.004, 0.004, 90)
@@ -172,9 +178,9 @@ class TestRefusals:
 
     def test_too_few_frames(self, tmp_path: Path, run_frames) -> None:
         write_lossless(tmp_path / "a.mkv", iter(smooth_pictures(5)), 30)
-        with pytest.raises(Refusal, match="has 5 frames, but frames 3 to 9 were asked for"):
+        with pytest.raises(Refusal, match="have 5 frames in common, but frames 3 to 9 were asked for"):
             run_frames(tmp_path / "a.mkv", first=3, count=7)
-        with pytest.raises(Refusal, match="has 5 frames, but frames 8 and after"):
+        with pytest.raises(Refusal, match="have 5 frames in common, but frames 8 and after"):
             run_frames(tmp_path / "a.mkv", first=8)
 
     def test_another_shape_than_the_calibration(self, tmp_path: Path, run_frames) -> None:
@@ -208,13 +214,12 @@ def footage(camera: str, frames: int = 60, fps: float = 30.0, wh: tuple[int, int
 
 class TestManifest:
     @pytest.fixture
-    def run(self, default_settings, tmp_path: Path):
+    def run(self, tmp_path: Path):
         def run(*cameras: Footage):
             for camera in cameras:
                 write_footage(tmp_path / f"{camera.camera}.json", camera)
-            options = load(manifest_step.Settings, default_settings("capture"), "capture")
             paths = [tmp_path / f"{camera.camera}.json" for camera in cameras]
-            manifest_step.run(options, "scene", paths, [], tmp_path / "manifest.json")
+            manifest_step.run("scene", paths, tmp_path / "manifest.json")
             return read_manifest(tmp_path / "manifest.json")
 
         return run
@@ -224,55 +229,9 @@ class TestManifest:
         assert [f.camera for f in manifest.footage] == ["b", "a"]
         assert ([f.camera for f in manifest.training], [f.camera for f in manifest.held_out]) == (["b"], ["a"])
 
-    def test_different_lengths_name_both_files_and_the_remedy(self, run) -> None:
-        with pytest.raises(Refusal, match=r"b\.mp4 has 58 frames and videos/a\.mp4 has 60.*count: 58"):
+    def test_footage_of_two_lengths_was_decoded_by_two_clocks(self, run) -> None:
+        with pytest.raises(Refusal, match=r"b\.mp4 has 58 frames at 30 per second and videos/a\.mp4 60.*run capture\.frames again"):
             run(footage("a"), footage("b", frames=58))
-
-    def test_the_remedy_counts_from_where_all_cameras_are_there(self, run) -> None:
-        late = replace(footage("b", frames=50), first_source_frame=20)
-        with pytest.raises(Refusal, match=r"frames: \{first: 7, count: 50\}.*starts: \{CAMERA: frames\}"):
-            run(replace(footage("a"), first_source_frame=7), late)
-
-    def test_a_lag_comes_with_the_whole_line_for_capture_yaml(self) -> None:
-        """What the camera has too much is on top of what was already said about it."""
-        assert 'starts: {"b": 7} into capture.yaml' in manifest_step.describe(Lag("b", 3, 0.9, 0.2, True, ""), 30.0, 4)
-        assert 'starts: {"b": -2} into capture.yaml' in manifest_step.describe(Lag("b", -2, 0.9, 0.2, True, ""), 30.0, 0)
-
-    def test_different_rates_name_both_files(self, run) -> None:
-        with pytest.raises(Refusal, match=r"b\.mp4 runs at 25 frames per second and videos/a\.mp4 at 30"):
-            run(footage("a"), footage("b", fps=25.0))
-
-    def test_nearly_equal_rates_pass_while_they_stay_within_half_a_frame(self, run) -> None:
-        assert run(footage("a", fps=30000 / 1001), footage("b")).frames == 60
-        with pytest.raises(Refusal, match="one rate"):
-            run(footage("a", fps=30000 / 1001, frames=900), footage("b", frames=900))
-
-
-class TestSync:
-    @staticmethod
-    def series(shift: int, seed: int = 0, count: int = 120) -> np.ndarray:
-        rng = np.random.default_rng(5)
-        motion = np.abs(cv2.GaussianBlur(rng.normal(size=(1, count + 40)), (5, 1), 1.0))[0]
-        return motion[20 - shift : 20 - shift + count] + np.random.default_rng(seed).normal(0, 0.05, count)
-
-    def test_a_late_camera_is_found(self) -> None:
-        found = lags(["a", "b", "c", "d"], [self.series(0, 1), self.series(0, 2), self.series(3, 3), self.series(0, 4)], 10, 0.6, 3.0)
-        assert [lag.frames for lag in found] == [0, 0, 3, 0]
-        assert found[2].valid
-
-    def test_agreeing_clocks_raise_no_alarm(self) -> None:
-        for seed in range(20):
-            energies = [self.series(0, 10 * seed + k) for k in range(3)]
-            assert all(lag.frames == 0 for lag in lags(["a", "b", "c"], energies, 10, 0.6, 3.0))
-
-    def test_motion_is_measured_above_the_noise(self) -> None:
-        rng = np.random.default_rng(0)
-        noise = np.clip(120 + rng.normal(0, 4, (6, *WH[::-1], 3)), 0, 255).astype(np.uint8)
-        assert motion_energy(noise).max() < 0.05
-        moving = noise.copy()
-        for t in range(6):
-            moving[t, 20:40, 10 * t : 10 * t + 20] = 250
-        assert motion_energy(moving).min() > 1
 
 
 def passing_block(frames: int, background: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ if FROM_PEOPLE:
         input:
             sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=CAMERAS, allow_missing=True),
             sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=CAMERAS, allow_missing=True),
+            clocks="results/{scene}/capture/clocks.json",
             body=BODY,
         output:
             calibration="results/{scene}/cameras/calibration.json",
@@ -25,8 +26,8 @@ if FROM_PEOPLE:
             focal_px=json.dumps(dict(DATASET.focal_px)),
         shell:
             "python -m studiorecon cameras.uncalibrated --settings {params.settings:q} --log {log}"
-            " --sightings {input.sightings:q} --sizes {input.sizes:q} --body {input.body:q} --focal-px {params.focal_px:q}"
-            " --calibration {output.calibration:q}"
+            " --sightings {input.sightings:q} --sizes {input.sizes:q} --clocks {input.clocks:q} --body {input.body:q}"
+            " --focal-px {params.focal_px:q} --calibration {output.calibration:q}"
 
 else:
 
@@ -64,6 +65,7 @@ if CAMERA_NETWORK:
                 camera=CAMERAS if set(CAMERAS) <= set(WATCHED) else [],
                 allow_missing=True,
             ),
+            clocks="results/{scene}/capture/clocks.json",
             body=BODY,
         output:
             model="results/{scene}/cameras/network/images.txt",
@@ -83,12 +85,11 @@ if CAMERA_NETWORK:
             settings=settings("cameras.network"),
             code=code("cameras.network"),
             cameras=CAMERAS,
-            starts=[DATASET.first_frames[c] for c in CAMERAS],
             weights=WEIGHTS,
             device=config["device"],
         shell:
             "python -m studiorecon cameras.network --settings {params.settings:q} --log {log}"
-            " --cameras {params.cameras:q} --sources {input.sources:q} --starts {params.starts} --sightings {input.sightings:q}"
+            " --cameras {params.cameras:q} --sources {input.sources:q} --clocks {input.clocks:q} --sightings {input.sightings:q}"
             " --body {input.body:q} --weights {params.weights:q} --device {params.device} --model {output.model:q}"
 
 

@@ -105,6 +105,11 @@ DETECTOR_FILES = [
 MODEL = [f"results/{{scene}}/cameras/{name}.txt" for name in ("images", "cameras")]
 HELDOUT_MODEL = [f"results/{{scene}}/cameras/heldout/{name}.txt" for name in ("images", "cameras")]
 
+# Cameras whose people tell, before there is a calibration, when each was started.
+# Where only a part of the footage is used, the detector looks at that part alone, which the clocks must say first.
+PART_USED = bool(DATASET.first_frame or DATASET.frame_count)
+TIMED = [c for c in CHECKED if c not in DETECTED or not PART_USED] if DATASET.people and config["capture"]["sync"] != "never" else []
+
 # Cameras come from the user's files or from the people in the pictures.
 FROM_PEOPLE = config["cameras"]["source"] == "people" or (
     config["cameras"]["source"] == "auto" and not DATASET.calibration and bool(WATCHED)

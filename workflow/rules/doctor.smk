@@ -23,14 +23,12 @@ rule people_sightings:
         code=code("people.sightings"),
         layout=DATASET.keypoint_layout,
         first_frame=DATASET.keypoint_first_frame,
-        start=lookup("{camera}", within=DATASET.first_frames),
-        frame_count=DATASET.frame_count,
         picture_fps=config["capture"]["picture_fps"],
         pixel_map=lookup("{camera}", within={c: json.dumps(DATASET.pixel_maps.get(c, [])) for c in CAMERAS}),
     shell:
         "python -m studiorecon people.sightings --settings {params.settings:q} --log {log:q}"
         " --camera {wildcards.camera:q} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-        " --start {params.start} --count {params.frame_count} --source {input.source:q} --picture-fps {params.picture_fps} --pixel-map {params.pixel_map:q}"
+        " --source {input.source:q} --picture-fps {params.picture_fps} --pixel-map {params.pixel_map:q}"
         " --sightings {output.sightings:q} --size {output.size:q}"
 
 
@@ -40,6 +38,8 @@ rule cameras_doctor:
         sources=[in_dataset(DATASET.footage[c]) for c in CAMERAS],
         sightings=collect("results/{scene}/people/sightings/{camera}.npz", camera=CHECKED, allow_missing=True),
         sizes=collect("results/{scene}/people/sightings/{camera}.json", camera=CHECKED, allow_missing=True),
+        clocks="results/{scene}/capture/clocks.json",
+        sync="results/{scene}/capture/sync.json",
     output:
         report="results/{scene}/cameras/doctor.json",
         doctor="results/{scene}/cameras/doctor.html",
@@ -56,12 +56,10 @@ rule cameras_doctor:
         settings=settings("cameras.doctor"),
         code=code("cameras.doctor"),
         cameras=CAMERAS,
-        starts=[DATASET.first_frames[c] for c in CAMERAS],
-        frame_count=DATASET.frame_count,
     shell:
         "python -m studiorecon cameras.doctor --settings {params.settings:q} --log {log}"
         " --scene {wildcards.scene:q} --calibration {input.calibration:q} --cameras {params.cameras:q} --sources {input.sources:q}"
-        " --sightings {input.sightings:q} --sizes {input.sizes:q} --starts {params.starts} --count {params.frame_count}"
+        " --sightings {input.sightings:q} --sizes {input.sizes:q} --clocks {input.clocks:q} --sync {input.sync:q}"
         " --report {output.report:q} --doctor {output.doctor:q}"
 
 

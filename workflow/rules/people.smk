@@ -37,6 +37,7 @@ else:
     rule people_detect:
         input:
             source=footage_source,
+            clocks=branch(PART_USED, then="results/{scene}/capture/clocks.json"),
             networks=DETECTOR_FILES,
         output:
             found="results/{scene}/people/found/{camera}.npz",
@@ -52,17 +53,16 @@ else:
         params:
             settings=settings("people.detect"),
             code=code("people.detect"),
-            start=lookup("{camera}", within=DATASET.first_frames),
-            frame_count=DATASET.frame_count,
             picture_fps=config["capture"]["picture_fps"],
         shell:
             "python -m studiorecon people.detect --settings {params.settings:q} --log {log:q}"
-            " --camera {wildcards.camera:q} --source {input.source:q} --start {params.start} --count {params.frame_count}"
+            " --camera {wildcards.camera:q} --source {input.source:q} --clocks {input.clocks:q}"
             " --picture-fps {params.picture_fps} --networks {input.networks:q} --found {output.found:q}"
 
     rule people_detections:
         input:
             keypoints=keypoint_source,
+            clocks="results/{scene}/capture/clocks.json",
             footage="results/{scene}/capture/{camera}.json",
             calibration="results/{scene}/cameras/calibration.json",
         output:
@@ -86,7 +86,8 @@ else:
         shell:
             "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
             " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-            " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
+            " --clocks {input.clocks:q} --footage {input.footage:q} --calibration {input.calibration:q}"
+            " --detections {output.detections:q}"
 
     rule people_first_detections:
         input:

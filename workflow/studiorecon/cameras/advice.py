@@ -24,6 +24,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
 
     ``report`` as ``doctor.examined`` makes it; ``limit_px`` is the median reprojection error that ``cameras.refine`` refuses.
     """
+    refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
     wrong, unclear, rest = _wrong(report, limit_px), _unclear(report), list(report["oddities"]) + _clocks(report) + _footage(report)
     if not report["people"]:
         unclear = [
@@ -36,11 +37,11 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
             "no person of any two cameras fits: are the calibration, the videos and the keypoints of the same take, and synchronised? "
             "Or does nobody ever stand in two pictures at once?"
         ]
-    name = "wrong" if wrong else "cannot tell" if unclear else "check" if rest else "good"
+    name = "wrong" if wrong else "cannot tell" if unclear else "check" if rest or refused else "good"
     # Held-out cameras need no keypoints: that alone is no reason to look again.
     silent = report["without_keypoints"] if report["people"] else []
     remarks = [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
-    return name, wrong + unclear + rest + remarks
+    return name, refused + wrong + unclear + rest + remarks
 
 
 def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
@@ -90,27 +91,25 @@ def _unclear(report: dict[str, Any]) -> list[str]:
 
 
 def _clocks(report: dict[str, Any]) -> list[str]:
-    first = {camera: about["first_frame"] for camera, about in report["footage"].items()}
-    least = min(first.values())
-    return [
-        f"camera {camera} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f}); write "
-        f'starts: {{"{camera}": {first[camera] - least + round(lag["frames"])}}} into capture.yaml'
-        for camera, lag in report["lags_frames"].items()
-        if lag["valid"] and not lag["low"] <= 0 <= lag["high"]
-    ]
+    late = {c: lag for c, lag in report["lags_frames"].items() if lag["valid"] and not lag["low"] <= 0 <= lag["high"]}
+    if not late:
+        return []
+    starts = {c: about["first_frame"] + (late[c]["frames"] if c in late else 0.0) for c, about in report["footage"].items()}
+    least = min(starts.values())
+    listed = ", ".join(f'"{c}": {start - least:.4g}' for c, start in starts.items())
+    told = [f"camera {c} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f})" for c, lag in late.items()]
+    return [f"by people's rays {'; '.join(told)}; if so, write starts: {{{listed}}} into capture.yaml"]
 
 
 def _footage(report: dict[str, Any]) -> list[str]:
     found = []
     footage = report["footage"].values()
-    chosen = all(0 < a["count"] <= a["video_frames"] - a["first_frame"] for a in footage)
     for key, what, remedy in (
-        ("fps", "frame rates", "export all at one rate"),
-        ("video_frames", "lengths", "set frames: {first: …, count: …} in capture.yaml to the part that all have"),
+        ("fps", "frame rates", "every frame is taken at its own time, and a slower camera shows a fast motion less often"),
         ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
     ):
         values = {a["camera"]: a[key] for a in footage}
-        if len(set(values.values())) > 1 and not (chosen and key == "video_frames"):
+        if len(set(values.values())) > 1:
             listed = ", ".join(f"{c} {v:g}" for c, v in values.items())
             found.append(f"the {what} differ ({listed}): {remedy}")
     light = {a["camera"]: a["brightness"] for a in footage}

@@ -28,8 +28,10 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.retiming import on_common_clock
 
 _FRAMES = 24
 _LAG_FRAMES = 6
@@ -55,11 +57,13 @@ def examined(
     about: Sequence[dict[str, Any]],
     settings: Settings,
     lens_readings: Readings | None = None,
+    sync: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], np.ndarray]:
     """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were another
-    model, by the names of ``hypotheses.LENS_READINGS``.
+    model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before (``sentences``, and the
+    ``refusal`` that awaits the footage, or "").
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
@@ -96,6 +100,7 @@ def examined(
         "px_per_camera": dict(zip(names, each)),
         "shown_frame": shown,
         "lags_frames": {lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid} for lag in found_lags},
+        "sync": dict(sync or {"sentences": [], "refusal": ""}),
         "footage": {a["camera"]: dict(a) for a in about},
         "facts": sanity.facts(cameras),
         "oddities": sanity.oddities(cameras),
@@ -165,6 +170,20 @@ def marks(seen: Detections, frame: int | None) -> np.ndarray:
     return points[points[:, 2] > 0, :2]
 
 
+def usable(common: Clocks) -> Clocks:
+    """``common``, or the footage as it was filmed where the videos share no moment: there is still something to look at."""
+    if common.frames:
+        return common
+    as_filmed = tuple(replace(c, offset_s=0.0, drift_ppm=0.0) for c in common.cameras)
+    return replace(common, start_s=0.0, frames=min(c.frames for c in as_filmed), cameras=as_filmed)
+
+
+def first_frame(common: Clocks, camera: str) -> float:
+    """Where between the frames of a camera's footage the scene's first moment lies."""
+    position = common.positions(camera)
+    return float(np.interp(0.0, position, np.arange(len(position))))
+
+
 def nobody(camera: str) -> Detections:
     """The sightings of a camera without keypoints."""
     return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
@@ -178,31 +197,32 @@ def run(
     sources: list[Path],
     sightings: list[Path],
     sizes: list[Path],
-    starts: list[int],
-    count: int,
+    clocks: Path,
+    sync: Path,
     report: Path,
     doctor: Path,
 ) -> None:
     """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 
-    Their frames are used from ``starts`` on, ``count`` of them (0 = to the end). ``sightings`` and ``sizes`` are there for the
-    cameras with keypoints, in any order.
+    ``clocks`` say which of their frames are used, ``sync`` how that was found. ``sightings`` and ``sizes`` are there for the cameras with
+    keypoints, in any order.
     """
     lenses = {v["name"]: Lens.from_json(v) for v in read_json(calibration)["lenses"]}
     if unknown := [c for c in cameras if c not in lenses]:
         raise Refusal(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
-    seen = {d.camera: d for d in map(read_detections, sightings)}
-    used = {v["camera"]: int(v["frames"]) for v in map(read_json, sizes)}
+    found, common = read_json(sync), usable(read_clocks(clocks))
+    heights = {v["camera"]: int(v["wh"][1]) for v in map(read_json, sizes)}
+    seen = {d.camera: on_common_clock(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
     raw = [seen.get(c, nobody(c)) for c in cameras]
-    middle = min(used.values(), default=0) // 2
-    looks = [glance(source, [start, start + middle]) for source, start in zip(sources, starts, strict=True)]
+    moments = [common.source_frames(c) for c in cameras]
+    looks = [glance(source, [int(of[0]), int(of[len(of) // 2])]) for source, of in zip(sources, moments, strict=True)]
     about = [
         {
-            "camera": c, "wh": list(g.wh), "frames": used.get(c) or max(g.frames - start, 1), "first_frame": start, "count": count,
+            "camera": c, "wh": list(g.wh), "frames": common.frames, "first_frame": first_frame(common, c),
             "brightness": g.brightness, "burnt": g.burnt,
             "fps": g.fps, "video_frames": g.frames, "rotation_deg": g.rotation_deg, "keypoints": c in seen,
         }
-        for c, g, start in zip(cameras, looks, starts, strict=True)
+        for c, g in zip(cameras, looks, strict=True)
     ]  # fmt: skip
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
@@ -211,16 +231,19 @@ def run(
 
     pinholes, detections = read("as_read")
     readings = {name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)}
-    result, points = examined(pinholes, detections, about, settings, readings)
+    told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
+    result, points = examined(pinholes, detections, about, settings, readings, told)
     pictures = [g.pictures[-1] for g in looks]
     if result["shown_frame"] is not None:
-        pictures = [glance(source, [start + result["shown_frame"]]).pictures[0] for source, start in zip(sources, starts)]
+        pictures = [glance(source, [int(of[result["shown_frame"]])]).pictures[0] for source, of in zip(sources, moments)]
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
     straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
     sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
     png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes()
     write_json(report, result)
     write_text(doctor, page(scene, result, png))
+    for sentence in told["sentences"]:
+        say(sentence)
     say(f"verdict: {result['verdict']}")
     for sentence in result["advice"]:
         say(sentence)

@@ -28,12 +28,18 @@ def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Doctor: {html.escape(scene)}</title><style>{_STYLE}</style>'
         f'<h1>Cameras of {html.escape(scene)}</h1><div class="verdict" style="--c:{_COLOURS[report["verdict"]]}">'
         f"<b>{report['verdict'].capitalize()}.</b> {html.escape(HEADLINES[report['verdict']])}</div>"
-        f"<h2>What to check</h2><ul>{items}</ul>"
+        f"{_clocks(report)}<h2>What to check</h2><ul>{items}</ul>"
         '<p><img alt="every camera with people\'s joints projected back into it, and all cameras from above" '
         f'src="data:image/png;base64,{picture}"></p>'
         f'<p class="note">{_caption(report)}</p>'
         f"<h2>Cameras</h2>{_cameras(report)}{_readings(report)}{_volume(report)}</html>\n"
     )
+
+
+def _clocks(report: dict[str, Any]) -> str:
+    """When every camera was started, first of all: nothing else can be right when that is wrong."""
+    told = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in report["sync"]["sentences"])
+    return f"<h2>Clocks</h2><ul>{told}</ul>" if told else ""
 
 
 def _caption(report: dict[str, Any]) -> str:
@@ -84,8 +90,8 @@ def _cameras(report: dict[str, Any]) -> str:
     return (
         "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + f"</tr>{''.join(rows)}</table>"
         f'<p class="note">Margin: how many times better this camera fits the people as read than under the best other reading of its pose; '
-        f"from {CLEAR_MARGIN} on it is clear. Lag: how much later than the others it recorded, with the "
-        "interval that fits as well.</p>"
+        f"from {CLEAR_MARGIN} on it is clear. Lag: how much later than the others its people still come "
+        "with these clocks, with the interval that fits as well.</p>"
     )
 
 

@@ -24,8 +24,10 @@ from studiorecon.models.protocols import Reconstruction
 from studiorecon.models.registry import model as registered
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.colmap import write_model
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.retiming import on_common_clock
 
 TORSO = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 # Torsos of one scene that differ by more than this factor do not measure the same unit.
@@ -97,22 +99,25 @@ def run(
     settings: Settings,
     cameras: list[str],
     sources: list[Path],
-    starts: list[int],
+    clocks: Path,
     sightings: list[Path],
     body: Path,
     weights: Path,
     device: str,
     model: Path,
 ) -> None:
-    """Write a COLMAP text model of ``cameras`` from the frames ``starts`` of their ``sources``; ``sightings`` may be none, or one each."""
-    pictures = [glance(source, [start]).pictures[0] for source, start in zip(sources, starts, strict=True)]
+    """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``; ``sightings`` may be none, or one each."""
+    common = read_clocks(clocks)
+    if common.refusal:
+        raise Refusal(common.refusal)
+    pictures = [glance(s, [int(common.source_frames(c)[0])]).pictures[0] for c, s in zip(cameras, sources, strict=True)]
     wh = [(picture.shape[1], picture.shape[0]) for picture in pictures]
     entry = registered(settings.source)
     found = Pi3(settings.source, weights, device).reconstruct(pictures, cameras)
     for camera, size, residual in zip(found.cameras, wh, found.focal_residuals_px):
         focal_px, share = camera.focal_px[0] * size[0] / camera.wh[0], residual / camera.wh[0]
         say(f"{camera.name}: focal length {focal_px:.0f} px, points off their pixels by {share:.2%} of the width")
-    seen = [read_detections(path) for path in sightings]
+    seen = [on_common_clock(d, common, wh[cameras.index(d.camera)][1]) for d in map(read_detections, sightings)]
     lengths = torso_lengths(found, wh, seen, settings.limits.min_confidence)
     rest = BodyModel.load(body)
     torso = rest.keypoints(TORSO, np.zeros((1, 72)), np.zeros(rest.shapes), np.zeros((1, 3)))[0]

@@ -23,8 +23,10 @@ from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.scene.retiming import on_common_clock
 
 # Widths of view that are tried when nobody says: phones, action cameras, webcams, tele ends.
 _HFOV_DEG = (65.0, 85.0, 48.0, 105.0, 36.0)
@@ -211,19 +213,21 @@ def _settled_in_the_world(result: Adjusted, rig: Rig, template_m: np.ndarray) ->
     return cameras, int(used.sum()), how
 
 
-def run(settings: Settings, sightings: list[Path], sizes: list[Path], body: Path, focal_px: str, calibration: Path) -> None:
+def run(settings: Settings, sightings: list[Path], sizes: list[Path], clocks: Path, body: Path, focal_px: str, calibration: Path) -> None:
     """Pose the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write ``calibration`` (JSON).
 
     ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows.
     """
-    detections = [read_detections(p) for p in sightings]
-    size_of = {v["camera"]: (v["wh"], v["frames"]) for v in map(read_json, sizes)}
-    wh = [(int(size_of[d.camera][0][0]), int(size_of[d.camera][0][1])) for d in detections]
+    common = read_clocks(clocks)
+    if common.refusal:
+        raise Refusal(common.refusal)
+    size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in map(read_json, sizes)}
+    detections = [on_common_clock(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
+    wh = [size_of[d.camera] for d in detections]
     if blind := [d.camera for d in detections if not len(d.frame)]:
         raise Refusal(f"camera {', '.join(blind)} sees nobody, and without a calibration cameras can only be found from people")
-    frames = min(int(size_of[d.camera][1]) for d in detections)
     warn("there is no calibration: the cameras are found from the people (cameras.source)")
-    cameras, report = pose_cameras(detections, wh, json.loads(focal_px or "{}"), frames, mean_body(BodyModel.load(body)), settings)
+    cameras, report = pose_cameras(detections, wh, json.loads(focal_px or "{}"), common.frames, mean_body(BodyModel.load(body)), settings)
     notes = [
         f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median, turns within "
         f"{max(report['sigma_deg'].values()):.2f}°, places within {max(report['sigma_m'].values()):.3f} m",

@@ -18,9 +18,10 @@ from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
 from studiorecon.images.footage import Source, decode, digest, open_source, uneven
 from studiorecon.images.video import write_lossless
-from studiorecon.progress import progress, say, warn
+from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
+from studiorecon.scene.clocks import read_clocks
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def working_size(source_wh: tuple[int, int], longer_side: int) -> tuple[int, int
     return working_wh(source_wh, max(2, round(source_wh[0] * shrink)))
 
 
-def describe_changes(source: Source, lens: Lens, view: WorkingView, first: int) -> list[str]:
+def describe_changes(source: Source, lens: Lens, view: WorkingView, used: np.ndarray, late_frames: np.ndarray) -> list[str]:
     """Sentences: everything that sets the working frames apart from the file."""
     changes = list(source.notes)
     if source.rotation_deg:
@@ -53,33 +54,47 @@ def describe_changes(source: Source, lens: Lens, view: WorkingView, first: int) 
         changes.append(f"lens distortion removed ({lens.model} {', '.join(f'{c:.4g}' for c in lens.distortion)})")
     if not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
         changes.append("pixels of the video were mapped to those of the calibration, as pixel_maps in capture.yaml says")
-    if first:
-        changes.append(f"starts at frame {first} of the source")
+    if used[0]:
+        changes.append(f"starts at frame {used[0]} of the source")
+    if jumps := int((np.diff(used) != 1).sum()):
+        changes.append(f"at {jumps} of {len(used) - 1} steps a frame of the source is left out or shown again, as its times say")
+    if np.abs(late_frames).max() > 0:
+        most = np.abs(late_frames).max()
+        changes.append(f"its pictures come {late_frames.mean():+.2f} frames beside the scene's moments ({most:.2f} at most)")
     return changes
 
 
 def run(
-    settings: Settings, source: Path, calibration: Path, camera: str, held_out: int, first: int, count: int, video: Path, footage: Path
+    settings: Settings, source: Path, calibration: Path, clocks: Path, camera: str, held_out: int, count: int, video: Path, footage: Path
 ) -> None:
-    """Decode, undistort and resize frames ``first`` … of ``source``; write ``video`` (lossless) and ``footage`` (JSON)."""
+    """Decode, undistort and resize the frames of ``source`` that ``clocks`` chooses; write ``video`` (lossless) and ``footage`` (JSON).
+
+    ``count`` is how many the user asked for; 0: all, and then an end that is missing is refused.
+    """
     opened = open_source(source, settings.picture_fps)
     lens = lens_of(calibration, camera)
+    common = read_clocks(clocks)
+    if common.refusal:
+        raise Refusal(common.refusal)
+    clock, used = common.of(camera), common.source_frames(camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))
 
-    times_s: list[float] = []
-
     def pictures() -> Iterator[np.ndarray]:
-        total = count or (max(opened.declared_frames - first, 0) if opened.declared_frames else None)
-        for frame in progress(decode(opened, first, count, times_s), "frames", total):
-            yield view.picture(frame)
+        wanted = np.bincount(used - used[0])
+        # To the very end where all are wanted, so that a recording that was cut off is noticed.
+        whole = not count and used[-1] >= clock.frames - 1
+        decoded = decode(opened, int(used[0]), 0 if whole else len(wanted))
+        for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
+            picture = view.picture(frame) if number < len(wanted) and wanted[number] else None
+            for _ in range(wanted[number] if picture is not None else 0):
+                yield picture
 
     try:
-        frames = write_lossless(video, pictures(), opened.fps)
+        frames = write_lossless(video, pictures(), common.fps)
     except MemoryError:
         raise Refusal(f"{source} is too large to decode in memory; lower capture.width") from None
-    changes = describe_changes(opened, lens, view, first)
-    if wrong := uneven(times_s, first):
-        warn(f"{source}: {wrong}")
+    changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
+    if wrong := uneven(clock.times_s, 0):
         changes.append(wrong)
     write_footage(
         footage,
@@ -88,15 +103,16 @@ def run(
             held_out=bool(held_out),
             wh=view.wh,
             intrinsics=view.intrinsics.tolist(),
-            fps=opened.fps,
+            fps=common.fps,
             frames=frames,
-            first_source_frame=first,
+            first_source_frame=int(used[0]),
             source=f"{source.parent.name}/{source.name}",
             source_sha256=digest(opened),
             source_wh=opened.wh,
             rotation_deg=opened.rotation_deg,
-            sync_offset_s=0.0,
+            sync_offset_s=clock.offset_s,
             changes=changes,
+            source_frames=() if (np.diff(used) == 1).all() else tuple(used.tolist()),
         ),
     )
-    say(f"{camera}: {frames} frames at {opened.fps:g} per second, {view.wh[0]}×{view.wh[1]}" + "".join(f"; {c}" for c in changes))
+    say(f"{camera}: {frames} frames at {common.fps:g} per second, {view.wh[0]}×{view.wh[1]}" + "".join(f"; {c}" for c in changes))

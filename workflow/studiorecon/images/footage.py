@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -77,22 +78,18 @@ def open_source(path: Path, picture_fps: float) -> Source:
     return Source(path, wh, float(rate), declared, rotation_deg, (), notes)
 
 
-def decode(source: Source, first: int, count: int, times_s: list[float] | None = None) -> Iterator[np.ndarray]:
+def decode(source: Source, first: int, count: int) -> Iterator[np.ndarray]:
     """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, rotation tag applied.
 
-    ``times_s`` receives when the file shows each of them, where it says so (a folder of pictures does not).
     Raises Refusal naming file and frame when a frame is damaged, when the footage ends early, or when nothing is left of it.
     A damaged end does not matter when the chosen frames lie before it.
     """
     stop = first + count if count else None
-    frames = ((picture, None) for picture in _decode_folder(source)) if source.pictures else _decode_video(source)
     number = 0
-    for frame, time_s in frames:
+    for frame in _decode_folder(source) if source.pictures else _decode_video(source):
         if stop is not None and number >= stop:
             return
         if number >= first:
-            if times_s is not None and time_s is not None:
-                times_s.append(time_s)
             yield frame
         number += 1
     if number <= first or (stop is not None and number < stop):
@@ -106,7 +103,7 @@ def decode(source: Source, first: int, count: int, times_s: list[float] | None =
 
 
 def uneven(times_s: Sequence[float], first: int) -> str | None:
-    """What is wrong with the times (seconds) of successive frames from ``first`` on: a dropped frame puts all that follow out of step."""
+    """What is odd about the times (seconds) of successive frames from ``first`` on: a dropped frame puts all that follow out of step."""
     gaps = np.diff(np.asarray(times_s, dtype=float))
     usual = float(np.median(gaps)) if len(gaps) else 0.0
     if usual <= 0:
@@ -117,8 +114,7 @@ def uneven(times_s: Sequence[float], first: int) -> str | None:
     worst = odd[np.argmax(np.abs(gaps[odd] - usual))]
     return (
         f"frames do not come evenly: {len(odd)} of {len(gaps)} steps differ from the usual {1000 * usual:.0f} ms, most after frame "
-        f"{first + worst} ({1000 * gaps[worst]:.0f} ms). Frames are counted, not timed: rewrite the video at a constant rate and find its "
-        "keypoints again"
+        f"{first + worst} ({1000 * gaps[worst]:.0f} ms)"
     )
 
 
@@ -133,25 +129,25 @@ def digest(source: Source) -> str:
 
 
 def stills(source: Source, wanted: Sequence[int]) -> Iterator[np.ndarray]:
-    """The frames numbered ``wanted`` (ascending), as ``decode`` gives them; numbers past the end are left out.
+    """The frames numbered ``wanted`` (ascending, maybe twice), as ``decode`` gives them; numbers past the end are left out.
 
     Raises Refusal as ``decode`` does, but for damage after the last of them.
     """
-    chosen = set(wanted)
+    chosen = Counter(wanted)
     if source.pictures:
         wanted = [number for number in wanted if number < len(source.pictures)]
         yield from _decode_folder(replace(source, pictures=tuple(source.pictures[number] for number in wanted)))
         return
     for number, frame in enumerate(_video_frames(source)):
-        if number in chosen:
-            yield _upright(frame, source)
+        if chosen[number]:
+            yield from [_upright(frame, source)] * chosen[number]
         if number == max(chosen, default=-1):
             return
 
 
-def _decode_video(source: Source) -> Iterator[tuple[np.ndarray, float | None]]:
+def _decode_video(source: Source) -> Iterator[np.ndarray]:
     for frame in _video_frames(source):
-        yield _upright(frame, source), frame.time
+        yield _upright(frame, source)
 
 
 def _upright(frame: av.VideoFrame, source: Source) -> np.ndarray:

@@ -37,8 +37,8 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> np.
     if lens is None:
         raise Refusal(f"camera {about.camera} is not in {calibration}")
     pictures = list(_pictures(path))
-    if len(pictures) >= about.first_source_frame + frames and len(pictures) != frames:
-        pictures = pictures[about.first_source_frame : about.first_source_frame + frames]
+    if len(pictures) > max(about.used) and len(pictures) != frames:
+        pictures = [pictures[k] for k in about.used]
     if len(pictures) != frames:
         raise Refusal(
             f"masks {path} hold {len(pictures)} pictures, but {frames} frames of camera {about.camera} are in use; bring one mask for each"

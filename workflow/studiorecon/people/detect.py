@@ -21,7 +21,9 @@ from studiorecon.people.found import Found, write_found
 from studiorecon.people.tracking import distance_shares
 from studiorecon.people.windows import changed, grid, small, usual
 from studiorecon.progress import progress, say, warn
+from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json
+from studiorecon.scene.retiming import part_of
 
 # Time between two looks at the whole picture.
 _LOOK_S = 0.5
@@ -153,15 +155,14 @@ def people_in(pictures: Iterable[np.ndarray], network: BlazePose, background: np
     yield from results
 
 
-def run(
-    settings: Settings, camera: str, source: Path, start: int, count: int, picture_fps: float, networks: list[Path], found: Path
-) -> None:
-    """Write who is in frames ``start`` … of ``source`` (``count`` 0 = to the end) to ``found`` (npz).
+def run(settings: Settings, camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Path) -> None:
+    """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or none) chooses.
 
     ``networks``: the detector's file, the landmarks', and the table that says what their visibility is worth.
     """
     detection, landmarks, table = networks
     footage = open_source(source, picture_fps)
+    start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or (max(footage.declared_frames - start, 0) if footage.declared_frames else 0)
     if start + total < 2:
         raise Refusal(f"{source} has {start + total} frames; people are followed through at least two")

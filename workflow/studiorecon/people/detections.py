@@ -18,8 +18,10 @@ from studiorecon.people.tracking import TrackingLimits, tracks, without_duplicat
 from studiorecon.progress import say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
+from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, write_detections
+from studiorecon.scene.retiming import at_the_scene_s_moments, part_used
 
 
 @dataclass(frozen=True)
@@ -104,17 +106,30 @@ def followed(given: Detections, settings: Settings, fps: float) -> Detections:
 
 
 def run(
-    settings: Settings, camera: str, keypoints: Path, layout: str, first_frame: int, footage: Path, calibration: Path, detections: Path
+    settings: Settings,
+    camera: str,
+    keypoints: Path,
+    layout: str,
+    first_frame: int,
+    footage: Path,
+    calibration: Path,
+    detections: Path,
+    clocks: Path | None = None,
 ) -> None:
-    """Read the ``keypoints`` of ``camera``, recorded (numbered from ``first_frame`` on) or the detector's; write ``detections`` (npz)."""
-    found = read_footage(footage)
+    """Read the ``keypoints`` of ``camera``, recorded (numbered from ``first_frame`` on) or the detector's; write ``detections`` (npz).
+
+    ``clocks`` say which picture shows which of the scene's moments; without them one after the other, as the footage was used.
+    """
+    used = read_footage(footage)
+    common = read_clocks(clocks) if clocks else None
+    found = part_used(used, common)
     lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
     if lens is None:
         raise Refusal(f"camera {camera} is not in {calibration}")
     if is_found(keypoints):
         whole = read_found(keypoints)
-        result = detections_of_found(whole, lens, found, settings)
-        _tell(result, whole.note, found)
+        result = at_the_scene_s_moments(detections_of_found(whole, lens, found, settings), used, common)
+        _tell(result, whole.note, used)
         write_detections(detections, result)
         return
     entries, kind = read_keypoints(keypoints)
@@ -125,7 +140,7 @@ def run(
         chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
         if note:
             say(note)
-    result = detections_of(entries, chosen, lens, found, first_frame, settings)
+    result = at_the_scene_s_moments(detections_of(entries, chosen, lens, found, first_frame, settings), used, common)
     if entries and not len(result.frame):
         numbers = sorted({e.frame for e in entries})
         raise Refusal(
@@ -133,7 +148,7 @@ def run(
             f"{numbers[0]} to {numbers[-1]}); write the number of the video's first frame into capture.yaml as "
             "keypoint_first_frame"
         )
-    _tell(result, kind, found)
+    _tell(result, kind, used)
     write_detections(detections, result)
 
 

@@ -159,14 +159,14 @@ def run(
         say("there are two cameras: what one sees is no place in the other, so nobody is looked for again")
     plan = planned(own, people, who, footage.frames)
     view = View(footage, lens, read_json(networks[2]))
-    wanted = [footage.first_source_frame + frame for frame in sorted({look[0] for look in plan.looks})]
+    wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
     looks = looked_again(BlazePose(networks[0], networks[1]), pictures, plan, people, own, view)
     owners = [who.get((camera, int(t)), "") for t in own.track]
     result = improved_by(own, plan, looks, people, owners, len(whole.frame))
     rows = [
         (
-            footage.first_source_frame + look.frame,
+            footage.used[look.frame],
             believed(look.seen.keypoints, footage.source_wh, view.worth),
             look.seen.presence,
             look.seen.points_m,

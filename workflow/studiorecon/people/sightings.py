@@ -60,24 +60,21 @@ def run(
     keypoints: Path,
     layout: str,
     first_frame: int,
-    start: int,
-    count: int,
     source: Path,
     picture_fps: float,
     pixel_map: str,
     sightings: Path,
     size: Path,
 ) -> None:
-    """Write the tracks of ``camera`` to ``sightings`` (npz) and the video's size and frame count to ``size`` (JSON).
+    """Write the tracks of ``camera``, by the frames of its footage, to ``sightings`` (npz) and the video's size to ``size`` (JSON).
 
-    ``start`` and ``count`` are the part of the footage that is used (``count`` 0 = as far as keypoints go), ``picture_fps`` the rate of
-    a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or [].
+    ``picture_fps`` is the rate of a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or [].
     """
     wh = picture_wh(source)
     if is_found(keypoints):
         whole = read_found(keypoints)
-        about = {"camera": camera, "wh": list(wh), "frames": whole.looked[1], "pixel_map": json.loads(pixel_map)}
-        found = detections_of_found(whole, *_as_filmed(camera, wh, whole.looked[1], start, source, picture_fps, pixel_map), settings)
+        about = {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)}
+        found = detections_of_found(whole, *_as_filmed(camera, wh, sum(whole.looked), source, picture_fps, pixel_map), settings)
         say(f"camera {camera}: {len(found.frame)} sightings ({whole.note}), {len(np.unique(found.track))} tracks")
         write_detections(sightings, found)
         write_json(size, about)
@@ -87,26 +84,24 @@ def run(
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
         nobody = np.zeros(0, dtype=np.int64)
         write_detections(sightings, Detections(camera, "coco17", nobody, nobody, np.zeros((0, 17, 3))))
-        write_json(size, {"camera": camera, "wh": list(wh), "frames": count, "pixel_map": json.loads(pixel_map)})
+        write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
         return
-    frames = count or max(e.frame for e in entries) - first_frame - start + 1
+    frames = max(e.frame for e in entries) - first_frame + 1
     if frames < 2:
-        raise Refusal(f"{keypoints}: no detection belongs to the used frames of camera {camera}; set keypoint_first_frame in capture.yaml")
+        raise Refusal(f"{keypoints}: no detection belongs to a frame of camera {camera}; set keypoint_first_frame in capture.yaml")
     chosen, note = choose_layout(np.stack([e.keypoints for e in entries]), layout, str(keypoints))
     if note:
         say(note)
-    lens, footage = _as_filmed(camera, wh, frames, start, source, picture_fps, pixel_map)
+    lens, footage = _as_filmed(camera, wh, frames, source, picture_fps, pixel_map)
     found = detections_of(entries, chosen, lens, footage, first_frame, settings)
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
-    write_json(size, {"camera": camera, "wh": list(wh), "frames": frames, "pixel_map": json.loads(pixel_map)})
+    write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
 
 
-def _as_filmed(
-    camera: str, wh: tuple[int, int], frames: int, start: int, source: Path, picture_fps: float, pixel_map: str
-) -> tuple[Lens, Footage]:
+def _as_filmed(camera: str, wh: tuple[int, int], frames: int, source: Path, picture_fps: float, pixel_map: str) -> tuple[Lens, Footage]:
     """Lens and footage whose working pixels are the video's own: a pinhole of any focal length maps them onto themselves."""
     intrinsics = np.array([[max(wh), 0, wh[0] / 2], [0, max(wh), wh[1] / 2], [0, 0, 1.0]])
     lens = mapped_lens(Lens(camera, wh, intrinsics, "opencv", np.zeros(8), np.eye(4), np.eye(2, 3)), json.loads(pixel_map))
     fps = frame_rate(source, picture_fps)
-    return lens, Footage(camera, False, wh, intrinsics.tolist(), fps, frames, start, source.name, "", wh, 0, 0.0, [])
+    return lens, Footage(camera, False, wh, intrinsics.tolist(), fps, frames, 0, source.name, "", wh, 0, 0.0, [])

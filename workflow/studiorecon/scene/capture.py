@@ -27,8 +27,9 @@ class Footage:
         source_sha256: digest of the file (of the sorted file digests for a folder).
         source_wh: size of the source frames, after their rotation tag.
         rotation_deg: rotation tag that was applied, 0 when none.
-        sync_offset_s: time added to this camera's clock (0 when synchronised).
+        sync_offset_s: when its first source frame was taken on the common clock (0 when synchronised).
         changes: sentences: what was done to the footage.
+        source_frames: the source frame of every working frame, where they do not follow one another; else empty.
     """
 
     camera: str
@@ -44,6 +45,12 @@ class Footage:
     rotation_deg: int
     sync_offset_s: float
     changes: list[str]
+    source_frames: tuple[int, ...] = ()
+
+    @property
+    def used(self) -> Sequence[int]:
+        """The source frame of every working frame."""
+        return self.source_frames or range(self.first_source_frame, self.first_source_frame + self.frames)
 
 
 @dataclass(frozen=True)
@@ -94,4 +101,5 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def _footage(value: dict[str, Any]) -> Footage:
-    return Footage(**{**value, "wh": tuple(value["wh"]), "source_wh": tuple(value["source_wh"])})
+    listed = {name: tuple(value.get(name, ())) for name in ("wh", "source_wh", "source_frames")}
+    return Footage(**{**value, **listed})

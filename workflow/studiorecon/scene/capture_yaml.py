@@ -57,17 +57,17 @@ def frames_used(description: dict[str, Any], folder: Path) -> tuple[int, int]:
     return first, count
 
 
-def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, int]:
-    """camera → the frame of its footage at which all are taken to begin; 0 where capture.yaml names none. Only differences count."""
+def starts_of(description: dict[str, Any], footage: Mapping[str, Path]) -> dict[str, float]:
+    """camera → the frame of its footage that shows one moment, 0 for cameras that are not named; empty where capture.yaml names none."""
     given = description.get("starts") or {}
     if not isinstance(given, dict):
         raise Refusal("capture.yaml: starts must look like {cam02: 13}: the frame of cam02's video at which the others begin")
-    found = dict.fromkeys(footage, 0)
+    found = dict.fromkeys(footage, 0.0)
     for camera, value in given.items():
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise Refusal(f"capture.yaml: starts of {camera} is {value!r}; it must be a whole number of frames")
-        found[_check_named(camera, "starts", footage)] = value
-    return found
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
+            raise Refusal(f"capture.yaml: starts of {camera} is {value!r}; it must be a number of frames, such as 13 or 12.6")
+        found[_check_named(camera, "starts", footage)] = float(value)
+    return found if given else {}
 
 
 def whole_number(description: dict[str, Any], key: str, folder: Path) -> int:

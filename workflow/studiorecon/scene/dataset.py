@@ -58,9 +58,9 @@ class Dataset:
         pixel_maps: camera → (scale, x, y) with p_video = scale · p_calibration + (x, y), pixel centres at +0.5, for
             footage that was resized or padded after the calibration.
         focal_px: camera → focal length in pixels of its footage, where capture.yaml gives one; only used without a calibration.
-        first_frames: camera → the frame of its footage that is the scene's first: ``frames.first``, later by ``starts`` where cameras were
-            not started together.
-        frame_count: how many frames to use; 0 = to the end.
+        starts: camera → the frame of its footage, maybe between two, that shows one moment, as ``capture.yaml`` says; empty: it does not.
+        first_frame: of the moments that all cameras have, the first to use.
+        frame_count: how many of them to use; 0 = to the end.
         people: False when ``capture.yaml`` says ``people: 0``: the room is known to be empty.
         truth: folder of exact truth (made studio only), else None.
     """
@@ -78,7 +78,8 @@ class Dataset:
     identities: Path | None
     pixel_maps: Mapping[str, tuple[float, float, float]]
     focal_px: Mapping[str, float]
-    first_frames: Mapping[str, int]
+    starts: Mapping[str, float]
+    first_frame: int
     frame_count: int
     people: bool
     truth: Path | None
@@ -124,7 +125,8 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         identities=_identities(folder, description),
         pixel_maps=pixel_maps(description, footage),
         focal_px=focal_lengths(description, footage),
-        first_frames={camera: first + starts[camera] - min(starts[c] for c in footage) for camera in footage},
+        starts={camera: starts[camera] for camera in footage} if starts else {},
+        first_frame=first,
         frame_count=count,
         people=description.get("people", 1) not in (0, False, "none"),
         truth=None,

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One common clock for all cameras, and which frame of each video shows which moment: ``capture/clocks.json``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.scene.files import read_json, write_json
+
+# Times closer than this share of a frame are one time: what rounding to a file's time base leaves.
+_SAME_FRAMES = 1e-4
+
+
+@dataclass(frozen=True)
+class Clock:
+    """When the frames of one camera's footage were taken, on the common clock.
+
+    Attributes:
+        camera: camera name.
+        fps: frames per second by the camera's own clock.
+        frames: how many frames the footage has.
+        times_s: seconds of every frame after the first one where they do not come evenly; empty: frame k at k / fps.
+        offset_s: common time of the first frame, seconds.
+        drift_ppm: by how many millionths a second of this camera is longer than a common one.
+        readout_s: seconds from the first row to the last, by which keypoints are moved; 0: all rows at once.
+    """
+
+    camera: str
+    fps: float
+    frames: int
+    times_s: tuple[float, ...] = ()
+    offset_s: float = 0.0
+    drift_ppm: float = 0.0
+    readout_s: float = 0.0
+
+    @property
+    def own_s(self) -> np.ndarray:
+        """(frames,) seconds of every frame after the first, by the camera's own clock."""
+        return np.array(self.times_s) if self.times_s else np.arange(self.frames) / self.fps
+
+    @property
+    def common_s(self) -> np.ndarray:
+        """(frames,) seconds on the common clock at which the middle rows of every frame were taken."""
+        return self.offset_s + (1 + 1e-6 * self.drift_ppm) * self.own_s
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """All cameras on one clock, and the moments that the scene is made of: working frame w is at ``start_s`` + w / ``fps``.
+
+    ``refusal`` is the sentence for which the footage cannot be used as it stands; empty: it can.
+    """
+
+    fps: float
+    start_s: float
+    frames: int
+    cameras: tuple[Clock, ...]
+    refusal: str = ""
+
+    def of(self, camera: str) -> Clock:
+        """The clock of one camera; KeyError when there is none of that name."""
+        for clock in self.cameras:
+            if clock.camera == camera:
+                return clock
+        raise KeyError(camera)
+
+    def positions(self, camera: str) -> np.ndarray:
+        """(N,) where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working frame 3."""
+        exact = (self.of(camera).common_s - self.start_s) * self.fps
+        whole = np.round(exact)
+        return np.where(np.abs(exact - whole) < _SAME_FRAMES, whole, exact)
+
+    def source_frames(self, camera: str) -> np.ndarray:
+        """(frames,) the frame of the camera's footage that is nearest to every working frame; of two equally near ones the earlier."""
+        position, wanted = self.positions(camera), np.arange(self.frames)
+        after = np.clip(np.searchsorted(position, wanted), 1, max(len(position) - 1, 1))
+        late = position[np.minimum(after, len(position) - 1)] - wanted
+        return np.where(wanted - position[after - 1] <= late + _SAME_FRAMES, after - 1, np.minimum(after, len(position) - 1))
+
+    def late_frames(self, camera: str) -> np.ndarray:
+        """(frames,) by how many working frames the picture of every working frame comes late; at most half a frame of its camera."""
+        return self.positions(camera)[self.source_frames(camera)] - np.arange(self.frames)
+
+
+def write_clocks(path: Path, clocks: Clocks) -> None:
+    write_json(path, asdict(clocks))
+
+
+def read_clocks(path: Path) -> Clocks:
+    value = read_json(path)
+    cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
+    return Clocks(float(value["fps"]), float(value["start_s"]), int(value["frames"]), cameras, str(value["refusal"]))
+
+
+def as_counted(camera: str, fps: float, first: int, frames: int) -> Clocks:
+    """One camera whose working frames are its frames ``first`` … ``first`` + ``frames`` - 1."""
+    return Clocks(fps, first / fps, frames, (Clock(camera, fps, first + frames),))
