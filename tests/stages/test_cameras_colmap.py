@@ -158,3 +158,11 @@ def test_files_of_two_models_are_refused(tmp_path):
         rig_model(ring()[:count]).write_text(str(tmp_path / name))
     with pytest.raises(Refusal, match=r"cannot read the model in .*cameras.txt, images.txt.* all from one model"):
         posed_pictures([tmp_path / "a" / "cameras.txt", tmp_path / "b" / "images.txt"])
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_names_keep_their_blanks_and_their_accents(tmp_path, suffix):
+    camera = Camera("côté jardin 2", *(getattr(ring()[0], name) for name in ("wh", "intrinsics", "camera_from_world")))
+    model = rig_model([camera])
+    model.write_binary(str(tmp_path)) if suffix == ".bin" else model.write_text(str(tmp_path))
+    assert [found.name for found in posed_pictures(colmap_files(tmp_path / f"images{suffix}"))] == [camera.name]

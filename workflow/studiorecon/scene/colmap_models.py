@@ -21,6 +21,8 @@ from studiorecon.scene.raw_camera import RawCamera, intrinsics_matrix, rigid_cam
 _OPENCV = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _FISHEYE = ("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE")
 _COEFFICIENTS = {"opencv": 8, "fisheye": 4}
+# COLMAP ends a name in images.txt at its first blank, which folders of pictures may have; this one it keeps.
+_NO_BREAK = "\u00a0"
 _GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
 
 
@@ -41,7 +43,7 @@ def posed_pictures(files: Sequence[Path]) -> list[RawCamera]:
         wh, intrinsics, kind, distortion = _lens(model.cameras[image.camera_id], folder)
         block = image.cam_from_world().matrix()
         pose, _ = rigid_camera_from_world(block[:, :3], block[:, 3], where)
-        cameras.append(RawCamera(camera_name(image.name), wh, intrinsics, kind, distortion, pose))
+        cameras.append(RawCamera(camera_name(image.name.replace(_NO_BREAK, " ")), wh, intrinsics, kind, distortion, pose))
     return cameras
 
 
@@ -65,7 +67,10 @@ def _read(files: Sequence[Path]) -> Any:
         read, written = Path(name) / "read", Path(name) / "written"
         read.mkdir(), written.mkdir()
         for file in files:
-            (read / file.name).symlink_to(file.resolve())
+            if file.name == "images.txt":
+                _with_whole_names(file, read / file.name)
+            else:
+                (read / file.name).symlink_to(file.resolve())
         (read / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
         try:
             model = pycolmap.Reconstruction(str(read))
@@ -82,6 +87,21 @@ def _read(files: Sequence[Path]) -> Any:
                 if (written / file.name).stat().st_size > file.stat().st_size:
                     raise Refusal(f"{file} ends in the middle of an entry; copy it again")
     return model
+
+
+def _with_whole_names(images: Path, copy: Path) -> None:
+    """The file with the blanks inside of its pictures' names made ``_NO_BREAK``; every second line, of 2D points, stays as it is."""
+    with (
+        open(images, encoding="utf-8", errors="surrogateescape") as file,
+        open(copy, "w", encoding="utf-8", errors="surrogateescape") as out,
+    ):
+        for line in file:
+            fields = line.split(maxsplit=9)
+            if not fields or line.startswith("#"):
+                out.write(line)
+                continue
+            fields[9:] = [name.strip().replace(" ", _NO_BREAK) for name in fields[9:]]
+            out.write(" ".join(fields) + "\n" + next(file, ""))
 
 
 def _lens(camera: Any, folder: Path) -> tuple[tuple[int, int], np.ndarray, str, np.ndarray]:
