@@ -27,7 +27,8 @@ README = """{scene}: a 4D scene of {people} and a static room, exported by studi
 background.ply    the static room: 3D Gaussians, binary PLY in the layout of the original 3DGS code
 {still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
 {keypoints}films/            H.264 films, enhanced: {films}
-manifest.json     size and SHA-256 of every file here
+room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, metres, for Blender, Unreal and collision
+manifest.json     size and SHA-256 of every other file here
 
 World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward; pixel centres
 at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those tools do; nerfstudio's axes are OpenGL's). Time is counted from 0,
@@ -145,7 +146,8 @@ def run(
     text = readme(scene, names, [f.stem for f in films], frame, capture.frames, capture.fps, layouts)
     write_text(folder / "README.txt", text)
     delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])])
-    for stale in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in delivered]:
+    # The mesh is made on request, by a step of its own.
+    for stale in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in (*delivered, "room.glb")]:
         stale.unlink()
     write_json(contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}})
     say(f"{len(delivered)} files are in {folder}, {sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB")

@@ -96,11 +96,14 @@ def write_glb(path: Path, person: Person, body: BodyModel) -> None:
         "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.7, 0.7, 0.7, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}}],
         "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
         "animations": [_animation(buffer, person)],
-        "accessors": buffer.accessors,
-        "bufferViews": buffer.views,
-        "buffers": [{"byteLength": len(buffer.data)}],
     }
-    text = json.dumps(document, separators=(",", ":")).encode()
+    write_document(path, document, buffer)
+
+
+def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None:
+    """A ``.glb`` of a document and the binary chunk that its accessors point into."""
+    held = {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": len(buffer.data)}]}
+    text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     with complete(path) as partial, open(partial, "wb") as file:
         file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(buffer.data)))

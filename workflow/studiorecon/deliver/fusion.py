@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands in the room as one coloured surface: rendered depth of many viewpoints in a truncated signed distance field (open3d).
+
+Curless and Levoy (SIGGRAPH 1996): every depth map moves the voxels near its surface; the surface is where their mean is zero, so noise
+of single maps averages out and what no map shows stays open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.provenance import INVENTED
+from studiorecon.splatting.device import rasteriser
+
+NEAR_M = 0.2
+OPAQUE = 0.9
+"""Least alpha of a pixel whose depth counts: below it the blended depth lies between surfaces."""
+_EDGE = 0.04
+# Half the thickness of the band around a surface in which a depth map moves voxels, in voxels.
+_BAND_VOXELS = 4.0
+# Voxels are kept in cubes of this many a side, as many cubes as a hall's surfaces take; more are found room for as they come.
+_BLOCK, _BLOCKS = 16, 20_000
+_LEAST_VIEWS = 1.5
+_ACROSS_CLUSTER_M = 0.15
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The room as one viewpoint shows it.
+
+    Attributes:
+        camera: from where.
+        rgb: (H, W, 3) float32 in [0, 1].
+        depth_m: (H, W) float32, 0 where the pixel is not opaque, invented, or at an edge in depth.
+    """
+
+    camera: Camera
+    rgb: np.ndarray
+    depth_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Attributes:
+    vertices_m: (V, 3) float64 in the world.
+    triangles: (F, 3) int64.
+    rgb: (V, 3) float64 in [0, 1] as displayed.
+    """
+
+    vertices_m: np.ndarray
+    triangles: np.ndarray
+    rgb: np.ndarray
+
+
+def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera]) -> list[Seen]:
+    """The Gaussians of the room, ``provenance`` (N,) of each, from every camera."""
+    draw = rasteriser("cpu", near_m=NEAR_M)
+    invented = (provenance == INVENTED).astype(np.float32)[:, None]
+    seen = []
+    for camera in cameras:
+        made = draw.forward(background, camera, values=invented)
+        depth_m = made.depth_m.copy()
+        around = np.ones((3, 3), np.uint8)
+        edge = cv2.dilate(depth_m, around) - cv2.erode(depth_m, around) > _EDGE * depth_m
+        depth_m[(made.alpha < OPAQUE) | (made.values[..., 0] > made.alpha / 2) | edge] = 0
+        seen.append(Seen(camera, np.clip(made.rgb, 0, 1), depth_m))
+    return seen
+
+
+def open3d() -> Any:
+    """The library, imported late because it takes seconds; where it cannot be loaded, a Refusal that says how to get it."""
+    # numba's threads must have started: the TBB that open3d brings is too old for numba, which would say so at its next kernel.
+    numba.get_num_threads()
+    try:
+        import open3d as o3d
+    except (ImportError, OSError) as error:
+        raise Refusal(
+            f"deliver/room.glb is made by open3d, which cannot be loaded here ({error}); bring it by the extra mesh (uv run --extra mesh, "
+            "or pip install 'studiorecon[mesh]'), and on a server without a desktop apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 "
+            "libgomp1 too; all else is delivered without it"
+        ) from None
+    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
+    return o3d
+
+
+def fused(views: Sequence[Seen], voxel_m: float) -> Surface:
+    """The zero of the signed distance field of all views; empty where they show nothing."""
+    o3d = open3d()
+    core = o3d.core
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        attr_names=("tsdf", "weight", "color"), attr_dtypes=(core.float32,) * 3, attr_channels=((1), (1), (3)), voxel_size=voxel_m,
+        block_resolution=_BLOCK, block_count=_BLOCKS, device=core.Device("CPU:0"),
+    )  # fmt: skip
+    for view in views:
+        farthest = float(view.depth_m.max()) + voxel_m
+        # open3d has the first pixel's centre at 0.
+        lens = core.Tensor(view.camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        pose = core.Tensor(np.ascontiguousarray(view.camera.camera_from_world))
+        depth, colour = (
+            o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(a, np.float32))) for a in (view.depth_m[..., None], view.rgb)
+        )
+        reach = {"depth_scale": 1.0, "depth_max": farthest, "trunc_voxel_multiplier": _BAND_VOXELS}
+        if (view.depth_m > 0).any():
+            blocks = grid.compute_unique_block_coordinates(depth, lens, pose, **reach)
+            grid.integrate(blocks, depth, colour, lens, lens, pose, **reach)
+    return _arrays(grid.extract_triangle_mesh(weight_threshold=_LEAST_VIEWS).to_legacy())
+
+
+def without(surface: Surface, dropped: np.ndarray) -> Surface:
+    """The surface without the triangles whose three vertices are all ``dropped`` (V,), without crumbs below 15 cm, in a fixed order."""
+    triangles = surface.triangles[~dropped[surface.triangles].all(axis=1)]
+    triangles = triangles[_large(surface.vertices_m, triangles)]
+    used, back = np.unique(triangles, return_inverse=True)
+    # open3d's volume is a hash map: its order is sorted out, so that the same scene gives the same bytes.
+    order = np.lexsort(surface.vertices_m[used].T)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    triangles = rank[back.reshape(-1, 3)]
+    first = triangles.argmin(axis=1)
+    triangles = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+    triangles = triangles[np.lexsort(triangles.T[::-1])]
+    return Surface(surface.vertices_m[used][order], triangles, surface.rgb[used][order])
+
+
+def decimated(surface: Surface, triangles: int) -> Surface:
+    """At most ``triangles`` of them, by quadric error (Garland and Heckbert 1997); flat parts give up theirs first."""
+    if len(surface.triangles) <= triangles:
+        return surface
+    o3d = open3d()
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(surface.vertices_m), o3d.utility.Vector3iVector(surface.triangles.astype(np.int32))
+    )
+    mesh.vertex_colors = o3d.utility.Vector3dVector(surface.rgb)
+    say(f"the surface of {len(surface.triangles)} triangles is brought down to {triangles}")
+    return _arrays(mesh.simplify_quadric_decimation(triangles))
+
+
+def _arrays(mesh: Any) -> Surface:
+    return Surface(np.asarray(mesh.vertices).copy(), np.asarray(mesh.triangles).astype(np.int64), np.asarray(mesh.vertex_colors).copy())
+
+
+def _large(vertices_m: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(F,) bool: whether a triangle's connected piece is at least ``_ACROSS_CLUSTER_M`` across."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(triangles):
+        return np.zeros(0, bool)
+    rows, columns = triangles[:, [0, 1]].reshape(-1), triangles[:, [1, 2]].reshape(-1)
+    graph = coo_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(len(vertices_m), len(vertices_m)))
+    count, piece = connected_components(graph, directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, piece, vertices_m)
+    np.maximum.at(high, piece, vertices_m)
+    return (np.linalg.norm(high - low, axis=1) >= _ACROSS_CLUSTER_M)[piece[triangles[:, 0]]]

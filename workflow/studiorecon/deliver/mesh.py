@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``deliver.mesh``: the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; made on request.
+
+Floor and walls are the fitted room's own planes; between them stands what rendered depth shows (``deliver.fusion``). y up, metres.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.deliver.fusion import Surface, decimated, fused, look, without
+from studiorecon.deliver.gltf import Buffer, vertex_normals, write_document
+from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
+from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
+from studiorecon.errors import Refusal
+from studiorecon.progress import say
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.path import read_path
+from studiorecon.scene.provenance import INVENTED, MEASURED
+from studiorecon.scene.shell import FACES, read_shell
+
+VOXEL_M = 0.02
+VIEWPOINTS = 48
+"""Of the way between the training cameras, beside these themselves."""
+TRIANGLES = 60_000
+"""Of what stands in the room: an engine takes this for collision as it is."""
+PLANE_STEP_M, PLANE_VERTICES = 0.05, 40_000
+# What lies this near a plane that is kept is that plane, seen with noise.
+_OF_PLANE_M = 0.06
+_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
+
+
+def linear(rgb: np.ndarray) -> np.ndarray:
+    """Colours as displayed (sRGB, IEC 61966-2-1) as glTF wants those of vertices: proportional to light."""
+    rgb = np.clip(rgb, 0, 1)
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+def write_room(path: Path, surfaces: list[Plane], standing: Surface, left_out: list[str]) -> None:
+    """One node per plane and one for what stands in the room; ``_PROVENANCE`` of every vertex is 0 measured or 2 invented."""
+    buffer, meshes = Buffer(), []
+    parts = [(p.name, p.vertices_m, p.triangles, p.rgb, p.provenance) for p in surfaces]
+    if len(standing.triangles):
+        nothing_invented = np.full(len(standing.vertices_m), MEASURED, np.uint8)
+        parts.append(("standing", standing.vertices_m, standing.triangles, standing.rgb, nothing_invented))
+    for name, vertices_m, triangles, rgb, provenance in parts:
+        places = (vertices_m @ Y_UP_FROM_Z_UP.T).astype(np.float32)
+        colours = np.full((len(rgb), 4), 65535, np.uint16)
+        colours[:, :3] = np.rint(linear(rgb) * 65535)
+        attributes = {
+            "POSITION": buffer.add(places, "VEC3", _FLOAT, _ARRAY_BUFFER),
+            "NORMAL": buffer.add(vertex_normals(places.astype(np.float64), triangles), "VEC3", _FLOAT, _ARRAY_BUFFER),
+            "COLOR_0": buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER),
+            "_PROVENANCE": buffer.add(provenance.astype(np.float32)[:, None], "SCALAR", _FLOAT, _ARRAY_BUFFER),
+        }
+        buffer.accessors[attributes["COLOR_0"]]["normalized"] = True
+        indices = buffer.add(triangles.astype(np.uint32).reshape(-1, 1), "SCALAR", _UINT, _ELEMENT_BUFFER)
+        meshes.append({"name": name, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]})
+    document: dict[str, Any] = {
+        "asset": {
+            "version": "2.0",
+            "generator": "studiorecon",
+            "extras": {"_PROVENANCE": "0 measured, 2 invented (colour of its neighbours)", "left out, not found in the photos": left_out},
+        },
+        # The colours are light that was filmed: a viewer's lamps would light the room twice.
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "scene": 0,
+        "scenes": [{"nodes": list(range(len(meshes)))}],
+        "nodes": [{"name": mesh["name"], "mesh": index} for index, mesh in enumerate(meshes)],
+        "meshes": meshes,
+        "materials": [
+            {
+                "name": "as filmed",
+                "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+                "extensions": {"KHR_materials_unlit": {}},
+            }
+        ],
+    }
+    write_document(path, document, buffer)
+
+
+def run(model: Path, background: Path, provenance: Path, room: Path, path: Path, mesh: Path) -> None:
+    """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path`` between them."""
+    gaussians, shell = read_ply(background), read_shell(room)
+    with np.load(provenance) as stored:
+        marks = stored["provenance"]
+    if len(marks) != gaussians.count:
+        raise Refusal(f"{provenance} speaks of {len(marks)} Gaussians and {background} has {gaussians.count}; run background_train again")
+    steps, _ = read_path(path)
+    chosen = np.unique(np.linspace(0, len(steps) - 1, min(VIEWPOINTS, len(steps))).round().astype(int)) if steps else []
+    views = look(gaussians, marks, [*read_model(model.parent), *(steps[i].camera for i in chosen)])
+    surface = fused(views, VOXEL_M)
+    standing = decimated(without(surface, distance_m(shell, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
+    flat = planes(shell, views, PLANE_STEP_M, PLANE_VERTICES)
+    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept(shell)]
+    write_room(mesh, flat, standing, left_out)
+    unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(1, sum(len(p.rgb) for p in flat))
+    say(
+        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % unseen, marked) and {len(standing.triangles)} "
+        f"triangles of what stands in the room, {mesh.stat().st_size / 1e6:.1f} MB"
+    )
+    if left_out:
+        say(f"room.glb is open where the photos do not tell a wall: {', '.join(left_out)}")

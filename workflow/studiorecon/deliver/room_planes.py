@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Floor, walls and ceiling of the mesh: the fitted room's own rectangles, coloured by what the viewpoints see of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy
+
+from studiorecon.deliver.fusion import Seen
+from studiorecon.scene.provenance import INVENTED, MEASURED
+from studiorecon.scene.shell import FACES, Shell
+
+# A point of a plane is seen where the rendered depth agrees with its own within this share and these metres.
+_AGREE_SHARE, _AGREE_M = 0.02, 0.02
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One rectangle of the room as a grid.
+
+    Attributes:
+        name: as in ``scene.shell.FACES``.
+        vertices_m: (V, 3) float64, corners included.
+        triangles: (F, 3) int64, counter-clockwise from inside the room.
+        rgb: (V, 3) float64 in [0, 1] as displayed.
+        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour is its nearest seen neighbours'.
+    """
+
+    name: str
+    vertices_m: np.ndarray
+    triangles: np.ndarray
+    rgb: np.ndarray
+    provenance: np.ndarray
+
+
+def kept(shell: Shell) -> list[int]:
+    """Indices of the faces that are in the mesh: the floor, and what was found in the photos; a default wall may stand anywhere."""
+    return [index for index, name in enumerate(FACES) if name == "floor" or shell.fitted[index]]
+
+
+def distance_m(shell: Shell, points_m: np.ndarray) -> np.ndarray:
+    """(N,) from points (N, 3) to the nearest face that is kept; 0 for what lies beyond one."""
+    apart = np.full(len(points_m), np.inf)
+    for index in kept(shell):
+        normal, offset = shell.faces[index, :3], shell.faces[index, 3]
+        inward = (points_m @ normal - offset) * (-1 if index % 2 else 1)
+        apart = np.minimum(apart, np.maximum(inward, 0))
+    return apart
+
+
+def planes(shell: Shell, views: Sequence[Seen], step_m: float, vertices: int) -> list[Plane]:
+    """The kept faces as grids of about ``step_m``, coarser where all together would have more than ``vertices``."""
+    size = shell.high_m - shell.low_m
+    area = sum(np.prod(np.delete(size, index // 2)) for index in kept(shell))
+    step_m = max(step_m, float(np.sqrt(area / vertices)))
+    made = [_grid(shell, index, step_m) for index in kept(shell)]
+    coloured = [_colours(points, views) for points, _ in made]
+    found_m = np.concatenate([points[seen] for (points, _), (_, seen) in zip(made, coloured)])
+    found_rgb = np.concatenate([rgb[seen] for rgb, seen in coloured])
+    result = []
+    for index, (points, triangles), (rgb, seen) in zip(kept(shell), made, coloured):
+        if len(found_m) and not seen.all():
+            _, near = scipy.spatial.cKDTree(found_m).query(points[~seen], k=min(8, len(found_m)))
+            rgb[~seen] = found_rgb[np.asarray(near).reshape(np.count_nonzero(~seen), -1)].mean(axis=1)
+        result.append(Plane(FACES[index], points, triangles, rgb, np.where(seen, MEASURED, INVENTED).astype(np.uint8)))
+    return result
+
+
+def _grid(shell: Shell, index: int, step_m: float) -> tuple[np.ndarray, np.ndarray]:
+    axis, far = divmod(index, 2)
+    first, second = ((axis + 1) % 3, (axis + 2) % 3)
+    counts = [max(1, round(float((shell.high_m - shell.low_m)[k]) / step_m)) for k in (first, second)]
+    a, b = np.meshgrid(*(np.linspace(shell.low_m[k], shell.high_m[k], n + 1) for k, n in zip((first, second), counts)), indexing="ij")
+    local = np.empty((a.size, 3))
+    local[:, axis], local[:, first], local[:, second] = (shell.high_m if far else shell.low_m)[axis], a.ravel(), b.ravel()
+    corner = np.arange(a.size).reshape(a.shape)
+    p, q, r, s = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    # first × second is the axis itself: counter-clockwise as seen from its positive side, which is inside for the low faces.
+    triangles = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
+    return local @ shell.axes, triangles[:, ::-1] if far else triangles
+
+
+def _colours(points_m: np.ndarray, views: Sequence[Seen]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean colour (V, 3) over the views that see a point, near views first, and whether any does (V,)."""
+    sums, weights = np.zeros(points_m.shape), np.zeros(len(points_m))
+    for view in views:
+        pixels, z = view.camera.project(points_m)
+        inside = np.all((pixels > 0.5) & (pixels < np.array(view.camera.wh) - 0.5), axis=-1)
+        maps = [np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1)]  # cv2 counts centres as integers
+        there = cv2.remap(view.depth_m, *maps, cv2.INTER_NEAREST)[0]
+        agrees = inside & (there > 0) & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M)
+        weight = np.where(agrees, 1 / np.where(agrees, z, 1) ** 2, 0)
+        sums += cv2.remap(view.rgb, *maps, cv2.INTER_LINEAR)[0] * weight[:, None]
+        weights += weight
+    return sums / np.maximum(weights, 1e-300)[:, None], weights > 0
