@@ -153,7 +153,7 @@ def score(found: list[Detections], owners: list[np.ndarray], take: Take, options
     limits = options.association, options.triangulation, options.evidence
     started = time.perf_counter()
     with redirect_stdout(io.StringIO()):
-        table, rows = identities_from_keypoints(*limits, take.cameras, found, [], FRAMES, 30.0)
+        table, rows, _ = identities_from_keypoints(*limits, take.cameras, found, [], FRAMES, 30.0)
     seconds = time.perf_counter() - started
     names = {name: k for k, (name, *_) in enumerate(rows)}
     given = [np.array([names.get(table[d.camera, int(t)].person, -1) for t in d.track]) for d in found]

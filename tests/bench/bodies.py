@@ -234,7 +234,7 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
         found.append(Detections(camera.name, "body_25b", frame, tracks(frame, keypoints, options.tracking, FPS), keypoints))
     out["tracks_s"] = time.process_time() - started
     limits = found_step.association, found_step.triangulation, found_step.evidence
-    verdicts, rows = identities_from_keypoints(*limits, cameras, found, [], frames, FPS)
+    verdicts, rows, _ = identities_from_keypoints(*limits, cameras, found, [], frames, FPS)
     out["association_s"] = time.process_time() - started - out["tracks_s"]
     identities = {key: verdict.person for key, verdict in verdicts.items()}
     errors = []

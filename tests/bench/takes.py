@@ -30,7 +30,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.people import read_person
+from studiorecon.scene.people import read_people, read_person
 from studiorecon.splatting.rasterise import Rasteriser
 
 from tests.bench.captures import MAN, ROOT, workflow
@@ -136,7 +136,7 @@ def main() -> None:
     # Who is there is known after the identities alone.
     about = (given.frames, given.cores)
     workflow(folder, "multi", [], *about, ["people/people.tsv"], [str(overlay)], take=MULTI, first=LAG)
-    everybody = [line.split("\t")[0] for line in (folder / "results/multi/people/people.tsv").read_text(encoding="utf-8").splitlines()[1:]]
+    everybody = read_people(folder / "results/multi/people/people.tsv")
     wanted = ["background/scene.ply", *(f"humans/{name}.ply" for name in everybody)]
     workflow(folder, "multi", [], *about, wanted, [str(overlay)], take=MULTI, first=LAG)
     result = {

@@ -122,7 +122,7 @@ def test_the_gate_is_in_metres_whatever_the_scene_was_measured_in(options, scale
     measured = [look_at(c.name, scale * c.centre_m, [0, 0, scale]) for c in cameras]
     # Left in its own unit such a scene has nobody in it, with a reason each; no wrong person is believed.
     for group in group_tracks(found, measured, 20, 30.0, options.association, options.triangulation):
-        assert judge(group, measured, 20, 30.0, options.association) is not None
+        assert judge(group, measured, 20, 30.0, options.association)
     # In metres it is the same scene as if it had been measured in metres.
     metric = [look_at(c.name, c.centre_m / scale, [0, 0, 1]) for c in measured]
     planted = owner(cameras, found, people)
@@ -361,7 +361,7 @@ def test_the_person_that_one_view_misses_and_the_false_detection(options, method
     planted = owner(cameras, found, [*people, nobody])
     limits = replace(options.association, method=method[4:])
     groups = group_tracks(found, cameras, 20, 30.0, limits, options.triangulation)
-    accepted = [g for g in groups if judge(g, cameras, 20, 30.0, limits) is None]
+    accepted = [g for g in groups if not judge(g, cameras, 20, 30.0, limits)]
     found_people = sorted(sorted({planted[m] for m in g.members}) for g in accepted)
     if method == "A15-tracks":
         assert found_people == [[0], [1], [2]]

@@ -244,7 +244,17 @@ def test_two_walking_people_come_out_and_a_bystander_in_two_views_does_not(tmp_p
         name = identities[cameras[view].name, track]
         assert (name == "") == (person == 2)
     assert len({identities[cameras[v].name, t] for (v, t), p in owner(cameras, found, planted).items() if p == 0}) == 1
-    assert "a bystander: 2 of 4 cameras" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "a bystander: 2 of 4 cameras" in said
+    left = [line.split("\t") for line in (tmp_path / "people.tsv").read_text().splitlines() if "rejected" in line]
+    assert [(row[0], row[2], row[5]) for row in left] == [("r0", "c2,c3", "rejected")]
+    # What is said takes the bystander in.
+    lines = said.split("left out: r0")[1].splitlines()[1:]
+    taken = {(camera, int(track)): name for camera, track, name in (line.split(": ")[1].split("\t") for line in lines if "\t" in line)}
+    assert set(taken.values()) == {"p2"}
+    write_identities(tmp_path / "corrected.tsv", identities | taken)
+    people, _ = run_association(tmp_path, cameras, found, people_settings(associate.Settings), corrected=[tmp_path / "corrected.tsv"])
+    assert people == ["p0", "p1", "p2"]
 
 
 def test_corrected_identities_replace_what_association_would_say(tmp_path, people_settings, two_people):
@@ -265,7 +275,7 @@ def test_nobody_is_an_empty_table(tmp_path, people_settings):
     )
     assert people == []
     assert identities == {}
-    assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\n"
+    assert (tmp_path / "people.tsv").read_text() == "person\tframes\tcameras\tconfidence\tsource\tstatus\treason\n"
     assert (tmp_path / "who").is_dir(), "Snakemake waits for the folder"
 
 
@@ -314,10 +324,40 @@ def test_a_consistent_skeleton_of_nobody_is_rejected_by_the_pictures(tmp_path, p
     assert "the pictures show nobody there" in capsys.readouterr().out
 
 
-def test_pictures_that_confirm_nobody_contradict_nobody(people_settings):
-    limits = people_settings(associate.Settings).evidence
-    assert evidence.absent([0.2, 0.3], limits) == [False, False]
-    assert evidence.absent([0.2, 0.9, float("nan")], limits) == [True, False, False]
+def test_pictures_that_confirm_nobody_contradict_nobody_and_one_camera_is_enough_for_somebody(people_settings):
+    limits, nan = people_settings(associate.Settings).evidence, float("nan")
+    assert evidence.absent(np.array([[0.2, 0.2], [0.3, 0.3]]), limits) == [False, False]
+    assert evidence.absent(np.array([[0.2, 0.2], [0.9, 0.9], [nan, nan]]), limits) == [True, False, False]
+    assert evidence.absent(np.array([[0.2, 0.2, 0.9], [0.9, 0.9, 0.9]]), limits) == [False, False]
+    assert evidence.absent(np.array([[0.2, 0.2], [0.9, nan]]), limits) == [False, False], "only one of the cameras shows changes at all"
+
+
+def test_somebody_who_stands_among_walkers_is_a_person_however_keypoints_wander(tmp_path, people_settings, two_people):
+    """The pictures show the standing one as a grey post that never changes; the walkers are bright."""
+    wh, rng = (320, 176), np.random.default_rng(0)
+    cameras = [c.resized(wh) for c in ring()]
+    standing = walk([0.1, -1.2, 0], [0, 0, 0], FRAMES) * [1, 1, 1]
+    standing[:] = standing[0]
+    everybody = [*two_people, standing]
+    found = detect(cameras, everybody, 1.5, rng)
+    videos = []
+    for camera in cameras:
+        room = np.full((wh[1], wh[0], 3), 70, np.uint8)
+
+        def pictures(camera=camera, room=room):
+            for t in range(FRAMES):
+                picture = room.copy()
+                for who, colour in ((standing, (75, 75, 75)), (two_people[0], (230, 220, 60)), (two_people[1], (230, 60, 220))):
+                    for joint in camera.project(who[t])[0]:
+                        cv2.circle(picture, (int(joint[0]), int(joint[1])), 5, colour, -1)
+                yield picture
+
+        videos.append(tmp_path / f"{camera.name}.mkv")
+        write_lossless(videos[-1], pictures(), 30.0)
+    people, identities = run_association(tmp_path, cameras, found, people_settings(associate.Settings), videos)
+    assert people == ["p0", "p1", "p2"]
+    planted = owner(cameras, found, everybody)
+    assert len({identities[cameras[v].name, t] for (v, t), person in planted.items() if person == 2} - {""}) == 1
 
 
 @pytest.mark.real

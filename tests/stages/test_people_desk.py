@@ -49,9 +49,10 @@ def page(tmp_path: Path, default_settings) -> str:
             about = {"camera": camera, "track": track, "first": 0, "last": 7, "detections": FRAMES if track < 2 else 1}
             tracks.append(about | {"person": person, "margin": margin, "agreement": 0.9, "reason": reason})
     tracks[4]["margin"] = 0.01
-    write_json(tmp_path / "association.json", {"corrected": False, "tracks": tracks})
+    out = {"name": "r0", "reason": "a bystander", "tracks": [["left", 2], ["right & <far>", 2]], "lines": ["left\t2\tp3"]}
+    write_json(tmp_path / "association.json", {"corrected": False, "tracks": tracks, "left_out": [out]})
     rows = [("p0", 8, "left", 0.9, "keypoints"), ("p1", 8, "left", 0.8, "keypoints"), ("p2", 8, "left", 0.7, "hull")]
-    write_people(tmp_path / "people.tsv", rows)
+    write_people(tmp_path / "people.tsv", rows, [("r0", 1, "left", 0.5, "keypoints", "rejected", "a bystander")])
     write_identities(tmp_path / "identities.tsv", {(t["camera"], t["track"]): t["person"] for t in tracks})
     options = settings_module.load(desk.Settings, default_settings("people"), "people")
     tables = [tmp_path / n for n in ("association.json", "people.tsv", "identities.tsv")]
@@ -86,10 +87,12 @@ def test_the_page_needs_no_network_and_escapes_names(page: str) -> None:
     assert "http" not in page
     assert "<far>" not in page
     assert "silhouette against the plates" in page
+    assert "left out: a bystander" in page
+    assert "left\t2\tp3" in page
 
 
 def test_nobody_is_a_page_too(tmp_path: Path, default_settings) -> None:
-    write_json(tmp_path / "a.json", {"corrected": True, "tracks": []})
+    write_json(tmp_path / "a.json", {"corrected": True, "tracks": [], "left_out": []})
     write_people(tmp_path / "people.tsv", [])
     write_identities(tmp_path / "identities.tsv", {})
     options = settings_module.load(desk.Settings, default_settings("people"), "people")

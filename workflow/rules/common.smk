@@ -14,6 +14,7 @@ from studiorecon.errors import Refusal
 from studiorecon.models.registry import MODELS
 from studiorecon.models.selection import check_licences, selected
 from studiorecon.scene.dataset import colmap_files, open_dataset
+from studiorecon.scene.people import read_people
 from studiorecon.schema import mistakes, typed
 from studiorecon.step_settings import told
 from studiorecon.studio.description import planned_dataset, read_description
@@ -266,7 +267,7 @@ def people(wildcards):
     if not DATASET.people:
         return []
     table = Path(checkpoints.people_associate.get(scene=wildcards.scene).output.people)
-    return [line.split("\t")[0] for line in table.read_text().splitlines()[1:] if line.strip()]
+    return read_people(table)
 
 
 def fits(wildcards):

@@ -18,10 +18,11 @@ from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.corrected import read_corrected, rows_of
 from studiorecon.people.evidence import EvidenceLimits
 from studiorecon.people.foreground import open_view
+from studiorecon.people.left_out import LeftOut, tell
 from studiorecon.people.points import Triangulation, lift, observations
 from studiorecon.people.standing import HullSettings, Standing, find_standing, write_standing
 from studiorecon.people.verdicts import Verdict, identities_from_keypoints
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.colmap import read_model
@@ -76,6 +77,7 @@ def run(
         raise Refusal(
             f"detections are of {[d.camera for d in given]}, the model has {[c.name for c in cameras]}; delete results and run again"
         )
+    missed: list[LeftOut] = []
     if corrected:
         table = read_corrected(corrected[0], given)
         rows = rows_of(table, given)
@@ -83,7 +85,7 @@ def run(
         say(f"{len(rows)} people as corrected in {corrected[0]}")
     else:
         limits = settings.association, settings.triangulation, settings.evidence
-        verdicts, rows = identities_from_keypoints(*limits, cameras, given, videos, found.frames, found.fps)
+        verdicts, rows, missed = identities_from_keypoints(*limits, cameras, given, videos, found.frames, found.fps)
         table = {key: verdict.person for key, verdict in verdicts.items()}
     upright: list[Standing] = []
     if settings.hull.use == "auto" and len(plates) >= settings.hull.limits.cameras:
@@ -91,14 +93,17 @@ def run(
         rows += [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in upright]
         if not upright:
             say("nobody without keypoints stands out from the given plates")
-    write_people(people, rows)
+    write_people(people, rows, [one.row() for one in missed])
     write_identities(identities, table)
-    write_json(association, _as_json(verdicts, given, bool(corrected)) | {"unusable_keypoints": sum(unusable)})
+    newcomer = f"p{max((int(row[0][1:]) for row in rows), default=-1) + 1}"
+    told = [{"name": one.name, "reason": one.reason, "tracks": one.tracks, "lines": one.lines(newcomer)} for one in missed]
+    write_json(association, _as_json(verdicts, given, bool(corrected)) | {"unusable_keypoints": sum(unusable), "left_out": told})
     # Also where nobody is.
     who.mkdir(parents=True, exist_ok=True)
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
         write_standing(who / f"{name}.npz", [p for p in upright if p.name == name])
+    tell(missed, newcomer)
 
 
 def _nobody(camera: str) -> Detections:
@@ -139,7 +144,7 @@ def _without_keypoints(
         try:
             known.append(fit.fit_person(name, points, model, manifest.fps, options)[0])
         except Refusal as refusal:
-            say(f"people without keypoints are not looked for: {refusal}")
+            warn(f"people without keypoints are not looked for: {refusal}")
             return []
     by_name = {c.name: (c, video) for c, video in zip(cameras, videos)}
     views = [open_view(*by_name[name], plate, settings.hull.foreground) for name, plate in zip(plated, plates)]

@@ -136,7 +136,7 @@ def run(
     settings: Settings, association: Path, people: Path, identities: Path, detections: list[Path], videos: list[Path], page: Path
 ) -> None:
     """Write ``page`` (html that needs no network) from who was found, and why, in ``association``."""
-    told, rows = read_json(association), read_table(people, PEOPLE_COLUMNS)
+    told, rows = read_json(association), [row for row in read_table(people, PEOPLE_COLUMNS) if row["status"] == "person"]
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
     doubtful, rejected = ordered(told["tracks"])
@@ -146,6 +146,10 @@ def run(
         for v, d in enumerate(found):
             tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
             strips.append((f"{row['person']} {d.camera}", colour_of(row["person"]), wanted_of(d, v, tracks, keys.pictures)))
+    for one in told["left_out"]:
+        for v, d in enumerate(found):
+            mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], keys.pictures)
+            strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
     for t in [*doubtful, *rejected[: keys.rejected]]:
         v = view[t["camera"]]
         strips.append((f"{t['camera']}/{t['track']}", colour_of(t["person"]), wanted_of(found[v], v, [t["track"]], min(3, keys.pictures))))
@@ -197,6 +201,7 @@ def _page(
             name = row["person"]
             lines = [f"<tr><th>{escape(c)}</th><td>{shown[f'{name} {c}']}</td></tr>" for c in cameras]
             parts.append(f"<table>{''.join(lines)}</table>")
+    parts += _left_out(told["left_out"], cameras, shown)
     parts.append("<h2>Rejected tracks</h2>")
     parts += [_track(t, shown) for t in rejected[: keys.rejected]]
     if len(rejected) > keys.rejected:
@@ -204,6 +209,21 @@ def _page(
     listing = "\n".join(["camera\ttrack\tperson", *(f"{c}\t{t}\t{p}" for (c, t), p in sorted(identities.items()))])
     parts.append(f"<h2>identities.tsv</h2><pre>{escape(listing)}</pre></html>\n")
     return "\n".join(parts)
+
+
+def _left_out(those: Sequence[dict[str, Any]], cameras: Sequence[str], shown: dict[str, str]) -> list[str]:
+    """Whom two cameras agree on and who is no person of this scene all the same: who that is, why, and what takes them in."""
+    parts = []
+    for one in those:
+        name = one["name"]
+        lines = [f"<tr><th>{escape(c)}</th><td>{shown[f'{name} {c}']}</td></tr>" for c in cameras]
+        parts.append(
+            f'<h2 style="--c:{_NOBODY}"><span class="who">{name}</span> <span class="note">left out: {escape(one["reason"])}</span></h2>'
+            f"<table>{''.join(lines)}</table><p>If this is somebody, these lines of <code>identities.tsv</code> take them in, in place of "
+            f"those of the same tracks (with the next free number where you take in several):</p>"
+            f"<pre>{escape(chr(10).join(one['lines']))}</pre>"
+        )
+    return parts
 
 
 def _track(t: dict[str, Any], shown: dict[str, str]) -> str:

@@ -12,8 +12,9 @@ import numpy as np
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
 from studiorecon.people.affinity import AssociationLimits
-from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, person_share, sampled_frames
+from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, sampled_frames, steps_m, view_shares
 from studiorecon.people.grouping import Group, group_tracks, torso_m, track_margins
+from studiorecon.people.left_out import LeftOut, left_out
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -38,8 +39,8 @@ class Verdict:
     reason: str
 
 
-def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits) -> str | None:
-    """Why a group is not a person of this scene, as the end of a sentence; None when it is one."""
+def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limits: AssociationLimits) -> str:
+    """Why a group is not a person of this scene, as the end of a sentence; "" when it is one."""
     least = min(limits.least_s * fps, 0.5 * frames)
     if len(group.frames) < least:
         return f"two cameras agree for {len(group.frames) / fps:.2f} s only, {least / fps:.2f} s are needed"
@@ -51,23 +52,21 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
     length = torso_m(group)
     if np.isfinite(length) and not limits.torso_m[0] <= length <= limits.torso_m[1]:
         return f"its torso would be {length:.2f} m long"
-    return None
+    return ""
 
 
-def supports(groups: Sequence[Group], detections: Sequence[Detections], videos: Sequence[Path], limits: EvidenceLimits) -> list[float]:
-    """Share of the places every group's keypoints moved over that changed in the picture, NaN when too little moved."""
-    counts = np.zeros((len(groups), len(detections), 2), dtype=int)
-    for v, found in enumerate(progress(detections, "cameras")):
-        picked = sampled_frames(found.frame, limits.frames)
-        if not len(picked):
-            continue
-        wanted = set(picked.tolist())
-        pictures = {t: picture for t, picture in enumerate(read_frames(videos[v], 0, int(picked[-1]) + 1)) if t in wanted}
-        for g, group in enumerate(groups):
-            tracks = [t for view, t in group.members if view == v]
-            which = np.flatnonzero(np.isin(found.track, tracks) & np.isin(found.frame, picked))
-            counts[g, v] = motion_support([pictures[int(found.frame[d])] for d in which], [found.keypoints[d] for d in which], limits)
-    return [person_share(views) for views in counts]
+def supports(groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], limits: EvidenceLimits) -> np.ndarray:
+    """(G, V) share of the places every group's joints left or reached that changed in the pictures, NaN where too little moved."""
+    picked = [sampled_frames(group.frames, limits.frames) for group in groups]
+    points_m = np.stack([group.points_m for group in groups])
+    least = [steps_m(group.points_m, limits) for group in groups]
+    wanted = set(np.concatenate(picked).tolist())
+    counts = np.zeros((len(groups), len(cameras), 2), dtype=int)
+    for v, camera in enumerate(progress(cameras, "cameras")):
+        pictures = {t: picture for t, picture in enumerate(read_frames(videos[v], 0, max(wanted) + 1)) if t in wanted}
+        for g, frames in enumerate(picked):
+            counts[g, v] = motion_support([pictures[t] for t in frames.tolist()], points_m[:, frames], g, least[g], camera, limits)
+    return np.stack([view_shares(views) for views in counts])
 
 
 def name_people(groups: Sequence[Group]) -> list[int]:
@@ -86,24 +85,22 @@ def identities_from_keypoints(
     videos: list[Path],
     frames: int,
     fps: float,
-) -> tuple[dict[tuple[str, int], Verdict], list[tuple[str, int, str, float, str]]]:
-    """A verdict for every (camera, track), and the lines of people.tsv, of everybody the keypoints of two cameras or more agree on."""
+) -> tuple[dict[tuple[str, int], Verdict], list[tuple[str, int, str, float, str]], list[LeftOut]]:
+    """Of everybody the keypoints of two cameras or more agree on: a verdict for every (camera, track), the lines of people.tsv, and whom
+    they leave out.
+    """
     groups = group_tracks(given, cameras, frames, fps, association, triangulation)
     margins = track_margins(groups, given, cameras, association)
-    reasons: dict[tuple[int, int], str] = {}
-    kept = []
-    for group in groups:
-        reason = judge(group, cameras, frames, fps, association)
-        if reason is None:
-            kept.append(group)
-        else:
-            reasons |= dict.fromkeys(group.members, reason)
-            say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
-    if kept and videos and evidence.frames:
-        confirmed = _confirmed(kept, supports(kept, given, videos, evidence), cameras, evidence)
-        gone = [m for g in kept if not any(g is c for c in confirmed) for m in g.members]
-        reasons |= dict.fromkeys(gone, "the pictures show nobody there")
-        kept = confirmed
+    why = [judge(group, cameras, frames, fps, association) for group in groups]
+    likely = [g for g, reason in zip(groups, why) if not reason]
+    if likely and videos and evidence.frames:
+        contradicted = iter(_contradicted(supports(likely, cameras, videos, evidence), cameras, evidence))
+        why = [reason or next(contradicted) for reason in why]
+    rejected = [(g, reason) for g, reason in zip(groups, why) if reason]
+    for group, reason in rejected:
+        say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
+    reasons = {m: reason for group, reason in rejected for m in group.members}
+    kept = [g for g, reason in zip(groups, why) if not reason]
     kept = [kept[i] for i in name_people(kept)]
     nan = float("nan")
     alone = "no other camera agrees with it, or it fits two people alike"
@@ -127,29 +124,25 @@ def identities_from_keypoints(
             f"p{number}: seen in {len(group.frames)} of {frames} frames by {', '.join(seen_by)}; "
             f"{confidence:.0%} of its keypoints agree, torso {torso_m(group):.2f} m"
         )
-    rejected = sum(not v.person for v in table.values())
+    nobodys = sum(not v.person for v in table.values())
     say(
-        f"{len(rows)} people with keypoints; {rejected} of {len(table)} tracks belong to nobody"
+        f"{len(rows)} people with keypoints; {nobodys} of {len(table)} tracks belong to nobody"
         if table
         else "no people: no camera has a detection"
     )
-    return table, rows
+    return table, rows, left_out(rejected, cameras, frames, fps)
 
 
-def _confirmed(groups: list[Group], shares: list[float], cameras: Sequence[Camera], limits: EvidenceLimits) -> list[Group]:
-    kept = []
-    for group, share, gone in zip(groups, shares, absent(shares, limits)):
-        if gone:
-            say(
-                f"not a person of this scene: {_tracks(group, cameras)}: the pictures show nobody there, only {share:.0%} of the places "
-                "that its keypoints moved over changed"
-            )
-        else:
-            kept.append(group)
-    if np.isfinite(shares).any() and not any(share >= limits.present_share for share in shares):
-        listed = ", ".join(f"{share:.0%}" for share in shares)
-        say(f"whether the pictures show these people is undetermined: only {listed} of the places that their keypoints moved over changed")
-    return kept
+def _contradicted(shares: np.ndarray, cameras: Sequence[Camera], limits: EvidenceLimits) -> list[str]:
+    """For everybody how the pictures contradict the keypoints, from the shares (G, V) that changed; "" where they do not."""
+    reasons = []
+    for share, gone in zip(shares, absent(shares, limits)):
+        seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
+        reasons.append(f"the pictures show nobody there: of the places that its joints moved over only {seen} changed" if gone else "")
+    if np.isfinite(shares).any() and not (np.nan_to_num(shares) >= limits.present_share).any():
+        listed = ", ".join(f"{s:.0%}" for s in shares[np.isfinite(shares)])
+        say(f"whether the pictures show these people is undetermined: only {listed} of the places that their joints moved over changed")
+    return reasons
 
 
 def _tracks(group: Group, cameras: Sequence[Camera]) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
 from studiorecon.scene.files import read_table, write_npz, write_table
 
-PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source")
+PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source", "status", "reason")
 IDENTITY_COLUMNS = ("camera", "track", "person")
 OPTIONAL_FIELDS = ("body_pose", "pelvis", "body_root", "body_shape", "points_m", "row")
 """What only some detectors bring, in the order of ``Detections``."""
@@ -141,17 +142,21 @@ def read_person(path: Path) -> Person:
     )
 
 
-def write_people(path: Path, rows: list[tuple[str, int, str, float, str]]) -> None:
-    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or "hull").
+def write_people(
+    path: Path, rows: list[tuple[str, int, str, float, str]], rejected: Sequence[tuple[str, int, str, float, str, str, str]] = ()
+) -> None:
+    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or "hull"), status
+    ("person" or "rejected") and the reason of the latter, who stand below the people of the scene under names of their own.
 
     May have no rows: an empty room.
     """
-    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", source) for p, n, c, confidence, source in rows])
+    everybody = [*((*row, "person", "") for row in rows), *rejected]
+    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", *rest) for p, n, c, confidence, *rest in everybody])
 
 
 def read_people(path: Path) -> list[str]:
-    """Person ids of ``people.tsv``, in file order."""
-    return [row["person"] for row in read_table(path, PEOPLE_COLUMNS)]
+    """Ids of the scene's people in ``people.tsv``, in file order; who was rejected is none of them."""
+    return [row["person"] for row in read_table(path, PEOPLE_COLUMNS) if row["status"] == "person"]
 
 
 def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None:
