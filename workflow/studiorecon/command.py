@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from studiorecon.__main__ import main as step_main
 from studiorecon.errors import Refusal
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
 
@@ -61,12 +62,19 @@ def _parser() -> argparse.ArgumentParser:
     demo = word("demo", _demo, "film a made studio and reconstruct it: minutes, and needs no data")
     doctor = word("doctor", _doctor, "look at calibration, clocks, exposures and coverage before anything expensive")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
+    plan = word("plan", _plan, "say where to put cameras in a room, or which of a capture's to move, with a picture")
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, run):
         made.add_argument("folder", type=Path, metavar="DIR", help="the capture: videos/ with one file per camera, and what else you have")
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
+    plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="a capture, whose calibration is judged; without it, a room:")
+    plan.add_argument("--room", metavar="WxDxH", help="width, depth and height in metres: 6x5x2.8")
+    plan.add_argument("--cameras", metavar="N", default="4", help="how many (default: 4)")
+    plan.add_argument("--hfov", nargs="+", default=["65"], metavar="DEG", help="horizontal field of view, one or one each (default: 65)")
+    plan.add_argument("--resolution", default="1920x1080", metavar="WxH", help="of the pictures (default: 1920x1080)")
+    plan.add_argument("--picture", default="plan.svg", metavar="FILE", help="the room from above (default: plan.svg; plan.json beside it)")
     view.add_argument("folder", nargs="?", default="demo", metavar="DIR", help="the capture or its results folder (default: the demo's)")
     view.add_argument("--port", type=int, default=_PORT, help=f"port on 127.0.0.1 (default: {_PORT}; 0 takes a free one)")
     view.add_argument("--no-browser", action="store_true", help="only serve and print the address")
@@ -84,6 +92,16 @@ def _doctor(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     return _snakemake("", _capture(options.folder), options, "report/index.html")
+
+
+def _plan(options: argparse.Namespace) -> int:
+    if options.folder is not None:
+        return _snakemake("plan", _capture(options.folder), options, "planner/advice.svg")
+    if options.room is None:
+        raise Refusal("give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture")
+    picture = Path(options.picture)
+    words = ["--room", options.room, "--cameras", options.cameras, "--hfov-deg", *options.hfov, "--resolution", options.resolution]
+    return step_main(["planner.place", *words, "--picture", str(picture), "--plan", str(picture.with_suffix(".json"))])
 
 
 def _capture(folder: Path) -> str:
@@ -153,7 +171,7 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str
                 continue
     made = Path("results") / _scene(dataset, options.rest) / page
     if status == 0 and made.is_file():
-        print(f"{made} is there{'; studiorecon view ' + str(options.folder) if hasattr(options, 'folder') and not target else ''}")
+        print(f"{made} is there{f'; studiorecon view {options.folder}' if hasattr(options, 'folder') and not target else ''}")
     return status
 
 

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``planner.advise``: what the cameras of a finished calibration see of their room, and which of them to move where."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from studiorecon.errors import Refusal
+from studiorecon.planner.figures import Judge
+from studiorecon.planner.picture import advised, drawn, lines_of
+from studiorecon.planner.placing import advice
+from studiorecon.planner.room import room_about
+from studiorecon.progress import say
+from studiorecon.scene.colmap import read_model
+from studiorecon.scene.files import complete, write_json
+
+
+def run(model: Path, picture: Path, plan: Path) -> None:
+    """``model`` is ``cameras/images.txt``; the room is taken to be the box that the cameras stand in, its floor at z = 0."""
+    cameras = read_model(model.parent)
+    if len(cameras) < 2:
+        raise Refusal(f"{model} has {len(cameras)} camera, which cannot tell how far away anything is: nothing can be advised")
+    room = room_about(cameras)
+    judge = Judge(room)
+    figures, moves = judge.figures(cameras), advice(cameras, room)
+    title = f"{len(cameras)} cameras in a room of about {' × '.join(f'{side:.1f}' for side in room.size_m)} m"
+    with complete(picture) as partial:
+        partial.write_text(drawn(title, cameras, judge, figures, moves), encoding="utf-8")
+    told = [{"camera": m.camera, "words": m.words, "gain": m.gain, "better": m.better.as_json()} for m in moves]
+    write_json(plan, {"room_m": [room.low_m, room.high_m], "figures": dataclasses.asdict(figures), "advice": told})
+    for line in (title, *lines_of(figures), *(advised(move) for move in moves)):
+        say(line)
+    if not moves:
+        say("no camera would see 3 % better from within 1.5 m of where it stands")

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where to put cameras in a room, and which way to move those that stand in one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from studiorecon.errors import Refusal
+from studiorecon.geometry.path import look_at
+from studiorecon.planner.figures import Judge
+from studiorecon.planner.room import Room
+from studiorecon.scene.camera import Camera
+
+# From the walls to a camera on its tripod or clamp, and below the ceiling.
+_FROM_WALLS_M, _FROM_CEILING_M = 0.15, 0.2
+_HEIGHTS_M = (1.2, 1.6, 2.0, 2.4, 2.8, 3.4, 4.0)
+_AIMS_M = (0.5, 0.8, 1.1, 1.4)
+_PHASES = 8
+# Steps that a standing camera is tried to be moved and turned by, coarse to fine; and what a move must be worth to be advised.
+_STEPS = ((0.6, 12.0), (0.3, 6.0), (0.1, 3.0))
+_FARTHEST_M = 1.5
+_LEAST_GAIN = 0.03
+
+
+@dataclass(frozen=True)
+class Move:
+    """One camera's better place, all others staying.
+
+    Attributes:
+        camera: its name.
+        words: "move cam3 60 cm left and tilt it 6° down", as seen by somebody who stands behind it.
+        better: the camera there.
+        gain: share by which the rig's cost falls.
+    """
+
+    camera: str
+    words: str
+    better: Camera
+    gain: float
+
+
+def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
+    """A camera in the origin with a horizontal field of view and square pixels."""
+    focal = wh[0] / 2 / np.tan(np.radians(hfov_deg) / 2)
+    return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
+
+
+def stood(camera: Camera, eye_m: np.ndarray, world_from_camera: np.ndarray) -> Camera:
+    """The camera at another place (3,), turned by a rotation (3, 3)."""
+    transform = np.eye(4)
+    transform[:3, :3] = world_from_camera.T
+    transform[:3, 3] = -world_from_camera.T @ eye_m
+    return replace(camera, camera_from_world=transform)
+
+
+def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
+    """The lenses in the room as the best of all rings along its walls: evenly by walls, at one height, looking at the middle.
+
+    A ring of even number is the same turned by half a turn, so rooms that are symmetric get symmetric rigs. Raises Refusal for fewer
+    than two lenses.
+    """
+    if len(lenses) < 2:
+        raise Refusal(f"{len(lenses)} camera cannot tell how far away anything is; plan for two or more")
+    judge = Judge(room)
+    top = room.size_m[2] - _FROM_CEILING_M
+    heights = [height for height in _HEIGHTS_M if height < top] + [top]
+    rings = [
+        ring(room, lenses, phase / _PHASES / len(lenses), height, aim)
+        for height, aim, phase in itertools.product(heights, _AIMS_M, range(_PHASES))
+        if aim < height
+    ]
+    costs = np.array([judge.cost_m(cameras) for cameras in rings])
+    # Rings that are mirror images cost the same but for rounding: the first of them, on every machine.
+    return rings[int(np.flatnonzero(costs <= costs.min() + 1e-9)[0])]
+
+
+def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
+    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first one in a corner."""
+    low, high = np.add(room.low_m, _FROM_WALLS_M)[:2], np.subtract(room.high_m, _FROM_WALLS_M)[:2]
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
+    floor = room.low_m[2]
+    aim = np.array([*room.middle_m, floor + aim_m])
+    cameras = []
+    for k, camera in enumerate(lenses):
+        wall, along = divmod(4 * ((phase + k / len(lenses)) % 1), 1)
+        place = corners[int(wall)] + along * (corners[int(wall) + 1] - corners[int(wall)])
+        eye = np.array([*place, floor + height_m])
+        cameras.append(stood(camera, eye, look_at(eye, aim)))
+    return cameras
+
+
+def advice(cameras: Sequence[Camera], room: Room) -> list[Move]:
+    """For every camera the best place near its own, the others staying; those worth at least 3 %, best first."""
+    judge = Judge(room)
+    before = judge.cost_m(cameras)
+    found = []
+    for index, camera in enumerate(cameras):
+        better, cost = _improved(index, cameras, room, judge, before)
+        gain = 1 - cost / before
+        if gain >= _LEAST_GAIN:
+            found.append(Move(camera.name, in_words(camera, better), better, float(gain)))
+    return sorted(found, key=lambda move: -move.gain)
+
+
+def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, cost: float) -> tuple[Camera, float]:
+    best, start = cameras[index], cameras[index].centre_m
+    others = list(cameras)
+    # A camera outside the box that was taken for the room may stay there, but not move further out.
+    margin = 0.1 if room.holds(start, 0.1) else None
+    for step_m, step_deg in _STEPS:
+        improving = True
+        while improving:
+            improving = False
+            tried = [t for t in _around(best, step_m, step_deg) if np.linalg.norm(t.centre_m - start) <= _FARTHEST_M + 1e-9]
+            if margin is not None:
+                tried = [t for t in tried if room.holds(t.centre_m, margin)]
+            for candidate in tried:
+                others[index] = candidate
+                found = judge.cost_m(others)
+                # Each step must be worth taking a tape measure for.
+                if found < cost * (1 - 0.005):
+                    best, cost, improving = candidate, found, True
+    return best, cost
+
+
+def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
+    """The camera moved along and across its view and up and down, still looking where it looked, and turned on its spot."""
+    right, ahead, up = _axes(camera)
+    rotation, eye = camera.world_from_camera[:3, :3], camera.centre_m
+    made = []
+    for direction in (right, -right, ahead, -ahead, up, -up):
+        made.append(stood(camera, eye + step_m * direction, rotation))
+    turn = np.radians(step_deg)
+    for axis, angle in ((up, turn), (up, -turn), (right, turn), (right, -turn)):
+        made.append(stood(camera, eye, _rotation(axis, angle) @ rotation))
+    # To the side and turned back towards what was in the middle, which is what somebody who carries a tripod does.
+    middle = eye + camera.forward * 3.0
+    for direction in (right, -right):
+        made.append(stood(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up)))
+    return made
+
+
+def _turned_to(rotation: np.ndarray, was_m: np.ndarray, eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.ndarray:
+    before, after = (np.arctan2(*(target_m - place)[[1, 0]]) for place in (was_m, eye_m))
+    return _rotation(up, after - before) @ rotation
+
+
+def _axes(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    up = np.array([0.0, 0.0, 1.0])
+    ahead = camera.forward * (1, 1, 0)
+    # A camera that looks straight down has its picture's top ahead.
+    ahead = -camera.camera_from_world[1, :3] * (1, 1, 0) if np.linalg.norm(ahead) < 1e-3 else ahead
+    ahead = ahead / np.linalg.norm(ahead)
+    return np.cross(ahead, up), ahead, up
+
+
+def _rotation(axis: np.ndarray, angle_rad: float) -> np.ndarray:
+    cross = np.cross(np.eye(3), -axis)
+    return np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
+
+
+def in_words(before: Camera, after: Camera) -> str:
+    """How to get from one placement to the other, for somebody who stands behind the camera."""
+    right, ahead, up = _axes(before)
+    way = after.centre_m - before.centre_m
+    steps = [(way @ right, "right", "left"), (way @ ahead, "forward", "back"), (way @ up, "up", "down")]
+    moved = [f"{5 * round(abs(length) * 20)} cm {one if length > 0 else other}" for length, one, other in steps if abs(length) >= 0.05]
+    heading, tilt = (
+        (np.degrees(np.arctan2(c.forward[1], c.forward[0])) for c in (before, after)),
+        (np.degrees(np.arcsin(np.clip(c.forward[2], -1, 1))) for c in (before, after)),
+    )
+    turned = np.subtract(*reversed([*heading]))
+    turned, raised = (turned + 180) % 360 - 180, np.subtract(*reversed([*tilt]))
+    turns = [f"turn it {abs(turned):.0f}° to the {'left' if turned > 0 else 'right'}"] if abs(turned) >= 1 else []
+    turns += [f"tilt it {abs(raised):.0f}° {'up' if raised > 0 else 'down'}"] if abs(raised) >= 1 else []
+    moves = [f"move {before.name} {', '.join(moved)}"] if moved else []
+    words = [*moves, *turns]
+    return " and ".join(words).replace("turn it", f"turn {before.name}" if not moves else "turn it") if words else f"leave {before.name}"
