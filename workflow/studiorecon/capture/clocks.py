@@ -183,11 +183,10 @@ def run(
     given: Mapping[str, float] = json.loads(starts)
     if settings.sync != "never" and len(cameras) > 1:
         verdicts, found, reference = found_clocks(cameras, opened, lines, sources, sightings)
-        undetermined = [f for f in found if f["kind"] == "undetermined"]
+        # Cameras that were not started together: then it matters that one more of them is not known.
+        apart = any(f["kind"] == "found" for f in found)
         for f in found:
-            loud = (f["kind"] == "undetermined" and 0 < len(undetermined) < len(found) - 1) or (
-                f["kind"] == "found" and settings.sync == "report"
-            )
+            loud = apart and (f["kind"] == "undetermined" or (f["kind"] == "found" and settings.sync == "report"))
             (warn if loud and not given else say)(f["sentence"])
         if settings.sync == "auto" and not given:
             made = [replace(c, offset_s=v.offset_s, drift_ppm=v.drift_ppm) for c, v in zip(made, verdicts)]

@@ -20,7 +20,7 @@ _SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.3
 _LEAST_POINTS = 150
 # Another lag further off than this must fit worse by this factor (squared residual), and so must lags this far off under the same F.
-_APART_S, _LEAST_RATIO = 0.3, 1.5
+_APART_S, _LEAST_RATIO = 0.3, 2.0
 # Share of a track's usual motion that makes a part of it count as moving.
 _MOVES = 0.2
 _BLOCKS = 10

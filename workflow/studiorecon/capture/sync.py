@@ -24,13 +24,16 @@ _WIDTH = 160
 # Grey levels of difference that noise still reaches after shrinking.
 _NOISE_LEVELS = 3.0
 # A correlation of fewer independent samples than this is not evidence.
-_LEAST_MOMENTS = 6.0
+_LEAST_MOMENTS = 8.0
 _LEAST_CORRELATION = 0.5
 # Slower changes than this say little about when, and much about who is near a camera.
 _DETREND_S = 0.5
 # One moment looks differently from two sides: peaks of motion are this far apart between cameras that run as one, as standard deviation.
 _VIEWS_S = 0.04
-# The best lag must beat every other one further off than this by so many standard errors.
+# The best lag must lie so many standard errors above no correlation: the best of all wrong lags of two gaits lies three above it.
+# And it must beat every other one further off than this by so many.
+_LEAST_HEIGHT = 5.0
+_ALIKE = 0.95
 _APART_S, _LEAST_Z = 0.3, 2.0
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
 # Seconds of a long clip that are decoded for this.
@@ -111,7 +114,10 @@ def compare(first: np.ndarray, second: np.ndarray, rate: float) -> Lag:
         return _unknown(f"{len(own) / rate:.1f} s show {moments:.0f} independent moments of motion, too few", top)
     if top < _LEAST_CORRELATION:
         return _unknown(f"motion over time correlates at {top:.2f} only", top)
-    height = np.arctanh(np.clip(scores, -0.999, 0.999)) * np.sqrt(max(moments - 3, 1.0))
+    # Two views of one motion are never more alike than this: what lies above says nothing about which lag is right.
+    height = np.arctanh(np.clip(scores, -_ALIKE, _ALIKE)) * np.sqrt(max(moments - 3, 1.0))
+    if height[best] < _LEAST_HEIGHT:
+        return _unknown(f"motion over time correlates at {top:.2f} over {moments:.0f} independent moments only", top)
     rivals = np.abs(lags - lags[best]) > max(2, _APART_S * rate)
     if (height[rivals] > height[best] - _LEAST_Z).any():
         return _unknown("several lags fit the motion about equally well", top)
