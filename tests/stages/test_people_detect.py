@@ -15,8 +15,8 @@ from studiorecon.errors import Refusal
 from studiorecon.images.footage import open_source, stills
 from studiorecon.people.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, Region, anchors, sampled
 from studiorecon.people.detect import newcomers, people_in
-from studiorecon.people.found import Found, is_found, read_found, write_found
 from studiorecon.people.windows import changed, grid, small, usual
+from studiorecon.scene.found import Found, is_found, read_found, write_found
 
 FILES = ("pose_detection.onnx", "pose_landmark_full.onnx")
 

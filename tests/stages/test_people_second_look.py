@@ -10,8 +10,8 @@ import pytest
 from studiorecon.body.layouts import LAYOUTS
 from studiorecon.people.blazepose import LAYOUT, MASK_PX, Landmarks, Region
 from studiorecon.people.expected import Expected, agreement, exchanged, planned, region_of
-from studiorecon.people.found import Found
 from studiorecon.people.second_look import Look, improved_by
+from studiorecon.scene.found import Found
 from studiorecon.scene.people import Detections
 
 NAMES = LAYOUTS[LAYOUT].keypoints

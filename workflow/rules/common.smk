@@ -97,9 +97,9 @@ WATCHED = [c for c in CAMERAS if c in DATASET.keypoints or c in DETECTED]
 # Those that the doctor looks at: nobody is looked for in held-out pictures for its sake.
 CHECKED = [c for c in WATCHED if c in TRAINING or c not in DETECTED]
 SIGHTED = bool(WATCHED) or bool(BODY_SOURCE)
+LANDMARKS = {"blazepose": "pose_landmark_full.onnx", "blazepose_heavy": "pose_landmark_heavy.onnx"}[config["people"]["detector"]]
 DETECTOR_FILES = [
-    local(str(Path(workflow.basedir) / "resources/detector" / name))
-    for name in ("pose_detection.onnx", "pose_landmark_full.onnx", "confidence.json")
+    local(str(Path(workflow.basedir) / "resources/detector" / name)) for name in ("pose_detection.onnx", LANDMARKS, "confidence.json")
 ]
 
 # The cameras of results: a step is told the first file, and reads the other beside it.
@@ -373,6 +373,14 @@ def first_detection(wildcards):
     """The same of one camera, if anybody can be there."""
     found = "first" if wildcards.camera in DETECTED else "detections"
     return [f"results/{wildcards.scene}/people/{found}/{wildcards.camera}.npz"] if DATASET.people and SIGHTED else []
+
+
+def seen_people(wildcards):
+    """The detector's masks of one camera, its detections, and who is who; nothing where the detector did not look."""
+    if wildcards.camera not in DETECTED:
+        return []
+    folder = f"results/{wildcards.scene}/people"
+    return [f"{folder}/seen/{wildcards.camera}.npz", f"{folder}/detections/{wildcards.camera}.npz", f"{folder}/identities.tsv"]
 
 
 def people_table(wildcards):

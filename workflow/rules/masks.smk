@@ -11,6 +11,7 @@ rule masks_segment:
         tracks=tracked_masks,
         objects=loose_objects,
         light=lights_course,
+        seen=seen_people,
     output:
         masks="results/{scene}/masks/{camera}.mkv",
     log:
@@ -29,7 +30,8 @@ rule masks_segment:
         "python -m studiorecon masks.segment --settings {params.settings:q} --log {log:q}"
         " --camera {wildcards.camera:q} --model {input.model[0]:q} --video {input.video:q} --plate {input.plate:q}"
         " --footage {input.footage:q} --calibration {input.calibration:q} --people {input.people:q} --body {input.body:q}"
-        " --given {input.given:q} --tracks {input.tracks:q} --objects {input.objects:q} --light {input.light:q} --masks {output.masks:q}"
+        " --given {input.given:q} --tracks {input.tracks:q} --objects {input.objects:q} --light {input.light:q} --seen {input.seen:q}"
+        " --masks {output.masks:q}"
 
 
 if MASK_NETWORK:

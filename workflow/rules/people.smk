@@ -51,11 +51,10 @@ else:
         resources:
             mem_mb=2000,
         params:
-            settings=settings("people.detect"),
             code=code("people.detect"),
             picture_fps=config["capture"]["picture_fps"],
         shell:
-            "python -m studiorecon people.detect --settings {params.settings:q} --log {log:q}"
+            "python -m studiorecon people.detect --log {log:q}"
             " --camera {wildcards.camera:q} --source {input.source:q} --clocks {input.clocks:q}"
             " --picture-fps {params.picture_fps} --networks {input.networks:q} --found {output.found:q}"
 
@@ -154,6 +153,7 @@ else:
             networks=DETECTOR_FILES,
             model=MODEL,
             manifest="results/{scene}/capture/manifest.json",
+            clocks="results/{scene}/capture/clocks.json",
             calibration="results/{scene}/cameras/calibration.json",
             body=BODY,
             first=first_detections,
@@ -180,7 +180,7 @@ else:
             picture_fps=config["capture"]["picture_fps"],
         shell:
             "python -m studiorecon people.second_look --settings {params.settings:q} --log {log:q}"
-            " --camera {wildcards.camera:q} --source {input.source:q} --picture-fps {params.picture_fps} --networks {input.networks:q}"
+            " --camera {wildcards.camera:q} --source {input.source:q} --clocks {input.clocks:q} --picture-fps {params.picture_fps} --networks {input.networks:q}"
             " --model {input.model[0]:q} --manifest {input.manifest:q} --calibration {input.calibration:q} --body {input.body:q}"
             " --first {input.first:q} --identities {input.identities:q} --found {input.found:q}"
             " --detections {output.detections:q} --seen {output.seen:q} --report {output.report:q}"

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.capture.lenses import lens_of
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
 from studiorecon.images.footage import Source, decode, digest, open_source, uneven
@@ -22,6 +21,7 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.lenses import lens_of
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 
 from studiorecon.body.presence import people_regions
-from studiorecon.capture.lenses import lens_of
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import WorkingView, video_from_working
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
@@ -28,6 +27,7 @@ from studiorecon.images.video import read_frames
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
+from studiorecon.scene.lenses import lens_of
 from studiorecon.scene.people import read_detections
 
 # Grey levels by which a given plate must differ from the footage to show something else there, and how far (share of the longer

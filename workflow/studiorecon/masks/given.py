@@ -17,7 +17,7 @@ from studiorecon.images.video import read_frames
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
-from studiorecon.scene.files import read_json
+from studiorecon.scene.lenses import lens_of
 
 _UNASSIGNED = 255
 # Lossy codecs turn 0 into 1 and smear borders: a video's greys are read as yes or no unless they are exact labels.
@@ -33,9 +33,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> np.
     exactly those, or the whole source. Raises Refusal naming the path and the remedy.
     """
     about = read_footage(footage)
-    lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == about.camera), None)
-    if lens is None:
-        raise Refusal(f"camera {about.camera} is not in {calibration}")
+    lens = lens_of(calibration, about.camera)
     pictures = list(_pictures(path))
     if len(pictures) > max(about.used) and len(pictures) != frames:
         pictures = [pictures[k] for k in about.used]

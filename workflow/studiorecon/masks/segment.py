@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One camera's person masks: 0 background, k + 1 person k, 255 foreground that belongs to no fitted person.
 
-Two witnesses, added as log-odds: how a pixel differs from the clean plate, and how far it lies inside a fitted body's outline. Where
+Three witnesses, added as log-odds: how a pixel differs from the clean plate, how far it lies inside a fitted body's outline, and the
+detector's own mask, where people were found in the pictures. Where
 the plate is unknown GrabCut, seeded by the body, takes the plate's place. Bodies in front hide those behind, by their depth at the
 pixel. Masks that the user brings are taken as they are; only their identities are matched to the fitted people.
 """
@@ -24,14 +25,18 @@ from studiorecon.images.video import read_stack, to_float, write_lossless
 from studiorecon.masks.cut import CutSettings, cut_unknown
 from studiorecon.masks.evidence import DifferenceSettings, Plate, body_evidence, colour_difference, difference_evidence, unrest_of
 from studiorecon.masks.given import identified, read_given
+from studiorecon.masks.seen import Seen, seen_in
 from studiorecon.masks.things import without_things
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_footage
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.factors import read_factors
+from studiorecon.scene.found import read_found
+from studiorecon.scene.lenses import lens_of
 from studiorecon.scene.objects import RigidObject, read_objects
-from studiorecon.scene.people import Person, read_person
+from studiorecon.scene.people import Person, read_detections, read_identities, read_person
 
 # Pictures from which the plate's unrest is learnt.
 _UNREST_FRAMES = 12
@@ -95,9 +100,19 @@ def person_evidence(
 
 
 def segment_frame(
-    rgb: np.ndarray, difference: np.ndarray, plate: Plate, depths_m: np.ndarray, camera: Camera, valid: Sequence[bool], settings: Settings
+    rgb: np.ndarray,
+    difference: np.ndarray,
+    plate: Plate,
+    depths_m: np.ndarray,
+    camera: Camera,
+    valid: Sequence[bool],
+    settings: Settings,
+    network: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(H, W) uint8 labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate."""
+    """(H, W) uint8 labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate.
+
+    ``network``: (H, W) log-odds of the detector's masks, if there are any.
+    """
     seen = difference_evidence(difference, plate, settings.difference)
     bodies, distance_m = person_evidence(depths_m, camera, valid, settings.outline)
     labels = np.zeros(seen.shape, np.uint8)
@@ -105,7 +120,7 @@ def segment_frame(
     if len(bodies):
         best = bodies.max(axis=0)
         near_somebody = np.isfinite(best)
-        total = seen + best
+        total = seen + best if network is None else seen + best + network
         total = cut_unknown(rgb, total, near_somebody & ~plate.measured, settings.cut)
         person = along_edges(total, rgb, settings.smooth_px) > 0
         front = front_person(depths_m)
@@ -139,8 +154,9 @@ def segment(
     camera: Camera,
     settings: Settings,
     things: Sequence[RigidObject] = (),
+    seen: Seen | None = None,
 ) -> Iterator[np.ndarray]:
-    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's."""
+    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's; ``seen``: the detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
     chosen = np.unique(np.linspace(0, len(frames) - 1, _UNREST_FRAMES).round().astype(int))
     free = []
@@ -152,7 +168,8 @@ def segment(
     for t, frame in enumerate(progress(frames, "masks")):
         difference = colour_difference(to_float(frame), plate_rgb, settings.difference)
         depths_m = body_depths(people, body, camera, t)
-        labels = segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings)
+        network = seen.evidence(t, [p.name for p in people]) if seen else None
+        labels = segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings, network)
         yield without_things(labels, things, depths_m, camera, t)
 
 
@@ -180,11 +197,13 @@ def run(
     masks: Path,
     objects: list[Path] | None = None,
     light: list[Path] | None = None,
+    seen: list[Path] | None = None,
 ) -> None:
     """Masks of ``camera`` for the fitted ``people``; frames are compared with the plate in its ``light``, if its course is known.
 
     ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's film of numbers.
-    The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought.
+    The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought. ``seen`` (nothing, or three files: the
+    detector's, the camera's detections, identities.tsv) brings the detector's own masks.
     """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
@@ -213,7 +232,12 @@ def run(
         plate_rgb, measured = read_plate(plate)
         steady = read_factors(light or [], len(frames)).even_all(camera, frames)
         things = [thing for path in objects or () for thing in read_objects(path)]
-        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings, things)))
+        about = read_footage(footage)
+        found = None
+        if seen:
+            whole, detections, who = read_found(seen[0], masks=True), read_detections(seen[1]), read_identities(seen[2])
+            found = seen_in(whole, detections, who, lens_of(calibration, camera), about)
+        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings, things, found)))
         say(describe(camera, labels, [f.name for f in fits], float(measured.mean())))
     write_lossless(masks, iter(labels), fits[0].fps if fits else 30.0)
 

@@ -17,12 +17,12 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.images.footage import decode, open_source, stills
 from studiorecon.people.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, Region
-from studiorecon.people.found import Found, write_found
 from studiorecon.people.tracking import distance_shares
 from studiorecon.people.windows import changed, grid, small, usual
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json
+from studiorecon.scene.found import Found, write_found
 from studiorecon.scene.retiming import part_of
 
 # Time between two looks at the whole picture.
@@ -41,13 +41,6 @@ _SMALLEST_PX, _LARGEST = 24, 4.0
 _KEPT_STEP = 0.7
 # Pictures whose median is the usual one.
 _USUAL = 25
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Reads ``detector``: which networks look, see config.yaml."""
-
-    detector: str
 
 
 @dataclass(frozen=True)
@@ -155,7 +148,7 @@ def people_in(pictures: Iterable[np.ndarray], network: BlazePose, background: np
     yield from results
 
 
-def run(settings: Settings, camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Path) -> None:
+def run(camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Path) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or none) chooses.
 
     ``networks``: the detector's file, the landmarks', and the table that says what their visibility is worth.

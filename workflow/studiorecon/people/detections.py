@@ -11,7 +11,6 @@ import numpy as np
 
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import working_from_calibration, working_from_video
-from studiorecon.people.found import Found, is_found, read_found
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import Entry, read_keypoints
 from studiorecon.people.tracking import TrackingLimits, tracks, without_duplicates
@@ -19,7 +18,8 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.files import read_json
+from studiorecon.scene.found import Found, is_found, read_found
+from studiorecon.scene.lenses import lens_of
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.scene.retiming import at_the_scene_s_moments, part_used
 
@@ -123,9 +123,7 @@ def run(
     used = read_footage(footage)
     common = read_clocks(clocks) if clocks else None
     found = part_used(used, common)
-    lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
-    if lens is None:
-        raise Refusal(f"camera {camera} is not in {calibration}")
+    lens = lens_of(calibration, camera)
     if is_found(keypoints):
         whole = read_found(keypoints)
         result = at_the_scene_s_moments(detections_of_found(whole, lens, found, settings), used, common)

@@ -8,26 +8,26 @@ else, or was found twice, is removed. One camera alone cannot tell a hidden pers
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import video_from_working, working_from_video
 from studiorecon.images.footage import open_source, stills
 from studiorecon.people.blazepose import MASK_PX, BlazePose, Landmarks
 from studiorecon.people.detect import believed, look_again
 from studiorecon.people.expected import BELIEVED, BETTER, Expected, Plan, agreement, exchanged, expected, planned, region_of
-from studiorecon.people.found import read_found, write_found
 from studiorecon.people.points import Triangulation
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.found import read_found, write_found
+from studiorecon.scene.lenses import lens_of
 from studiorecon.scene.people import Detections, read_detections, read_identities, write_detections
 
 
@@ -95,6 +95,15 @@ class View:
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
 
 
+def each_of(pictures: Iterable[np.ndarray], wanted: Sequence[int]) -> Iterator[np.ndarray]:
+    """The pictures of the frames ``wanted`` (ascending), which come once each, as often as they are wanted."""
+    coming = iter(pictures)
+    for k, number in enumerate(wanted):
+        if not k or number != wanted[k - 1]:
+            picture = next(coming)
+        yield picture
+
+
 def improved_by(
     own: Detections, plan: Plan, looks: Sequence[Look], people: Sequence[Expected], owners: Sequence[str], row: int
 ) -> Detections:
@@ -127,6 +136,7 @@ def run(
     settings: Settings,
     camera: str,
     source: Path,
+    clocks: Path,
     picture_fps: float,
     networks: list[Path],
     model: Path,
@@ -148,9 +158,7 @@ def run(
     given = [read_detections(p) for p in first]
     at = [c.name for c in cameras].index(camera)
     own, whole = given[at], read_found(found, masks=True)
-    lens = next((Lens.from_json(v) for v in read_json(calibration)["lenses"] if str(v["name"]) == camera), None)
-    if lens is None:
-        raise Refusal(f"camera {camera} is not in {calibration}")
+    lens = lens_of(calibration, camera)
     people: list[Expected] = []
     if len(cameras) > 2:
         names, fitted = sorted({p for p in who.values() if p}), BodyModel.load(body)

@@ -13,7 +13,6 @@ import numpy as np
 from studiorecon.errors import Refusal
 from studiorecon.geometry.lens import mapped_lens
 from studiorecon.people.detections import Settings, detections_of, detections_of_found
-from studiorecon.people.found import is_found, read_found
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import read_keypoints
 from studiorecon.progress import say
@@ -21,6 +20,7 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.files import write_json
+from studiorecon.scene.found import is_found, read_found
 from studiorecon.scene.people import Detections, write_detections
 
 

@@ -112,7 +112,7 @@ def film_camera(job: Job) -> None:
             touched = touched_pixels(job.lens, moving)
             centres = touched_pixels(truth.lens, moving) if job.lens.distortion.any() else touched
             truth.add(tracer, moving, centres, values, _next(troupe, frame) if described.truth.flow else None)
-            if training and described.people:
+            if training and described.keypoints:
                 people = detect(keypoints_m[frame], job.lens, tracer, len(solids), described.detections, detector)
                 path = job.dataset / "keypoints" / name / f"{name}_{frame:012d}_keypoints.json"
                 write_json(path, openpose_json(people))

@@ -70,8 +70,9 @@ class Effects:
 
 @dataclass(frozen=True)
 class DetectionOptions:
-    """How good the 2D keypoints are."""
+    """Whether 2D keypoints are recorded, and how good they are."""
 
+    recorded: bool
     noise_px: float
     drop_outs: float
     false_positives: float
@@ -115,6 +116,11 @@ class Description:
     truth: TruthOptions
 
     @property
+    def keypoints(self) -> bool:
+        """Whether keypoint files are written."""
+        return self.people > 0 and self.detections.recorded
+
+    @property
     def training(self) -> tuple[str, ...]:
         """Names of the training cameras."""
         return tuple(f"cam{k}" for k in range(1, self.cameras.training + 1))
@@ -150,7 +156,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         footage={name: folder / "videos" / f"{name}.mp4" for name in names},
         held_out=description.held_out,
         calibration=tuple(folder / name for name in CALIBRATION_FILES[description.calibration.format]),
-        keypoints={name: folder / "keypoints" / name for name in training} if description.people else {},
+        keypoints={name: folder / "keypoints" / name for name in training} if description.keypoints else {},
         keypoint_layout="body_25",
         keypoint_first_frame=0,
         plates={name: folder / "plates" / f"{name}.png" for name in training} if description.plates else {},
