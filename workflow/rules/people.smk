@@ -88,11 +88,7 @@ else:
             " --clocks {input.clocks:q} --footage {input.footage:q} --calibration {input.calibration:q}"
             " --detections {output.detections:q}"
 
-    rule people_first_detections:
-        input:
-            keypoints=keypoint_source,
-            footage="results/{scene}/capture/{camera}.json",
-            calibration="results/{scene}/cameras/calibration.json",
+    use rule people_detections as people_first_detections with:
         output:
             detections="results/{scene}/people/first/{camera}.npz",
         log:
@@ -101,20 +97,6 @@ else:
             "benchmarks/{scene}/people/first/{camera}.tsv"
         wildcard_constraints:
             camera="|".join(map(re.escape, DETECTED)) or "^$",
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=500,
-        params:
-            settings=settings("people.detections"),
-            code=code("people.detections"),
-            layout=DATASET.keypoint_layout,
-            first_frame=DATASET.keypoint_first_frame,
-        shell:
-            "python -m studiorecon people.detections --settings {params.settings:q} --log {log}"
-            " --camera {wildcards.camera} --keypoints {input.keypoints:q} --layout {params.layout} --first-frame {params.first_frame}"
-            " --footage {input.footage:q} --calibration {input.calibration:q} --detections {output.detections:q}"
 
     # Who is who before the second look: the same step, from the first detections, without clean plates and without anybody's corrections.
     rule people_first_associate:
