@@ -20,6 +20,7 @@ from .test_layout import ON_REQUEST
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow/studiorecon"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+CONSTRAINTS = ROOT / "envs/constraints.txt"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # What a package is called on the registry, where that is not what it is imported as; llvmlite is a part of numba's.
 CALLED = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml", "skimage": "scikit-image", "llvmlite": "numba"}
@@ -94,7 +95,7 @@ def test_a_library_that_does_not_load_names_an_extra_that_has_it() -> None:
 
 
 def test_the_tested_versions_are_within_what_is_declared() -> None:
-    text = (ROOT / "envs/constraints.txt").read_text()
+    text = CONSTRAINTS.read_text()
     assert "://" not in text, "no addresses"
     tested = [Requirement(line.partition("#")[0]) for line in text.splitlines() if line.partition("#")[0].strip()]
     held = {canonicalize_name(r.name) for r in tested}
@@ -105,6 +106,16 @@ def test_the_tested_versions_are_within_what_is_declared() -> None:
         for pin in tested:
             if canonicalize_name(pin.name) == canonicalize_name(wanted.name):
                 assert Version(next(iter(pin.specifier)).version) in wanted.specifier, f"{pin} is not what pyproject.toml asks for"
+
+
+def test_the_core_image_has_the_tested_versions() -> None:
+    tested = [Requirement(line.partition("#")[0]) for line in CONSTRAINTS.read_text().splitlines() if line.partition("#")[0].strip()]
+    there = {"python_full_version": "3.11.9", "python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
+    held = {canonicalize_name(r.name): r.specifier for r in tested if r.marker is None or r.marker.evaluate(there)}
+    for line in (ROOT / "envs/core/requirements.txt").read_text().splitlines():
+        if line and not line.startswith("#"):
+            pin = Requirement(line)
+            assert held[canonicalize_name(pin.name)] == pin.specifier, f"envs/core pins {pin}, and constraints.txt another"
 
 
 def test_steps_that_share_work_among_threads_call_no_kernel_that_does_so_itself() -> None:
