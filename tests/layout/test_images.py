@@ -114,8 +114,8 @@ def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> No
                 assert any(canonicalize_name(p) in has for p in packages), f"{module} imports {top}, which image {network} lacks"
 
 
-# What draws on a GPU and measures LPIPS: then a rule that draws runs in vision (DRAWN_BY), which has both.
-ONLY_IN_VISION = {"torch", "gsplat"}
+# What draws on a GPU and measures LPIPS: then a rule that draws runs in vision (DRAWN_BY), which has them.
+ONLY_IN_VISION = {"torch", "gsplat", "kornia"}
 
 
 def steps_and_images() -> list[tuple[str, str]]:

@@ -93,7 +93,8 @@ def test_planes_are_exact_face_inwards_and_say_what_was_seen(tmp_path: Path, vie
     beside = ((inside > 0.7) & (inside < 1.1)).all(axis=1)
     assert (floor.provenance[beside] == MEASURED).mean() > 0.9
     assert np.abs(floor.rgb[beside] - GREY).max() < 0.02
-    assert np.abs(floor.rgb[beneath] - GREY).max() < np.abs(RED - GREY).max() / 2, "unseen floor has its neighbours' colour"
+    redness = np.abs(floor.rgb[beneath] - GREY).mean() / np.abs(RED - GREY).mean()
+    assert redness < 0.5, "unseen floor takes its colour from the floor beside it"
     stored = read["floor"].visual.vertex_attributes["color"][:, :3] / 65535
     assert stored == pytest.approx(((floor.rgb + 0.055) / 1.055) ** 2.4, abs=1e-4), "glTF's vertex colours are linear"
     assert read["floor"].vertex_attributes["_PROVENANCE"][:, 0] == pytest.approx(floor.provenance)

@@ -6,10 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from kornia.filters import filter2d_separable
 
 from studiorecon.splatting.coverage import DENSITY_OFFSET, DEPTH_SOFTNESS
 from studiorecon.splatting.planes import DEPTH_ALPHA_MIN
-from studiorecon.splatting.similarity import C1, C2, RADIUS, window
+from studiorecon.splatting.similarity import C1, C2, window
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,5 @@ def depth(depth_sum: torch.Tensor, alpha: torch.Tensor, wanted_m: torch.Tensor, 
 
 def _windowed(planes: torch.Tensor) -> torch.Tensor:
     """(3, H, W) under the 11×11 Gaussian window, zeros outside."""
-    taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)
-    across = torch.nn.functional.conv2d(planes[:, None], taps[None, None, None, :], padding=(0, RADIUS))
-    return torch.nn.functional.conv2d(across, taps[None, None, :, None], padding=(RADIUS, 0))[:, 0]
+    taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)[None]
+    return filter2d_separable(planes[:, None], taps, taps, border_type="constant")[:, 0]
