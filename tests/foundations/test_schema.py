@@ -95,7 +95,8 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
     ("entry", "sentence"),
     [
         ("people={desk: {hight_px: 160}}", "there is no setting people.desk.hight_px; did you mean people.desk.height_px?"),
-        ("people={gap_frames: 3}", "there is no setting people.gap_frames; did you mean people.tracking.gap_frames?"),
+        ("people={height_px: 3}", "there is no setting people.height_px; did you mean people.desk.height_px?"),
+        ("people={gate_m: 1}", "there is no setting people.gate_m; did you mean people.association.gate_m?"),
         ("datset=x", "there is no setting datset; did you mean dataset?"),
         ("survey={force: {exposre: off}}", "there is no setting survey.force.exposre; did you mean survey.force.exposure?"),
         ("render={shots: {a: {kind: orbit, targt: p0}}}", "there is no setting render.shots.a.targt; did you mean render.shots.a.target?"),

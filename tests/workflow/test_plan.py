@@ -149,6 +149,12 @@ def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset:
     assert "views_synthesize" not in told
 
 
+def test_a_captures_calibration_is_judged_on_request(house: House, dataset: Path) -> None:
+    asked = on(house, dataset).plan("plan")
+    assert asked["planner_advise"] == 1
+    assert not [rule for rule in asked if rule.split("_")[0] in ("depth", "background", "humans", "render")]
+
+
 def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
     there, known = on(house, dataset), {"exposure": "off", "view_dependent_colour": "off"}
     target = f"results/{dataset.name}/background/scene.ply"

@@ -157,7 +157,8 @@ def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, 
     """What a name that no setting has was meant to be: a neighbour that is spelt like it, or a setting of that name elsewhere."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
     elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
-    found = near or elsewhere[:3]
+    inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]
+    found = near or inside[:3] or elsewhere[:3]
     if found:
         return f"; did you mean {' or '.join(found)}?"
     return f"; {'.'.join(path) or 'the configuration'} holds {', '.join(known)}" if len(known) <= 20 else ""
