@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which rules of a finished scene would run again, for many changed settings: ``python changed_settings.py DATASET OVERLAY.yaml ...``
 
-Prints a line of JSON per overlay, the rules whose own parameters differ from what Snakemake remembers of the run. It is imported once
+Prints a line of JSON per overlay, the rules whose own parameters differ from what Snakemake remembers of the run; null where the plan is
+refused. Snakemake is imported once
 and forked per overlay. Rules are compared one by one (rerun by time only): what follows from a change is not mixed with what it changes.
 """
 
@@ -54,5 +55,9 @@ if __name__ == "__main__":
     given = ("--cores", "2", "--config", f"dataset={dataset}")
     rule = rules_by_output(*given)
     for overlay in overlays:
-        changed = printed("--list-changes", "params", "--configfile", overlay, *given)
-        print(json.dumps(sorted({rule[line] for line in changed if line.strip()})), flush=True)
+        try:
+            changed = printed("--list-changes", "params", "--configfile", overlay, *given)
+        except RuntimeError:
+            print("null", flush=True)
+        else:
+            print(json.dumps(sorted({rule[line] for line in changed if line.strip()})), flush=True)

@@ -125,8 +125,8 @@ def reads(step: str, path: str) -> bool:
     return bool(names) and (fields is None or bool(fields))
 
 
-def changed_rules(house: House, values: Mapping[str, Any]) -> dict[str, set[str]]:
-    """Setting → rules whose parameters Snakemake says have changed, each setting changed alone."""
+def changed_rules(house: House, values: Mapping[str, Any]) -> dict[str, set[str] | None]:
+    """Setting → rules whose parameters Snakemake says have changed, each setting changed alone; None where it refuses the plan."""
     files = []
     for number, (path, value) in enumerate(values.items()):
         tree: Any = value
@@ -140,7 +140,7 @@ def changed_rules(house: House, values: Mapping[str, Any]) -> dict[str, set[str]
         cwd=house.folder, env=house.environment(), text=True, capture_output=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-4000:]
-    return dict(zip(values, (set(json.loads(line)) for line in done.stdout.splitlines()), strict=True))
+    return dict(zip(values, (None if line == "null" else set(json.loads(line)) for line in done.stdout.splitlines()), strict=True))
 
 
 def expected(path: str, rules: Mapping[str, str], present: set[str]) -> set[str]:
@@ -155,7 +155,7 @@ def wrong_of(house: House, values: Mapping[str, Any]) -> list[str]:
     wrong = []
     for path, told in changed_rules(house, values).items():
         if told != (should := expected(path, rules, present)):
-            wrong.append(f"{path}: re-runs {sorted(told)}, is read by {sorted(should)}")
+            wrong.append(f"{path}: re-runs {told and sorted(told)}, is read by {sorted(should)}")
     return wrong
 
 
