@@ -140,6 +140,11 @@ class TestOthers:
         assert "sound +2.000" in told
         assert "people +3.000" in told
 
+    @pytest.mark.parametrize(("frames", "applied"), [(11.04, 11), (11.4, 11.4), (0.05, 0), (-2.93, -3)])
+    def test_nothing_is_resampled_for_a_fraction_that_does_not_matter(self, frames: float, applied: float) -> None:
+        verdict = judged([Proposal("people", frames / FPS, 0.1 / FPS, 0.0, 1.0)], FPS, 10)
+        assert verdict.offset_s * FPS == pytest.approx(applied)
+
     def test_one_wrong_pair_of_many_is_left_out(self) -> None:
         true = [0.0, 1.0, -2.0, 0.5]
         pairs = [Pair(a, b, true[b] - true[a] + (0.7 if (a, b) == (0, 2) else 0.0), 0.01) for a in range(4) for b in range(a + 1, 4)]

@@ -112,9 +112,11 @@ def judged(proposals: Sequence[Proposal], fps: float, seconds: float) -> Verdict
     drift = best.drift_ppm if abs(best.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
     if not drift and abs(best.offset_s) <= max(best.half_s, _NEGLIGIBLE_FRAMES / fps):
         return Verdict("in step", 0.0, best.half_s, 0.0, best.method)
-    # What is not sharper than a frame says which frame, and nothing about fractions.
-    offset = round(best.offset_s * fps) / fps if best.half_s > 1 / fps and not drift else best.offset_s
-    return Verdict("found", offset, best.half_s, drift, best.method)
+    # What is not sharper than a frame says which frame, and nothing about fractions; and a fraction may be too small to matter.
+    whole = round(best.offset_s * fps) / fps
+    beside = abs(best.offset_s - whole) * fps
+    on_the_beat = not drift and (best.half_s > 1 / fps or beside <= _NEGLIGIBLE_FRAMES)
+    return Verdict("found", whole if on_the_beat else best.offset_s, best.half_s, drift, best.method)
 
 
 def _reached(pairs: Sequence[Pair], cameras: int, reference: int) -> list[int]:
