@@ -18,6 +18,7 @@ from studiorecon.body.model import OTHER_SIDE, BodyModel
 from studiorecon.errors import Refusal
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.smoothing import Smoothing
+from studiorecon.people.legs import seated
 from studiorecon.people.points import Points, Triangulation, lift, observations
 from studiorecon.people.skin import surface_of
 from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
@@ -108,7 +109,13 @@ def fit_person(
             f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations from the mean (beta {worst}, frames "
             f"{frame_ranges(valid)}), which no person is; check that the calibration is in metres, the keypoint layout and the identities"
         )
-    return _person(person, result.rotations, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings), result
+    local, bent = seated(result.rotations, result.trans_m, result.betas, points.names, points.points_m, body)
+    if (valid[:, None] & bent).any():
+        say(
+            f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and they cannot hang through the floor: they are "
+            "bent as somebody sits, a guess that the joints' deviations mark"
+        )
+    return _person(person, local, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings), result
 
 
 def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings) -> Person:

@@ -13,6 +13,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.video import read_frames
 from studiorecon.people.affinity import AssociationLimits
 from studiorecon.people.evidence import EvidenceLimits, absent, motion_support, sampled_frames, steps_m, view_shares
+from studiorecon.people.ghosts import FOUND_TWICE, deep_points_m, found_twice, why_nobody
 from studiorecon.people.grouping import Group, group_tracks, torso_m, track_margins
 from studiorecon.people.left_out import LeftOut, left_out
 from studiorecon.progress import progress, say
@@ -96,6 +97,7 @@ def identities_from_keypoints(
     if likely and videos and evidence.frames:
         contradicted = iter(_contradicted(supports(likely, cameras, videos, evidence), cameras, evidence))
         why = [reason or next(contradicted) for reason in why]
+    why = _without_ghosts(groups, why, given, cameras, fps, triangulation)
     rejected = [(g, reason) for g, reason in zip(groups, why) if reason]
     for group, reason in rejected:
         say(f"not a person of this scene: {_tracks(group, cameras)}: {reason}")
@@ -130,7 +132,25 @@ def identities_from_keypoints(
         if table
         else "no people: no camera has a detection"
     )
-    return table, rows, left_out(rejected, cameras, frames, fps)
+    return table, rows, left_out([(g, r) for g, r in rejected if r != FOUND_TWICE], cameras, frames, fps)
+
+
+def _without_ghosts(
+    groups: Sequence[Group], why: Sequence[str], given: Sequence[Detections], cameras: Sequence[Camera], fps: float, agree: Limits
+) -> list[str]:
+    """The reasons with those of ``ghosts`` added, looked for from whom most cameras see longest to whom fewest do."""
+    out, centres_m = list(why), np.array([c.centre_m for c in cameras])
+    order = sorted(range(len(groups)), key=lambda i: (bool(why[i]), -int(groups[i].seen.sum()), groups[i].members))
+    for n, i in enumerate(order):
+        points_m = groups[i].points_m
+        before = [groups[j].points_m for j in order[:n] if not out[j]]
+        if why[i]:
+            out[i] = FOUND_TWICE if any(found_twice(points_m, other) for other in before) else why[i]
+            continue
+        others = [g.points_m for j, g in enumerate(groups) if j != i and not why[j]]
+        deep_m = deep_points_m(groups[i].members, given, cameras, len(points_m), agree)
+        out[i] = why_nobody(points_m, deep_m, before, others, centres_m, fps)
+    return out
 
 
 def _contradicted(shares: np.ndarray, cameras: Sequence[Camera], limits: EvidenceLimits) -> list[str]:
