@@ -384,3 +384,27 @@ def test_the_real_calibrations_are_read(real_data, tmp_path, options):
             assert np.abs(np.array(lens["intrinsics"])[:2, 2] - np.array(expected["K"])[:2, 2] - 0.5).max() < 1e-4
     with pytest.raises(Refusal, match="for other cameras"):
         calibration.run(options(), [real_data / "caliscope_webcams" / "camera_array.toml"], names, "{}", tmp_path / "c.json")
+
+
+def test_cameras_that_all_moved_by_degrees_are_put_back_where_people_see_them(tmp_path, options):
+    """Every camera off by 2 to 4° and 15 to 35 cm: nothing agrees as given, and two people could be taken for one another."""
+    truth, rng = ring(), np.random.default_rng(3)
+    given = []
+    for camera in truth:
+        axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        turn = exp(np.radians(rng.uniform(2, 4)) * axis)
+        given.append(moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.15, 0.35) * way))
+    model, _, report = refined(tmp_path, given, truth, options(refine.Settings))
+    ours, true = ([c.camera_from_world[:3, :3] for c in group] for group in (model, truth))
+    pairs = [(i, j) for i in range(len(truth)) for j in range(i)]
+    between = [np.degrees(np.linalg.norm(log(ours[i] @ ours[j].T @ (true[i] @ true[j].T).T))) for i, j in pairs]
+    assert max(between) < 3 * max(report["stale"]["sigma_deg"].values())
+    assert max(between) < 0.6
+    assert report["after_px"] < 3
+
+
+def test_cameras_that_stayed_are_not_moved_for_a_detector_that_errs(tmp_path, options):
+    truth = ring()
+    model, _, report = refined(tmp_path, truth, truth, options(refine.Settings))
+    assert "stale" not in report
+    assert np.abs(seen_error(model, truth)).max() < 1.0

@@ -14,6 +14,7 @@ from studiorecon.cameras.correspondences import Observations, observe, spread_fr
 from studiorecon.cameras.hypotheses import best_swap, check_conventions
 from studiorecon.cameras.people_bundle import LensSettings, contradicted, error_medians, fitted, lenses_called_for, straightened
 from studiorecon.cameras.sheet import contact_sheet
+from studiorecon.cameras.stale import tell, where_they_stand_now
 from studiorecon.errors import Refusal
 from studiorecon.geometry.bundle import BundleSettings, LensPrior, moved
 from studiorecon.geometry.triangulation import Limits
@@ -29,6 +30,8 @@ _FOOT_HEIGHT_M = 0.08
 _MOST_CONTRADICTED = 0.5
 # Share of the allowed error past which it is asked whether cameras were exchanged, and how many times better people must then fit.
 _SUSPICIOUS, _MUCH_BETTER = 0.5, 3.0
+# Against cameras that were moved, which have more freedom to fit; and how much worse other lenses at the given poses may fit than those.
+_BETTER, _ABOUT_AS_WELL = 1.5, 1.1
 
 
 @dataclass(frozen=True)
@@ -90,25 +93,39 @@ def decide(
         warn("no keypoints: the calibration is used as it was given, unchecked")
         return Outcome(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
     chosen = spread_frames(frames, settings.refine_frames)
-    report["hypotheses"] = check_conventions(training, detections, chosen[:: max(1, len(chosen) // 6)], settings.refine_gate_m)
+    given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
     seen, graph = observe(detections, training, chosen, settings.refine_gate_m)
-    if not len(seen.frame):
-        return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
     before, before_each, points = error_medians(training, seen, settings.limits)
-    limit = settings.max_error_share * max(max(c.wh) for c in training)
+    before_px = before if np.isfinite(before) else None
+    few = chosen[:: max(1, len(chosen) // 6)]
+    told = settings.refine_gate_m, settings.refine_gain, settings.limits, settings.bundle
+    anew = where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit) if settings.refine else None
+    if anew is not None and len(points) and _lenses_instead(training, seen, anew.report["after_px"], settings):
+        anew = None
+    report["hypotheses"] = check_conventions(training, detections, few, settings.refine_gate_m) if anew is None else []
+    if anew is None and not len(seen.frame):
+        return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
     if not before < _SUSPICIOUS * limit:
-        _refuse_swapped(training, detections, chosen, before, settings)
-    if len(training) > 2 and not len(points) and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
+        _refuse_swapped(training, detections, chosen, before, np.inf if anew is None else anew.report["after_px"], settings)
+    if anew is not None:
+        tell(given, anew)
+        training, seen, report = anew.cameras, anew.seen, {**report, "stale": anew.report}
+    blind = anew is None and len(training) > 2 and not len(points)
+    if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
         raise Refusal(
             f"the calibration does not fit the footage: no keypoint agrees in three cameras, and where two agree a third one sees people "
             f"elsewhere in {share:.0%} of the cases; check that it is for these cameras, and that the videos are synchronised"
         )
-    report |= {"points": len(points), "before_px": before, "before_px_per_camera": before_each}
+    report |= {"points": len(points), "before_px": before_px, "before_px_per_camera": before_each}
     adjusted, after = training, before
-    if settings.refine and len(training) > 2 and len(points):
-        adjusted, seen, report = _try_refinement(training, seen, before, report, settings)
+    if settings.refine and len(training) > 2 and (len(points) or anew):
+        adjusted, seen, report = _try_refinement(training, seen, report, settings)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
+    if anew is not None:
+        radial = np.array([c["radial_k1"] for c in report.get("changes", [])] or [0.0] * len(given))
+        report |= {"refined": True, "reason": "the cameras stand elsewhere than the calibration says", "unseen_before_px": before_px}
+        report["changes"] = _changes(given, adjusted, radial)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
         raise Refusal(
@@ -122,9 +139,9 @@ def decide(
 
 
 def _refuse_swapped(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, before: float, settings: Settings
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, before: float, moved_px: float, settings: Settings
 ) -> None:
-    """Raises Refusal when people fit several times better with two cameras exchanged.
+    """Raises Refusal when people fit several times better with two cameras exchanged, also than with cameras moved (``moved_px``).
 
     On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
     """
@@ -134,9 +151,21 @@ def _refuse_swapped(
     row, swapped = found
     seen, _ = observe(detections, swapped, frames, settings.refine_gate_m)
     after = error_medians(swapped, seen, settings.limits)[0] if len(seen.frame) else float("nan")
-    if after * _MUCH_BETTER < (before if np.isfinite(before) else np.inf):
+    if after * _MUCH_BETTER < (before if np.isfinite(before) else np.inf) and after * _BETTER < moved_px:
         known = f"{before:.0f} px as read" if np.isfinite(before) else "no three cameras agree as read"
         raise Refusal(f"the calibration fits the people only if {row['hypothesis']} ({after:.1f} px off, {known}): {row['remedy']}")
+
+
+def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:
+    """Whether other lenses at nearly the given poses explain people about as well as other poses: a zoom ring is easier to touch."""
+    order = np.unique(seen.frame, return_inverse=True)[1]
+    fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
+    trial = fitted(given, fit_on, settings.limits, settings.bundle)
+    if trial is None:
+        return False
+    found = lenses_called_for(trial.cameras, fit_on, judge_on, settings.limits, settings.bundle, settings.refine_lens).report
+    errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
+    return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 
 
 def _nothing_agrees(
@@ -154,7 +183,7 @@ def _nothing_agrees(
 
 
 def _try_refinement(
-    training: list[Camera], seen: Observations, before: float, report: dict[str, Any], settings: Settings
+    training: list[Camera], seen: Observations, report: dict[str, Any], settings: Settings
 ) -> tuple[list[Camera], Observations, dict[str, Any]]:
     """Fit on every other frame, judge on the rest; refit on all frames when it clearly helps.
 
@@ -175,7 +204,7 @@ def _try_refinement(
     report["lens"] = lens.report
     if not (helps or lens.focal or lens.radial):
         say(
-            f"the given cameras are kept: on frames it had not seen, refinement changed the median reprojection error from "
+            f"the cameras are kept as they are: on frames it had not seen, refinement changed the median reprojection error from "
             f"{judged_before:.2f} to {judged_after:.2f} px, less than the {gain:.0%} that would count"
         )
         return training, seen, {**report, "reason": "refinement did not clearly help"}

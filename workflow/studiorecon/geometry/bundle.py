@@ -23,13 +23,13 @@ class BundleSettings:
 
     Attributes:
         iterations: Levenberg-Marquardt steps.
-        prior_deg, prior_m: standard deviations of the given rotations and centres. They hold what the points cannot see:
-            the common rotation, translation and scale.
+        prior_deg, prior_m: standard deviations of the given rotations and centres, of all cameras or of each (V,). They hold what
+            the points cannot see: the common rotation, translation and scale.
     """
 
     iterations: int
-    prior_deg: float
-    prior_m: float
+    prior_deg: float | np.ndarray
+    prior_m: float | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,13 @@ def adjust_with_lenses(
     huber_px: np.ndarray,
     settings: BundleSettings,
     lens: LensPrior,
+    given: Sequence[Camera] | None = None,
 ) -> Adjusted:
     """As ``adjust``, with one focal factor and one radial term per camera where ``lens`` leaves them free, and what is known how well.
 
-    Raises ValueError as ``adjust`` does.
+    ``given``: the cameras that the priors are about, where the search does not start at them. Raises ValueError as ``adjust`` does.
     """
-    problem = _Problem(cameras, pixels, weights, huber_px, settings, lens)
+    problem = _Problem(cameras, pixels, weights, huber_px, settings, lens, given)
     state, _ = _solve(problem, points_m, settings.iterations)
     found = []
     for v, camera in enumerate(cameras):
@@ -144,19 +145,22 @@ class _Problem:
         huber_px: np.ndarray,
         settings: BundleSettings,
         lens: LensPrior,
+        given: Sequence[Camera] | None = None,
     ) -> None:
         sizes = require("pixels", pixels, (len(cameras), "N", 2))
         require("weights", weights, (len(cameras), "N"), sizes)
         require("huber_px", huber_px, (len(cameras),), finite=True)
         self.rotations = np.stack([c.camera_from_world[:3, :3] for c in cameras])
         self.centres = np.stack([c.centre_m for c in cameras])
+        self.given_rotations = np.stack([c.camera_from_world[:3, :3] for c in given or cameras])
+        self.given_centres = np.stack([c.centre_m for c in given or cameras])
         self.focal = np.stack([c.focal_px for c in cameras]) / huber_px[:, None]
         principal = np.stack([c.principal_px for c in cameras])
         self.seen = (weights > 0) & np.isfinite(pixels).all(-1)
         self.measured = (np.where(self.seen[..., None], pixels, principal[:, None]) - principal[:, None]) / huber_px[:, None, None]
         self.weights = np.where(self.seen, weights, 0.0)
-        free = [lens.log_focal or _FIXED, lens.radial or _FIXED]
-        self.sigma = np.array([np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3 + free)
+        columns = [np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3 + [lens.log_focal or _FIXED, lens.radial or _FIXED]
+        self.sigma = np.stack([np.broadcast_to(c, len(cameras)) for c in columns], axis=1)
 
     def start(self, points_m: np.ndarray) -> _State:
         require("points_m", points_m, (self.seen.shape[1], 3))
@@ -165,8 +169,8 @@ class _Problem:
 
     def prior(self, state: _State) -> np.ndarray:
         """(V, 8) deviations from what was given."""
-        turned = log(state.rotations @ np.swapaxes(self.rotations, 1, 2))
-        return np.concatenate([turned, state.centres - self.centres, state.lens], axis=1)
+        turned = log(state.rotations @ np.swapaxes(self.given_rotations, 1, 2))
+        return np.concatenate([turned, state.centres - self.given_centres, state.lens], axis=1)
 
     def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, float]:
         """(V, N, 3) points in the cameras, (V, N, 2) errors in error units, and the cost: inf when a seen point is behind."""
@@ -202,7 +206,7 @@ class _Problem:
         weighted = of_cameras * robust[..., None, None]
         weighted_points = of_points * robust[..., None, None]
         return (
-            np.einsum("vnki,vnkj->vij", weighted, of_cameras) + np.diag(1 / self.sigma**2),
+            np.einsum("vnki,vnkj->vij", weighted, of_cameras) + np.eye(8) / self.sigma[:, None] ** 2,
             np.einsum("vnki,vnk->vi", weighted, error) + self.prior(state) / self.sigma**2,
             np.einsum("vnki,vnkj->nij", weighted_points, of_points),
             np.einsum("vnki,vnk->ni", weighted_points, error),
@@ -219,7 +223,7 @@ class _Problem:
         variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
         # Scaled by likely sizes so that radians, metres and lens numbers can share one inverse; what is fixed takes no part.
         unit = np.tile(np.array([0.01] * 3 + [0.03] * 3 + [0.05, 0.05]), len(blocks))
-        free = np.tile(self.sigma > _FIXED, len(blocks))
+        free = (self.sigma > _FIXED).reshape(-1)
         scaled = (reduced * unit[:, None] * unit[None])[np.ix_(free, free)]
         gauge, _ = np.linalg.qr((_gauge(state) / unit[:, None])[free])
         keep = np.eye(len(scaled)) - gauge @ gauge.T
