@@ -11,6 +11,8 @@ import pytest
 import yaml
 from studiorecon import settings as settings_module
 from studiorecon.cameras import clocks, doctor, doctor_page, health
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera
 
 from tests.foundations.camera_ring import STANDING, detect, ring, walk
@@ -140,3 +142,20 @@ def test_blind_sectors_and_coverage():
     assert gaps == [(90.0, 360.0)]
     assert health.coverage(ring(4), np.zeros(2), 0.8)[3] > 0.9
     assert health.coverage(ring(4)[:1], np.zeros(2), 0.8)[1] == 0
+
+
+def off(camera: Camera, degrees: float, metres: float) -> Camera:
+    turn = exp(np.radians([0.0, degrees, 0.0]))
+    return moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
+
+
+def test_a_camera_that_was_knocked_is_usable_and_its_move_is_named(options):
+    report = examined([*ring()[:2], off(ring()[2], 1.0, 0.05), ring()[3]], options)
+    assert report["verdict"] == "usable"
+    assert re.search(r"mm where they are\).*c2 by [01]\.\d° and \d+ cm", report["advice"][0]), report["advice"]
+
+
+def test_a_calibration_that_is_degrees_old_is_usable_when_people_say_where_the_cameras_are(options):
+    report = examined([off(c, d, m) for c, d, m in zip(ring(), (3.0, -2.5, 2.0, -3.5), (0.2, -0.3, 0.1, 0.15))], options)
+    assert report["verdict"] == "usable", report["advice"]
+    assert report["refined"]["elsewhere"]

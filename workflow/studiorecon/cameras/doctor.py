@@ -21,9 +21,11 @@ from studiorecon.cameras.doctor_page import page
 from studiorecon.cameras.glance import glance
 from studiorecon.cameras.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.cameras.lens_model import LensReading, as_model
-from studiorecon.cameras.people_bundle import error_medians
+from studiorecon.cameras.people_bundle import error_medians, fitted
 from studiorecon.cameras.sheet import contact_sheet
+from studiorecon.cameras.stale import moves, where_they_stand_now
 from studiorecon.errors import Refusal
+from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
@@ -48,6 +50,7 @@ class Settings:
 
     refine_gate_m: float
     max_error_share: float
+    bundle: BundleSettings
     limits: Limits
 
 
@@ -97,6 +100,8 @@ def examined(
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "median_px": median,
+        "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
+        "refined": _refined(cameras, detections, frames, median, settings) if people else None,
         "px_per_camera": dict(zip(names, each)),
         "shown_frame": shown,
         "lags_frames": {lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid} for lag in found_lags},
@@ -110,6 +115,29 @@ def examined(
     }
     report["verdict"], report["advice"] = verdict(report, limit_px)
     return report, shown_points
+
+
+def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
+    """What a pixel of every camera is at the points, metres."""
+    return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
+
+
+def _refined(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: int, median_px: float | None, settings: Settings
+) -> dict[str, Any] | None:
+    """What refinement would make of the cameras: the median error then, and every camera's move; None where it could do nothing."""
+    if len(cameras) < 3 or sum(len(d.frame) > 0 for d in detections) < len(cameras):
+        return None
+    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    chosen = spread_frames(frames, 2 * _FRAMES)
+    gate_m, limits = settings.refine_gate_m, settings.limits
+    anew = where_they_stand_now(cameras, detections, chosen, gate_m, 0.0, limits, settings.bundle, median_px or np.nan, 0.5 * limit_px)
+    seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
+    held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, settings.bundle)
+    if held is None:
+        return None
+    moved = {c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(cameras, *moves(held.cameras, cameras))}
+    return {"px": error_medians(held.cameras, seen, limits)[0], "elsewhere": anew is not None, "moves": moved}
 
 
 def _median_px(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings) -> float | None:

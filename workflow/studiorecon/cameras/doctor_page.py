@@ -10,7 +10,7 @@ from typing import Any
 from studiorecon.cameras.advice import CLEAR_MARGIN, HEADLINES
 from studiorecon.cameras.hypotheses import MOST_MARGIN
 
-_COLOURS = {"good": "#1a7f37", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
+_COLOURS = {"good": "#1a7f37", "usable": "#9a6700", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
 _STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1250px;padding:0 1rem;color:#222}img{max-width:100%;display:block}"
     "table{border-collapse:collapse;font-variant-numeric:tabular-nums}"
