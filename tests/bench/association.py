@@ -64,24 +64,26 @@ METHODS = {
 
 @dataclasses.dataclass(frozen=True)
 class Take:
-    """What is the same for every draw of noise: cameras, lenses, true keypoints (T, P, K, 3), poses (T, P, 72), pelvises (T, P, 3)."""
+    """What is the same for every draw of noise: cameras, lenses, true keypoints (T, P, K, 3), poses (T, P, 72), pelvises (T, P, 3),
+    shapes (P, 10)."""
 
     cameras: list[Camera]
     lenses: list[Lens]
     keypoints_m: np.ndarray
     poses: np.ndarray
     pelvis_m: np.ndarray
+    betas: np.ndarray
     tracers: list[Tracer]
     first_actor: int
 
 
-def crossing() -> Take:
+def crossing(frames: int = FRAMES, fps: float = 30.0) -> Take:
     """Three people who pass each other in the middle, half a metre apart, halfway through the clip."""
     described = read_description(RESOURCES / "studio" / "defaults.yaml")
     described = replace(
-        described, frames=FRAMES, size=(1280, 704), people=PEOPLE, cameras=replace(described.cameras, jitter_deg=0.0, held_out=0)
+        described, frames=frames, fps=fps, size=(1280, 704), people=PEOPLE, cameras=replace(described.cameras, jitter_deg=0.0, held_out=0)
     )
-    times_s = np.arange(FRAMES) / described.fps
+    times_s = np.arange(frames) / described.fps
     troupe = Troupe(described, BodyModel.load(RESOURCES / "body.npz"), times_s)
     for k, actor in enumerate(troupe.actors):
         heading = 2 * np.pi * k / PEOPLE + 0.3
@@ -97,7 +99,8 @@ def crossing() -> Take:
         troupe.keypoints_m(LAYOUTS[LAYOUT].keypoints),
         np.stack([a.poses for a in troupe.actors], axis=1),
         np.stack([a.trans_m for a in troupe.actors], axis=1),
-        [Tracer(solids + troupe.at(t)[0]) for t in range(FRAMES)],
+        np.stack([a.betas for a in troupe.actors]),
+        [Tracer(solids + troupe.at(t)[0]) for t in range(frames)],
         len(solids),
     )
 

@@ -225,9 +225,15 @@ class TestFilms:
 
     def test_pictures_shrink_and_runs_are_found_again(self, files: dict) -> None:
         camera = ring([0, 120, 240])[0]
-        film = read_film(files["videos"][0], camera, 12, None, pictures=6, run=2, longest_px=48)
+        film = read_film(files["videos"][0], camera, 12, 30.0, None, pictures=6, run=2, longest_px=48)
         assert film.times.tolist() == [0, 1, 5, 6, 10, 11]
         assert film.runs == [slice(0, 2), slice(2, 4), slice(4, 6)]
         assert (film.pictures.shape, film.scale, film.free.all()) == ((6, 32, 48, 3), 2.0, True)
         small = halved(film)
         assert (small.pictures.shape, small.scale) == ((6, 16, 24, 3), 4.0)
+
+    def test_fast_footage_is_looked_at_thirty_times_a_second(self, files: dict) -> None:
+        film = read_film(files["videos"][0], ring([0, 120, 240])[0], 12, 60.0, None, pictures=4, run=2, longest_px=48)
+        assert film.times.tolist() == [0, 2, 8, 10]
+        assert film.runs == [slice(0, 2), slice(2, 4)]
+        assert len(film.pictures) == 4

@@ -50,6 +50,8 @@ _NEIGHBOURS = 8
 _LOOKS = 160
 # A Gaussian is measured when the weight of its looks passes that of one frontal look from 20 focal lengths per metre.
 _SEEN_WEIGHT = 20.0
+# Frame rate that the weight of the smoothness of poses refers to.
+_POSE_FPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -181,8 +183,10 @@ def run(
     mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
     checkpoint = Checkpoint(gaussians.parent / ".checkpoint" / f"{person}.npz", mark, settings.checkpoint_every_s)
     appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion)
+    # A joint's speed is what is held: between frames that are further apart in time it turns further.
+    losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
     trained = train_gaussians(
-        start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, settings.losses, settings.rates,
+        start, samples.spacing_m, posing, motion, crops, settings.iterations, settings.pose_from, losses, settings.rates,
         settings.limits, settings.near_m, threads, rng, Support(_network(settings, threads), appearance, checkpoint, previews), device,
     )  # fmt: skip
     trained = recolour_unseen(trained, seen, near, twin)

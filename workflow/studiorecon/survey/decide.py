@@ -67,7 +67,7 @@ def run(
     views = [View(c, *read_plate(p), read_depth(d)[0]) for c, p, d in zip(cameras, plates, depths)]
     films = [
         read_film(
-            video, camera, capture.frames, own, pictures=settings.pictures, run=settings.run, longest_px=settings.longest_px
+            video, camera, capture.frames, capture.fps, own, pictures=settings.pictures, run=settings.run, longest_px=settings.longest_px
         )
         for video, camera, own in zip(videos, cameras, found or [None] * len(cameras))
     ]  # fmt: skip

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same take at 120, 60, 30, 15 and 10 frames per second: ``python -m tests.bench.frame_rates``.
+
+Three people cross in the middle of the made studio's room (``tests.bench.association``), filmed at 120 frames per second for three
+seconds; slower ones are every n-th of these pictures, with the same noise: 3 px, 10 % drop-outs, a false person in 5 % of the pictures.
+Per rate: tracks per camera, people, identities (share of detections under the right name), and joints of the fitted bodies against the
+truth at the pictures that all rates share. Prints a table and writes tests/bench/results/frame_rates.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from studiorecon.body.model import BodyModel
+from studiorecon.people import associate, detections, fit
+from studiorecon.people.points import lift, observations
+from studiorecon.people.tracking import tracks, without_duplicates
+from studiorecon.people.verdicts import identities_from_keypoints
+from studiorecon.scene.files import write_json
+from studiorecon.scene.identity_scores import identity_scores
+from studiorecon.scene.people import Detections
+from studiorecon.studio.description import RESOURCES
+from studiorecon.studio.detections import detect
+
+from tests.bench.association import LAYOUT, NOISE, PEOPLE, Take, crossing, nearest
+from tests.defaults import loaded
+
+RESULT = Path(__file__).resolve().parent / "results" / "frame_rates.json"
+FPS, SECONDS = 120, 3.0
+EVERY = (1, 2, 4, 8, 12)
+
+
+def seen_at_full_rate(take: Take, frames: int, reading: detections.Settings) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Per camera frames (D,) and keypoints (D, K, 3) of all detections."""
+    out = []
+    for v, lens in enumerate(take.lenses):
+        rng, frame, keypoints = np.random.default_rng([0, v]), [], []
+        for t in range(frames):
+            for person in detect(take.keypoints_m[t], lens, take.tracers[t], take.first_actor, NOISE, rng):
+                frame.append(t)
+                keypoints.append(np.where(person[:, 2:] >= reading.detection_confidence, person, [np.nan, np.nan, 0.0]))
+        keep = (np.array(keypoints)[..., 2] > 0).sum(1) >= reading.detection_keypoints
+        out.append((np.array(frame)[keep], np.array(keypoints)[keep]))
+    return out
+
+
+def measured(
+    take: Take, seen: list[tuple[np.ndarray, np.ndarray]], every: int, frames: int, reading: detections.Settings
+) -> dict[str, Any]:
+    """Scores of the take of which every ``every``-th picture was kept."""
+    fps, count = FPS / every, len(range(0, frames, every))
+    found, owners = [], []
+    for camera, (frame, keypoints) in zip(take.cameras, seen):
+        kept = frame % every == 0
+        t, points = frame[kept] // every, keypoints[kept]
+        kept = without_duplicates(t, points, reading.tracking)
+        t, points = t[kept], points[kept]
+        owners.append(nearest(take, camera, t * every, points))
+        found.append(Detections(camera.name, LAYOUT, t, tracks(t, points, reading.tracking, fps), points))
+    options, fitting = loaded(associate.Settings), loaded(fit.Settings)
+    started = time.process_time()
+    with redirect_stdout(io.StringIO()):
+        limits = options.association, options.triangulation, options.evidence
+        table, rows, left_out = identities_from_keypoints(*limits, take.cameras, found, [], count, fps)
+    seconds = time.process_time() - started
+    names = {name: k for k, (name, *_) in enumerate(rows)}
+    given = [np.array([names.get(table[d.camera, int(t)].person, -1) for t in d.track]) for d in found]
+    view = np.repeat(np.arange(len(found)), [len(d.frame) for d in found])
+    scores = identity_scores(np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given))
+    body = BodyModel.load(RESOURCES / "body.npz")
+    identities = {key: verdict.person for key, verdict in table.items()}
+    shared = np.arange(0, frames, 24) // every  # pictures that every rate has
+    errors, speeds = [], []
+    for name in names:
+        keypoint_names, keypoints = observations(name, found, identities, body, count)
+        points = lift(keypoint_names, keypoints, take.cameras, fitting.triangulation, fitting.fit.unverified_sigma_m)
+        person = fit.fit_person(name, points, body, fps, fitting)[0]
+        apart = [np.linalg.norm(person.joints[shared] - true, axis=-1) for true in true_joints(take, np.arange(0, frames, 24), body)]
+        best = min(range(PEOPLE), key=lambda p: float(np.median(apart[p])))
+        errors.append(apart[best].mean())
+        truth = true_joints(take, np.arange(0, frames, every), body)[best]
+        off = person.joints - truth
+        speeds.append(np.linalg.norm(np.diff(off, axis=0), axis=-1).mean() * fps)
+    return {
+        "fps": fps,
+        "tracks": [len(np.unique(d.track)) for d in found],
+        "people": len(rows),
+        "left_out": len(left_out),
+        "accuracy": scores.accuracy,
+        "precision": scores.precision,
+        "joints_mm": 1000 * float(np.mean(errors)),
+        "error_speed_mm_s": 1000 * float(np.mean(speeds)),
+        "association_s": seconds,
+    }
+
+
+def true_joints(take: Take, frames: np.ndarray, body: BodyModel) -> list[np.ndarray]:
+    """Per person (T, 24, 3) joints of the actors' own shapes, whose pelvises are the truth's."""
+    out = []
+    for p in range(PEOPLE):
+        joints = body.joints(take.poses[frames, p], take.betas[p], take.pelvis_m[frames, p])
+        out.append(joints)
+    return out
+
+
+def main() -> None:
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    frames = round(FPS * SECONDS)
+    take, reading = crossing(frames, FPS), loaded(detections.Settings)
+    seen = seen_at_full_rate(take, frames, reading)
+    rows = []
+    for every in EVERY:
+        rows.append(row := measured(take, seen, every, frames, reading))
+        print(
+            f"{row['fps']:5.0f} fps  tracks {row['tracks']}  people {row['people']}  left out {row['left_out']}  accuracy "
+            f"{row['accuracy']:.1%}  precision {row['precision']:.1%}  joints {row['joints_mm']:.1f} mm  their error moves at "
+            f"{row['error_speed_mm_s']:.0f} mm/s  association {row['association_s']:.1f} s"
+        )
+    write_json(RESULT, {"people": PEOPLE, "seconds": SECONDS, "rates": rows})
+
+
+if __name__ == "__main__":
+    main()
