@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # The ids of all tests, slow ones included, where this run was not asked for some of them.
 EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.
-FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("bare", "reruns", "identities", "shadows", "precomputed")}
+FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed")}
 
 
 @pytest.hookimpl(tryfirst=True)
