@@ -282,7 +282,10 @@ def test_nobody_is_an_empty_table(tmp_path, people_settings):
 def test_no_keypoints_and_no_plates_are_nobody_and_say_so(tmp_path, people_settings, capsys):
     people, identities = run_association(tmp_path, ring(), [], people_settings(associate.Settings))
     assert (people, identities) == ([], {})
-    assert "no camera has keypoints: people are looked for in the visual hull alone" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "no camera has keypoints: people are looked for in the visual hull alone" in told
+    assert "warning: nobody was found in any camera" in told
+    assert "frames each of c0, c1, c2, c3 were looked at" in told
 
 
 def test_the_same_inputs_give_the_same_bytes_and_people_are_numbered_by_appearance(tmp_path, people_settings, two_people):

@@ -93,6 +93,11 @@ def run(
         rows += [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in upright]
         if not upright:
             say("nobody without keypoints stands out from the given plates")
+    if not rows and not any(len(d.frame) for d in given):
+        warn(
+            f"nobody was found in any camera: {found.frames} frames each of {', '.join(d.camera for d in given)} were looked at; if "
+            "somebody is there, bring keypoints of another detector; write people: 0 into capture.yaml if the room is empty"
+        )
     write_people(people, rows, [one.row() for one in missed])
     write_identities(identities, table)
     newcomer = f"p{max((int(row[0][1:]) for row in rows), default=-1) + 1}"

@@ -151,7 +151,7 @@ def people_in(pictures: Iterable[np.ndarray], network: BlazePose, background: np
 def run(camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Path) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or none) chooses.
 
-    ``networks``: the detector's file, the landmarks', and the table that says what their visibility is worth.
+    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
     """
     detection, landmarks, table = networks
     footage = open_source(source, picture_fps)
@@ -180,7 +180,7 @@ def run(camera: str, source: Path, clocks: list[Path], picture_fps: float, netwo
 
 
 def believed(keypoints: np.ndarray, wh: tuple[int, int], worth: dict[str, list[float]]) -> np.ndarray:
-    """Keypoints (K, 3) whose visibility became the share of such points that are right; those outside the picture are missing."""
+    """Keypoints (K, 3) whose visibility became the confidence that ``worth`` gives it; those outside the picture are missing."""
     inside = ((keypoints[:, :2] >= 0) & (keypoints[:, :2] <= wh)).all(-1)
-    sure = np.interp(keypoints[:, 2], worth["visibility"], worth["right"])
+    sure = np.interp(keypoints[:, 2], worth["visibility"], worth["confidence"])
     return np.column_stack([np.where(inside[:, None], keypoints[:, :2], np.nan), np.where(inside, sure, 0.0)])
