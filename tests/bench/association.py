@@ -45,7 +45,7 @@ from tests.defaults import loaded
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).resolve().parent / "results" / "association.json"
 LAYOUT, FRAMES, PEOPLE = "body_25", 90, 3
-NOISE = DetectionOptions(noise_px=3.0, drop_outs=0.1, false_positives=0.05, shuffled=True)
+NOISE = DetectionOptions(recorded=True, noise_px=3.0, drop_outs=0.1, false_positives=0.05, shuffled=True)
 OUTLIERS = 0.05
 POSE_RAD, DEPTH_M = 0.15, 0.1
 # name → (association settings that differ from the configuration, do the detections bring monocular bodies)

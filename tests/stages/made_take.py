@@ -35,7 +35,7 @@ def made_take(
 
     ``still`` people keep their pose of frame 0. ``occluded`` traces rays, so that furniture and people hide each other.
     """
-    noise = noise or DetectionOptions(noise_px=3.0, drop_outs=0.0, false_positives=0.0, shuffled=True)
+    noise = noise or DetectionOptions(recorded=True, noise_px=3.0, drop_outs=0.0, false_positives=0.0, shuffled=True)
     described = read_description(RESOURCES / "studio" / "defaults.yaml")
     described = replace(described, frames=frames, size=(1280, 704), people=people, cameras=replace(described.cameras, held_out=0))
     times_s = np.arange(frames) / described.fps

@@ -102,10 +102,15 @@ def adjusted(rig: Rig, lens: LensPrior, limits: Limits) -> tuple[Adjusted, np.nd
     cameras = [rig.cameras[v] for v in sorted(rig.cameras)]
     found = rig.points
     used = found.verified if len(cameras) > 2 else found.valid
-    cells = np.floor(found.points_m[used] / _CELL_M).astype(int)
-    distinct = len(np.unique(np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1), axis=0))
+    distinct = places_of_joints(rig, used)
     weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * (distinct / max(int(used.sum()), 1))
     return adjust_with_lenses(cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits), _FREE, lens), used
+
+
+def places_of_joints(rig: Rig, used: np.ndarray) -> int:
+    """In how many different places (cells of 20 cm) the joints of the points ``used`` (N,) were seen, everybody's apart."""
+    cells = np.floor(rig.points.points_m[used] / _CELL_M).astype(int)
+    return len(np.unique(np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1), axis=0))
 
 
 def bone_factor(points_m: np.ndarray, rig_points: Triangulated, seen: Observations, template_m: np.ndarray) -> float | None:

@@ -42,7 +42,7 @@ _POSES_ONLY = LensPrior(0.0, 0.0)
 _ABOUT_AS_WELL = 1.03
 _MOST_UNITS = 3.0
 # One joint of every pair: the other half has the other side's, so both halves cover the body.
-_HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
+HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
 # Keypoints of a mean adult with arms out (metres): a rig from nothing is laid on the given cameras, only its gates are in metres.
 _SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
 _ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
@@ -222,7 +222,7 @@ def _unseen_error(seen: Observations, found: Sequence[Camera], given: Sequence[C
     kept = seen.of(agreed.verified)
     inliers = agreed.inliers[:, agreed.verified]
     early = kept.frame <= np.median(kept.frame)
-    half = _HALF_OF_THE_JOINTS[kept.keypoint]
+    half = HALF_OF_THE_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
     for fit_on in (early, ~early, half, ~half):
         used = _agreeing(kept.of(fit_on), found, limits)

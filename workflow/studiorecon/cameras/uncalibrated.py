@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
+from studiorecon.cameras.certainty import between_deg, sigma_of
 from studiorecon.cameras.correspondences import spread_frames
 from studiorecon.cameras.people_rig import Rig, adjusted, bone_factor, rigs, scaled, settled, sightings
 from studiorecon.cameras.standing_world import world_from_people
@@ -34,6 +35,8 @@ _SELF_CALIBRATION_ROUNDS = 6
 _SETTLED_SHARE = 0.002
 _SAME_DEG = 5.0
 _WIDER = (1.0, 2.0)
+# So many times the accepted standard deviations, and the bodies are not where the people were.
+_HOPELESS = 6.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,7 @@ class PeopleRigSettings:
         focal_sigma: standard deviation of a given focal length, as a share; an unknown one starts at a guess with ``focal_unknown_sigma``.
         focal_unknown_sigma: as above.
         max_focal_sigma: share up to which a focal length counts as determined by the people.
-        max_sigma_deg, max_sigma_m: standard deviations of turn and place past which the cameras are undetermined.
+        max_sigma_deg, max_sigma_m: standard deviations of turn and place past which the cameras are marked as uncertain.
         rival_share: another arrangement of the cameras with this share of the support makes them undetermined.
     """
 
@@ -100,20 +103,8 @@ def pose_cameras(
     # Given focal lengths are pulled towards their value at every round; unknown ones are free.
     sigma = settings.people_rig.focal_sigma if len(focal_px) == len(names) else settings.people_rig.focal_unknown_sigma
     rig, result = _self_calibrated(best[0], seen, template_m, sigma, settings)
-    focal_sigma = result.sigma[:, 6]
-    undetermined_focal = [n for n, s in zip(names, focal_sigma) if s > settings.people_rig.max_focal_sigma and n not in focal_px]
-    if undetermined_focal:
-        raise Refusal(
-            f"the focal length of camera {', '.join(undetermined_focal)} is undetermined: the people fix it to ±{focal_sigma.max():.0%} "
-            "only; write focal_px: {camera: pixels} into capture.yaml"
-        )
-    turn, place = np.degrees(result.sigma[:, :3].max(1)), result.sigma[:, 3:6].max(1)
-    if turn.max() > settings.people_rig.max_sigma_deg or place.max() > settings.people_rig.max_sigma_m:
-        worst = int(np.argmax(turn / settings.people_rig.max_sigma_deg + place / settings.people_rig.max_sigma_m))
-        raise Refusal(
-            f"the cameras are undetermined: the people move too little to place {names[worst]} better than ±{turn[worst]:.1f}° and "
-            f"±{place[worst]:.2f} m; let somebody walk all over the floor, use more frames, or bring a calibration"
-        )
+    turn, place, focal_sigma = sigma_of(rig, result, LensPrior(sigma, 0.0), settings.limits)
+    uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, settings.people_rig)
     cameras, points, how = _settled_in_the_world(result, rig, template_m)
     error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
     median = float(np.median(error[np.isfinite(error)]))
@@ -133,8 +124,32 @@ def pose_cameras(
         "focal_sigma": dict(zip(names, focal_sigma.tolist())),
         "world": how,
         "points": points,
+        "between_deg": between_deg(turn),
+        "uncertain": uncertain,
     }
     return cameras, report
+
+
+def _uncertain(
+    names: Sequence[str], given: Mapping[str, float], turn: np.ndarray, place: np.ndarray, focal: np.ndarray, settings: PeopleRigSettings
+) -> list[str]:
+    """What is known worse than it should be, in sentences; raises Refusal where no film could be made of it."""
+    found = []
+    free = [(n, s) for n, s in zip(names, focal) if n not in given]
+    unknown = [f"{n} ±{s:.0%}" for n, s in free if s > settings.max_focal_sigma]
+    if unknown:
+        found.append(
+            f"the focal length of camera {', '.join(unknown)} is hardly determined; write focal_px: {{camera: pixels}} into capture.yaml"
+        )
+    loose = turn / settings.max_sigma_deg + place / settings.max_sigma_m
+    worst = int(np.argmax(loose))
+    known = f"{names[worst]} is known to ±{turn[worst]:.1f}° and ±{place[worst]:.2f} m"
+    if turn.max() > settings.max_sigma_deg or place.max() > settings.max_sigma_m:
+        found.append(f"camera {known} only: let somebody walk all over the floor, use more frames, or bring a calibration")
+    hopeless = turn.max() > _HOPELESS * settings.max_sigma_deg or place.max() > _HOPELESS * settings.max_sigma_m
+    if hopeless or max((s for _, s in free), default=0.0) > _HOPELESS * settings.max_focal_sigma:
+        raise Refusal(f"the cameras are undetermined, and no film can be made of them: {'; '.join(found)}")
+    return found
 
 
 def mean_body(body: BodyModel) -> np.ndarray:
@@ -229,8 +244,9 @@ def run(settings: Settings, sightings: list[Path], sizes: list[Path], clocks: Pa
     warn("there is no calibration: the cameras are found from the people (cameras.source)")
     cameras, report = pose_cameras(detections, wh, json.loads(focal_px or "{}"), common.frames, mean_body(BodyModel.load(body)), settings)
     notes = [
-        f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median, turns within "
-        f"{max(report['sigma_deg'].values()):.2f}°, places within {max(report['sigma_m'].values()):.3f} m",
+        f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
+        f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
+        f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
         "lengths come from people's bones, taken to be those of the mean body: all of them may "
         "be 5 % off; set cameras.scale after measuring one",
         report["world"],
@@ -238,6 +254,9 @@ def run(settings: Settings, sightings: list[Path], sizes: list[Path], clocks: Pa
     ]
     for note in notes:
         say(note)
+    for sentence in report["uncertain"]:
+        warn(f"uncertain cameras: {sentence}")
+    notes += [f"UNCERTAIN: {sentence}" for sentence in report["uncertain"]]
     # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
     maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
     lenses = [
