@@ -135,8 +135,15 @@ def _clocks(report: dict[str, Any]) -> list[str]:
 
 
 def _footage(report: dict[str, Any]) -> list[str]:
+    found = of_footage(list(report["footage"].values()))
+    if report["coverage"]["2"] < 0.5:
+        found.append(f"only {report['coverage']['2']:.0%} of the volume is seen by two cameras: people elsewhere cannot be measured")
+    return found
+
+
+def of_footage(footage: list[dict[str, Any]]) -> list[str]:
+    """What is odd about the videos by themselves, in sentences; ``footage`` as ``doctor.examined`` is told about every camera."""
     found = []
-    footage = report["footage"].values()
     for key, what, remedy in (
         ("fps", "frame rates", "every frame is taken at its own time, and a slower camera shows a fast motion less often"),
         ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
@@ -153,6 +160,4 @@ def _footage(report: dict[str, Any]) -> list[str]:
             + "): views of one thing will differ too"
         )
     found += [f"camera {a['camera']}: {a['burnt']:.0%} of its pictures are burnt out" for a in footage if a["burnt"] > _BURNT]
-    if report["coverage"]["2"] < 0.5:
-        found.append(f"only {report['coverage']['2']:.0%} of the volume is seen by two cameras: people elsewhere cannot be measured")
     return found

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from studiorecon.cameras import clocks, health, sanity
-from studiorecon.cameras.advice import verdict
+from studiorecon.cameras.advice import of_footage, verdict
 from studiorecon.cameras.correspondences import Observations, observe, spread_frames
 from studiorecon.cameras.doctor_page import page
 from studiorecon.cameras.glance import glance
@@ -252,6 +252,15 @@ def run(
         }
         for c, g in zip(cameras, looks, strict=True)
     ]  # fmt: skip
+
+    # Before anything slow: what the files alone say.
+    for a in about:
+        say(
+            f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, {a['video_frames']} frames from {a['first_frame']:g} on, "
+            f"mean grey {a['brightness']:.2f}, {'keypoints' if a['keypoints'] else 'no keypoints'}"
+        )
+    for sentence in of_footage(about):
+        say(sentence)
 
     def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
         both = [undistorted(d, as_model(lenses[c], model), g.wh) for c, d, g in zip(cameras, raw, looks)]
