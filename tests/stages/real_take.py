@@ -11,7 +11,10 @@ from typing import Any
 from studiorecon import settings as settings_module
 from studiorecon.cameras import calibration, refine
 from studiorecon.capture import frames, manifest, plate
+from studiorecon.capture.timeline import clock_of, common_moments, timeline_of
+from studiorecon.images.footage import open_source
 from studiorecon.people import associate, detections
+from studiorecon.scene.clocks import write_clocks
 from studiorecon.scene.dataset import Dataset, open_dataset
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import read_identities, read_people
@@ -37,9 +40,13 @@ def front_end_of(
     lenses, names = out / "calibration.json", list(data.cameras)
     calibration.run(load(calibration), list(data.calibration), names, json.dumps(dict(data.pixel_maps)), lenses)
     for name in names:
-        frames.run(load(frames), data.footage[name], lenses, name, 0, 0, 0, out / f"{name}.mkv", out / f"{name}.json")
+        # Filmed in step; no rate is asked of pictures in a folder.
+        clock = clock_of(name, timeline_of(open_source(data.footage[name], 30.0)))
+        write_clocks(out / f"{name}.clocks.json", common_moments([clock], 0, 0))
+        files = out / f"{name}.mkv", out / f"{name}.json"
+        frames.run(load(frames), data.footage[name], lenses, out / f"{name}.clocks.json", name, 0, 0, *files)
     videos = [out / f"{n}.mkv" for n in names]
-    manifest.run(load(manifest), out.name, [out / f"{n}.json" for n in names], [], out / "manifest.json")
+    manifest.run(out.name, [out / f"{n}.json" for n in names], out / "manifest.json")
     found = [out / f"{n}.npz" for n in names if data.keypoints]
     for name, path in zip(names, found):
         about = data.keypoints[name], data.keypoint_layout, data.keypoint_first_frame
