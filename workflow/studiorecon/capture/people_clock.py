@@ -21,6 +21,10 @@ _LEAST_S = 1.0
 # Lags of several tracks are one when they are this close, in frames or standard deviations; other lags must weigh this much less.
 _SAME_FRAMES, _SAME_SIGMAS = 1.5, 3.0
 _LEAST_WEIGHT = 1.5
+# The next best lag must fit worse by this factor, over all tracks that agree on a lag: people who walk evenly or hardly move, or two different people, reached 2
+# to 6 on a made take and a real one with a detector's keypoints, at lags of up to 25 frames where there were none; who turns and swings
+# their arms had 20 to 110.
+_LEAST_RATIO = 10.0
 # No detector's keypoints are better than this from two sides, frames.
 _FLOOR_FRAMES = 0.05
 
@@ -31,7 +35,7 @@ def people_pair(seen: Sequence[Detections], clocks: Sequence[Clock], rate: float
     tracks = {index[d.camera]: _longest(d, clocks[index[d.camera]], rate) for d in stable_detections(seen)}
     sighted = [i for i in sorted(tracks) if tracks[i]]
     reasons = {i: "it has no keypoints" if i not in tracks else "it sees nobody for long enough" for i in range(len(clocks))}
-    reasons.update(dict.fromkeys(sighted, "nobody whom it sees moves enough, or in step with the others at one time only"))
+    reasons.update(dict.fromkeys(sighted, "nobody whom it sees moves so that one time fits much better than others"))
     pairs = []
     for a, b in itertools.combinations(sighted, 2):
         found = []
@@ -60,6 +64,8 @@ def _agreed(found: Sequence[tuple[float, PeopleLag]]) -> tuple[float, float] | N
     if others.any() and (near[others] @ weight).max() * _LEAST_WEIGHT > near[best] @ weight:
         return None
     mine = near[best]
+    if np.prod([lag.ratio for (_, lag), agrees in zip(found, mine) if agrees]) < _LEAST_RATIO:
+        return None
     share = 1 / sigma[mine] ** 2
     mean = float((share * rows[mine]).sum() / share.sum())
     # The scatter between tracks counts where it is more than their own.
