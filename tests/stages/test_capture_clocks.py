@@ -124,7 +124,7 @@ class TestOthers:
         assert found.frames == 180, "as filmed"
 
     def test_people_place_cameras_that_nobody_calibrated(self, find) -> None:
-        """Keypoints at 2 px of noise; the second camera began 2.4 frames later. The third is as the first, and stays so: it does not tell."""
+        """Keypoints at 2 px of noise; the second camera began 2.4 frames later. The third does not tell, and stays."""
         cameras, seen = ring()[:3], []
         for camera, late in zip(cameras, (0.0, 2.4, 0.0)):
             seen += detect([camera], [walking(late, 240), walking(late, 240, 1.0)], 2.0, np.random.default_rng(len(seen)))

@@ -21,9 +21,9 @@ _LEAST_S = 1.0
 # Lags of several tracks are one when they are this close, in frames or standard deviations; other lags must weigh this much less.
 _SAME_FRAMES, _SAME_SIGMAS = 1.5, 3.0
 _LEAST_WEIGHT = 1.5
-# The next best lag must fit worse by this factor, over all tracks that agree on a lag: people who walk evenly or hardly move, or two different people, reached 2
-# to 6 on a made take and a real one with a detector's keypoints, at lags of up to 25 frames where there were none; who turns and swings
-# their arms had 20 to 110.
+# The next best lag must fit worse by this factor, over all tracks that agree on a lag. People who walk evenly or hardly move, and two
+# different people, reached 2 to 6 on a made take and a real one with a detector's keypoints, at lags of up to 25 frames where there were
+# none; who turns and swings their arms had 20 to 110.
 _LEAST_RATIO = 10.0
 # No detector's keypoints are better than this from two sides, frames.
 _FLOOR_FRAMES = 0.05
