@@ -13,11 +13,13 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from studiorecon import command, home
 from studiorecon.catalogue import films_of, settings_of
 from studiorecon.errors import Refusal
+from studiorecon.images.video import write_watchable
 from studiorecon.render.kinds import KINDS
 
 from .conftest import ROOT
@@ -194,3 +196,15 @@ def test_a_studio_is_reconstructed_from_an_installed_wheel(wheel: Path, tmp_path
     assert done.returncode == 0, done.stdout[-6000:]
     assert (tmp_path / "empty/results/tiny/enhance/orbit.mp4").stat().st_size > 0
     assert "results/tiny/report/index.html is there" in done.stdout
+
+
+def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
+    (tmp_path / "videos").mkdir()
+    for name, grey in (("a", 200), ("b", 40)):
+        write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
+    told = list(command.first_findings(tmp_path))
+    assert told[0] == "calibration: none, so cameras are found from the people"
+    assert any(t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector looks for people" in t for t in told)
+    assert any("the exposures differ" in t for t in told)
+    (tmp_path / "videos/b.mp4").write_bytes(b"no video")
+    assert any(t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.first_findings(tmp_path))

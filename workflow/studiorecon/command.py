@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,45 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    return _snakemake("doctor", _capture(options.folder), options, "cameras/doctor.html")
+    capture = _capture(options.folder)
+    if options.folder.is_dir():
+        for sentence in first_findings(options.folder):
+            print(sentence, flush=True)
+    return _snakemake("doctor", capture, options, "cameras/doctor.html")
+
+
+def first_findings(folder: Path) -> Iterator[str]:
+    """What files, headers and two pictures of every camera say, before anything is looked at in full; Refusal when there is no capture."""
+    from studiorecon.cameras.advice import of_footage  # with OpenCV, which other words do without
+    from studiorecon.cameras.glance import glance
+    from studiorecon.scene.dataset import open_dataset
+
+    capture = open_dataset(folder, None)
+    calibration = ", ".join(str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in capture.calibration)
+    yield f"calibration: {calibration or 'none, so cameras are found from the people'}"
+    about = []
+    for camera, source in capture.footage.items():
+        start = capture.first_frame
+        try:
+            seen = glance(source, [start, start + capture.frame_count // 2])
+        except Refusal as refusal:
+            yield f"camera {camera}: {refusal}"
+            continue
+        has = camera in capture.keypoints
+        yield (
+            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {seen.frames} frames, mean grey {seen.brightness:.2f}, "
+            f"{'keypoints' if has else 'no keypoints: the detector looks for people'}"
+        )
+        about.append(
+            {
+                "camera": camera,
+                "brightness": seen.brightness,
+                "burnt": seen.burnt,
+                "fps": seen.fps,
+                "rotation_deg": seen.rotation_deg,
+            }
+        )
+    yield from of_footage(about) if about else ()
 
 
 def _run(options: argparse.Namespace) -> int:
