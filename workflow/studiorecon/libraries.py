@@ -8,7 +8,7 @@ from pathlib import Path
 
 OWN = Path(__file__).parent
 """The package itself."""
-EXTRAS = {"torch": "networks", "torchvision": "networks", "huggingface_hub": "networks", "gsplat": "gpu", "open3d": "mesh"}
+EXTRAS = {"torch": "networks", "torchvision": "networks", "huggingface_hub": "networks", "gsplat": "gpu", "kornia": "gpu", "open3d": "mesh"}
 """Library, as it is imported, → the extra that brings it; every other library of the package is part of the plain environment."""
 
 

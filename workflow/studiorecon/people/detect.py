@@ -154,7 +154,13 @@ def run(camera: str, source: Path, clocks: list[Path], picture_fps: float, netwo
     ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
     """
     detection, landmarks, table = networks
-    footage = open_source(source, picture_fps)
+    try:
+        footage = open_source(source, picture_fps)
+    except Refusal as refusal:
+        # Decoding refuses it by name; the other cameras' clocks do not wait for that.
+        warn(f"camera {camera}: {refusal}; until then it sees nobody")
+        write_found(found, Found.of(camera, LAYOUT, LANDMARKS, [], (0, 0), "footage that cannot be read"))
+        return
     start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or (max(footage.declared_frames - start, 0) if footage.declared_frames else 0)
     if start + total < 2:

@@ -43,7 +43,8 @@ def seated(
         bones = joints[whole][:, [hip, knee]] - joints[whole][:, [knee, ankle]]
         thigh_m, shank_m = np.median(np.linalg.norm(bones, axis=-1), axis=0)
         drop = (joints[which, hip, 2] - shank_m - _SOLE_M) / thigh_m
-        turn = rotations.exp(np.arccos(np.clip(drop, -0.5, 1.0))[:, None] * np.array([-1.0, 0.0, 0.0]))
+        cosine = np.clip(drop, -0.5, 1.0)
+        turn = rotations.exp(np.arctan2(np.sqrt(1 - cosine**2), cosine)[:, None] * np.array([-1.0, 0.0, 0.0]))
         out[which, hip] = np.swapaxes(local[which, 0], -1, -2) @ level[which] @ turn
         out[which, knee] = np.swapaxes(turn, -1, -2)
         out[np.ix_(which, [ankle, foot])] = np.eye(3)

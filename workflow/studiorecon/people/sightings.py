@@ -15,7 +15,7 @@ from studiorecon.geometry.lens import mapped_lens
 from studiorecon.people.detections import Settings, detections_of, detections_of_found
 from studiorecon.people.layout_choice import choose_layout
 from studiorecon.people.readers import read_keypoints
-from studiorecon.progress import say
+from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
@@ -70,7 +70,13 @@ def run(
 
     ``picture_fps`` is the rate of a folder of pictures; ``pixel_map`` (JSON): [scale, x, y] of ``Dataset.pixel_maps``, or [].
     """
-    wh = picture_wh(source)
+    try:
+        wh = picture_wh(source)
+    except Refusal as refusal:
+        # Decoding refuses it by name; the other cameras' clocks do not wait for that.
+        warn(f"camera {camera}: {refusal}; until then it sees nobody")
+        _write_nobody(camera, (0, 0), pixel_map, sightings, size)
+        return
     if is_found(keypoints):
         whole = read_found(keypoints)
         about = {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)}
@@ -82,9 +88,7 @@ def run(
     entries, kind = read_keypoints(keypoints)
     if not entries:
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
-        nobody = np.zeros(0, dtype=np.int64)
-        write_detections(sightings, Detections(camera, "coco17", nobody, nobody, np.zeros((0, 17, 3))))
-        write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
+        _write_nobody(camera, wh, pixel_map, sightings, size)
         return
     frames = max(e.frame for e in entries) - first_frame + 1
     if frames < 2:
@@ -96,6 +100,12 @@ def run(
     found = detections_of(entries, chosen, lens, footage, first_frame, settings)
     say(f"camera {camera}: {len(found.frame)} sightings ({kind}, {chosen}), {len(np.unique(found.track))} tracks")
     write_detections(sightings, found)
+    write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
+
+
+def _write_nobody(camera: str, wh: tuple[int, int], pixel_map: str, sightings: Path, size: Path) -> None:
+    nobody = np.zeros(0, dtype=np.int64)
+    write_detections(sightings, Detections(camera, "coco17", nobody, nobody, np.zeros((0, 17, 3))))
     write_json(size, {"camera": camera, "wh": list(wh), "pixel_map": json.loads(pixel_map)})
 
 
