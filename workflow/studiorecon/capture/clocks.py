@@ -138,7 +138,7 @@ def found_clocks(
     for c, camera in enumerate(cameras):
         own = [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
         verdict = Verdict("reference", 0.0, 0.0) if c == reference else judged(own, rate, clocks[c].own_s[-1])
-        reasons = {m: why[m].get(c, "its pairs lead nowhere") for m in pairs if proposed[m][c] is None}
+        reasons = {m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None}
         sentence = (
             f"{camera}: the others are compared with it" if c == reference
             else described(camera, verdict, own, reasons, cameras[reference], rate)
