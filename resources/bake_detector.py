@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bake ``resources/detector/*.onnx`` from BlazePose's TFLite files.
 
-    python resources/bake_detector.py pose_detection.tflite resources/detector/pose_detection.onnx      (and the landmarks' likewise)
+    python resources/bake_detector.py pose_detection.tflite resources/detector/pose_detection.onnx      (and the
+    landmarks' likewise)
 
-Needs tensorflow-cpu, tf2onnx, onnx and onnxruntime in an environment of their own, never the package's. The detector stores 38 tensors
-sparsely, which ONNX cannot: they are made dense by TFLite's own interpreter first. Weights stay in half precision, as in the original,
-and are cast when the network is loaded. Prints the largest difference to the original on one random picture.
+Needs tensorflow-cpu, tf2onnx, onnx and onnxruntime in an environment of their own, never the package's. The detector
+stores 38 tensors sparsely, which ONNX cannot: they are made dense by TFLite's own interpreter first. Weights stay in
+half precision, as in the original, and are cast when the network is loaded. Prints the largest difference to the
+original on one random picture.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ OPSET = 17
 
 
 class DenseTensors:
-    """Stands in for TensorFlow's tensor_util while tf2onnx reads a file: sparse constants come back dense, in the file's order."""
+    """Stands in for TensorFlow's tensor_util while tf2onnx reads a file: sparse constants come back dense, in the
+    file's order."""
 
     def __init__(self, dense: list[np.ndarray]) -> None:
         self.waiting = list(dense)
@@ -59,7 +62,9 @@ class Densify:
 def original(file: Path, picture: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """(outputs on ``picture``, dense forms of the sparse tensors in the file's order) by TFLite's interpreter."""
     plain = tf.lite.experimental.OpResolverType.BUILTIN_WITHOUT_DEFAULT_DELEGATES
-    network = tf.lite.Interpreter(str(file), experimental_op_resolver_type=plain, experimental_preserve_all_tensors=True)
+    network = tf.lite.Interpreter(
+        str(file), experimental_op_resolver_type=plain, experimental_preserve_all_tensors=True
+    )
     network.allocate_tensors()
     network.set_tensor(network.get_input_details()[0]["index"], picture)
     network.invoke()
@@ -73,9 +78,15 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
     kept, casts = [], []
     for tensor in model.graph.initializer:
         array = onnx.numpy_helper.to_array(tensor)
-        if array.dtype == np.float32 and array.size > 64 and np.array_equal(array.astype(np.float16).astype(np.float32), array):
+        if (
+            array.dtype == np.float32
+            and array.size > 64
+            and np.array_equal(array.astype(np.float16).astype(np.float32), array)
+        ):
             kept.append(onnx.numpy_helper.from_array(array.astype(np.float16), f"{tensor.name}_half"))
-            casts.append(onnx.helper.make_node("Cast", [f"{tensor.name}_half"], [tensor.name], to=onnx.TensorProto.FLOAT))
+            casts.append(
+                onnx.helper.make_node("Cast", [f"{tensor.name}_half"], [tensor.name], to=onnx.TensorProto.FLOAT)
+            )
         else:
             kept.append(tensor)
     nodes = [*casts, *model.graph.node]

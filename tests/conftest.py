@@ -16,14 +16,18 @@ ROOT = Path(__file__).resolve().parents[1]
 # The ids of all tests, slow ones included, where this run was not asked for some of them.
 EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.
-FINISHED_STUDIO = {f"tests/workflow/test_{name}.py" for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed")}
+FINISHED_STUDIO = {
+    f"tests/workflow/test_{name}.py"
+    for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed")
+}
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keeps the tests of a file on one worker, where what they share is made once.
 
-    Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests before them compiled.
+    Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests
+    before them compiled.
     """
     if [Path(given).resolve() for given in config.args] == [ROOT / "tests"]:
         config.stash[EVERY_TEST] = [item.nodeid for item in items]

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is who on a made take: our association beside the paper's and its single terms: ``python -m tests.bench.association``.
+"""Who is who on a made take: our association beside the paper's and its single terms: ``python -m
+tests.bench.association``.
 
-Three people cross in the middle of the made studio's room, four cameras 90° apart, 1280×704, with everybody's occlusions by ray casting.
-Keypoints: 3 px noise, 5 % outliers of 40 to 200 px, 10 % drop-outs, a false person in 5 % of the pictures; track ids are this project's
-own. Monocular bodies, which only a learned detector brings, are planted: true pose with 0.15 rad per joint of lasting error and as much
-per frame, true pelvis depth with 0.1 m of each (numerics A11). Prints a table and writes tests/bench/results/association.json.
+Three people cross in the middle of the synthetic studio's room, four cameras 90° apart, 1280×704, with everybody's
+occlusions by ray casting. Keypoints: 3 px noise, 5 % outliers of 40 to 200 px, 10 % drop-outs, a false person in 5 % of
+the pictures; track ids are this project's own. Monocular bodies, which only a learned detector brings, are planted:
+true pose with 0.15 rad per joint of lasting error and as much per frame, true pelvis depth with 0.1 m of each (
+A11). Prints a table and writes tests/bench/results/association.json.
 """
 
 from __future__ import annotations
@@ -20,25 +22,26 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry.rotations import exp, log
-from studiorecon.people import associate, detections
-from studiorecon.people.grouping import group_tracks, track_margins
-from studiorecon.people.tracking import tracks, without_duplicates
-from studiorecon.people.verdicts import identities_from_keypoints
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.tracking import tracks, without_duplicates
+from studiorecon.people import associate
+from studiorecon.people.association.acceptance import identities_from_keypoints
+from studiorecon.people.association.grouping import group_tracks, track_margins
+from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import write_json
-from studiorecon.scene.identity_scores import identity_scores
 from studiorecon.scene.people import Detections
 from studiorecon.studio import rig
-from studiorecon.studio.actors import Troupe
+from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, DetectionOptions, read_description
 from studiorecon.studio.detections import detect
 from studiorecon.studio.gait import Path as Walked
-from studiorecon.studio.motion import NEVER, Part, perform
+from studiorecon.studio.motion import NEVER, MotionPart, perform
 from studiorecon.studio.room import room
 from studiorecon.studio.tracing import Tracer
+from studiorecon.tracks import keypoints as detections
 
 from tests.defaults import loaded
 
@@ -64,8 +67,8 @@ METHODS = {
 
 @dataclasses.dataclass(frozen=True)
 class Take:
-    """What is the same for every draw of noise: cameras, lenses, true keypoints (T, P, K, 3), poses (T, P, 72), pelvises (T, P, 3),
-    shapes (P, 10)."""
+    """What is the same for every draw of noise: cameras, lenses, true keypoints (T, P, K, 3), poses (T, P, 72),
+    pelvises (T, P, 3), shapes (P, 10)."""
 
     cameras: list[Camera]
     lenses: list[Lens]
@@ -81,14 +84,21 @@ def crossing(frames: int = FRAMES, fps: float = 30.0) -> Take:
     """Three people who pass each other in the middle, half a metre apart, halfway through the clip."""
     described = read_description(RESOURCES / "studio" / "defaults.yaml")
     described = replace(
-        described, frames=frames, fps=fps, size=(1280, 704), people=PEOPLE, cameras=replace(described.cameras, jitter_deg=0.0, held_out=0)
+        described,
+        frames=frames,
+        fps=fps,
+        size=(1280, 704),
+        people=PEOPLE,
+        cameras=replace(described.cameras, jitter_deg=0.0, held_out=0),
     )
     times_s = np.arange(frames) / described.fps
-    troupe = Troupe(described, BodyModel.load(RESOURCES / "body.npz"), times_s)
+    troupe = Actors(described, BodyModel.load(RESOURCES / "body.npz"), times_s)
     for k, actor in enumerate(troupe.actors):
         heading = 2 * np.pi * k / PEOPLE + 0.3
         left = 0.25 * np.array([-np.sin(heading), np.cos(heading)])
-        part = Part(Walked(tuple(left), 0.0, heading, -NEVER, NEVER), 1.18, 0.9, -0.9 * times_s[-1] / 2 + 0.1 * k, NEVER, NEVER)
+        part = MotionPart(
+            Walked(tuple(left), 0.0, heading, -NEVER, NEVER), 1.18, 0.9, -0.9 * times_s[-1] / 2 + 0.1 * k, NEVER, NEVER
+        )
         poses, trans_m = perform(part, troupe.body, actor.betas, times_s)
         troupe.actors[k] = replace(actor, poses=poses, trans_m=trans_m)
     solids = room(described.seed, 0.0)
@@ -118,9 +128,11 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
         frame, keypoints = np.array(frame), np.array(keypoints)
         wild = (rng.random(keypoints.shape[:2]) < OUTLIERS) & (keypoints[..., 2] > 0)
         away = rng.uniform(40, 200, keypoints.shape[:2]), rng.uniform(0, 2 * np.pi, keypoints.shape[:2])
-        keypoints[..., :2] += np.where(wild[..., None], away[0][..., None] * np.stack([np.cos(away[1]), np.sin(away[1])], -1), 0.0)
-        keypoints[keypoints[..., 2] < options.detection_confidence] = [np.nan, np.nan, 0.0]
-        keep = (keypoints[..., 2] > 0).sum(1) >= options.detection_keypoints
+        keypoints[..., :2] += np.where(
+            wild[..., None], away[0][..., None] * np.stack([np.cos(away[1]), np.sin(away[1])], -1), 0.0
+        )
+        keypoints[keypoints[..., 2] < options.min_confidence] = [np.nan, np.nan, 0.0]
+        keep = (keypoints[..., 2] > 0).sum(1) >= options.min_keypoints
         frame, keypoints = frame[keep], keypoints[keep]
         keep = without_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
@@ -132,26 +144,37 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
 
 
 def nearest(take: Take, camera: Camera, frame: np.ndarray, keypoints: np.ndarray) -> np.ndarray:
-    """(D,) the person whose true keypoints lie nearest to each detection's in the median, -1 when further than 25 px."""
+    """(D,) the person whose true keypoints lie nearest to each detection's in the median, -1 when further than 25
+    px."""
     projected = camera.project(take.keypoints_m[frame])[0]
     apart = np.linalg.norm(projected - keypoints[:, None, :, :2], axis=-1)
     median = np.nanmedian(apart, axis=-1)
     return np.where(median.min(1) < 25, median.argmin(1), -1)
 
 
-def bodies(take: Take, camera: Camera, frame: np.ndarray, who: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Planted monocular bodies of detections: poses (D, 23, 3) and pelvis (D, 3); a false person gets anybody's, at any depth."""
+def bodies(
+    take: Take, camera: Camera, frame: np.ndarray, who: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Planted monocular bodies of detections: poses (D, 23, 3) and pelvis (D, 3); a false person gets anybody's, at any
+    depth."""
     lasting = exp(rng.normal(0, POSE_RAD, (PEOPLE, 23, 3)))
     offset = rng.normal(0, DEPTH_M, PEOPLE)
     someone = np.where(who >= 0, who, rng.integers(0, PEOPLE, len(who)))
     true = exp(take.poses[frame, someone].reshape(-1, 24, 3)[:, 1:])
     noisy = true @ lasting[someone] @ exp(rng.normal(0, POSE_RAD, (len(who), 23, 3)))
     pixels, depth = camera.project(take.pelvis_m[frame, someone])
-    depth = depth + offset[someone] + rng.normal(0, DEPTH_M, len(who)) + np.where(who < 0, rng.uniform(-1, 1, len(who)), 0.0)
+    depth = (
+        depth
+        + offset[someone]
+        + rng.normal(0, DEPTH_M, len(who))
+        + np.where(who < 0, rng.uniform(-1, 1, len(who)), 0.0)
+    )
     return log(noisy), np.column_stack([pixels, depth])
 
 
-def score(found: list[Detections], owners: list[np.ndarray], take: Take, options: associate.Settings) -> dict[str, float]:
+def score(
+    found: list[Detections], owners: list[np.ndarray], take: Take, options: associate.Settings
+) -> dict[str, float]:
     """Scores of one draw, after association has judged who is a person at all."""
     limits = options.association, options.triangulation, options.evidence
     started = time.perf_counter()
@@ -161,7 +184,9 @@ def score(found: list[Detections], owners: list[np.ndarray], take: Take, options
     names = {name: k for k, (name, *_) in enumerate(rows)}
     given = [np.array([names.get(table[d.camera, int(t)].person, -1) for t in d.track]) for d in found]
     view = np.repeat(np.arange(len(found)), [len(d.frame) for d in found])
-    scores = identity_scores(np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given))
+    scores = identity_scores(
+        np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
+    )
     groups = group_tracks(found, take.cameras, FRAMES, 30.0, options.association, options.triangulation)
     margins = track_margins(groups, found, take.cameras, options.association)
     return {
@@ -181,7 +206,10 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=8)
     draws = parser.parse_args().draws
     reading = loaded(detections.Settings)
-    print(f"{date.today()} {platform.processor() or platform.machine()}, {PEOPLE} people, {FRAMES} frames, 4 cameras, {draws} draws")
+    print(
+        f"{date.today()} {platform.processor() or platform.machine()}, {PEOPLE} people, "
+        f"{FRAMES} frames, 4 cameras, {draws} draws"
+    )
     take = crossing()
     first, second = np.triu_indices(PEOPLE, 1)
     apart = np.linalg.norm(take.pelvis_m[:, first, :2] - take.pelvis_m[:, second, :2], axis=-1)
@@ -202,11 +230,15 @@ def main() -> None:
         }
         r = table[name]
         print(
-            f"{name:42s} accuracy {r['accuracy']:6.1%} (worst {r['worst_accuracy']:6.1%})  precision {r['precision']:6.1%} (worst "
-            f"{r['worst_precision']:6.1%})  IDF1 {r['idf1']:.3f}  wrong frames {r['wrong_frames']:3d}  people {r['people']:.1f}  "
+            f"{name:42s} accuracy {r['accuracy']:6.1%} (worst {r['worst_accuracy']:6.1%})  "
+            f"precision {r['precision']:6.1%} (worst "
+            f"{r['worst_precision']:6.1%})  IDF1 {r['idf1']:.3f}  wrong frames "
+            f"{r['wrong_frames']:3d}  people {r['people']:.1f}  "
             f"undecided {r['undecided_tracks']:.1f}  {r['seconds']:.2f} s"
         )
-    write_json(RESULT, {"draws": draws, "frames": FRAMES, "people": PEOPLE, "nearest_m": float(apart.min()), "methods": table})
+    write_json(
+        RESULT, {"draws": draws, "frames": FRAMES, "people": PEOPLE, "nearest_m": float(apart.min()), "methods": table}
+    )
 
 
 if __name__ == "__main__":

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes the empty room look right from cameras that were never there: as it is, with one thing changed, and the baselines.
+"""What makes the empty room look right from cameras that were never there: as it is, with one thing changed, and the
+baselines.
 
-    snakemake --cores 2 results/demo/background/scene.ply results/demo/cameras/heldout/images.txt     # once: makes the inputs
-    python -m tests.bench.background [--scene results/demo] [--truth results/studio/demo/truth] [--seeds 0 1]
+    snakemake --cores 2 results/demo/background/scene.ply results/demo/cameras/heldout/images.txt     # once: makes the
+    inputs python -m tests.bench.background [--scene results/demo] [--truth results/studio/demo/truth] [--seeds 0 1]
 
-Every row trains by ``background.train`` with the configuration's settings and its own changes, and is scored at the held-out cameras
-against their exact plates: all pixels, those whose surface a training camera sees (by the true depth, within 5 %) and the others, means
-over cameras and seeds. The last row trains nothing: photos warped to the held-out cameras through their depth, holes painted. ``gain_*``
-is what the first row has over each. Writes tests/bench/results/background.json.
+Every row trains by ``background.train`` with the configuration's settings and its own changes, and is scored at the
+held-out cameras against their exact plates: all pixels, those whose surface a training camera sees (by the true depth,
+within 5 %) and the others, means over cameras and seeds. The last row trains nothing: photos warped to the held-out
+cameras through their depth, holes painted. ``gain_*`` is what the first row has over each. Writes
+tests/bench/results/background.json.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ from typing import Any
 
 import numpy as np
 from studiorecon.background import train
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.stills import read_plate
 from studiorecon.images.metrics import psnr, ssim, ssim_map
-from studiorecon.images.stills import read_plate
-from studiorecon.report.truth import read_views, seen_by, true_pixels
+from studiorecon.report.metrics.truth import read_views, seen_by, true_pixels
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.views import synthesize
 
 from tests.bench.training import options_of
@@ -50,7 +52,8 @@ _SEEN = 0.05
 
 
 def inputs_of(scene: Path, truth: Path, true_depth: bool, threads: int, folder: Path) -> dict[str, Any]:
-    """Arguments of ``background.train`` for a finished scene, with its own or the true depth and what was warped through it."""
+    """Arguments of ``background.train`` for a finished scene, with its own or the true depth and what was warped
+    through it."""
     options = options_of(scene, threads) | {"gloss": []}
     if true_depth:
         options["depth"] = [truth / "depth" / path.name for path in options["depth"]]
@@ -78,12 +81,15 @@ def wanted(scene: Path, truth: Path) -> list[tuple[Camera, np.ndarray, np.ndarra
         plate, _ = read_plate(truth / f"plates/{camera.name}.png")
         if own.camera.wh != camera.wh:
             raise SystemExit(
-                f"{camera.name} was filmed at {own.camera.wh} and is worked on at {camera.wh}: take a studio of the working size"
+                f"{camera.name} was filmed at {own.camera.wh} and is worked on at "
+                f"{camera.wh}: take a studio of the working size"
             )
         depth_m = own.room_depth_m
         real = np.isfinite(depth_m) & (depth_m > 0)
         points = own.camera.unproject(true_pixels(camera, own.camera), np.where(real, depth_m, 1.0).astype(np.float64))
-        seen = [seen_by(points, real, known[name].camera, known[name].room_depth_m, (_SEEN,))[0][0] for name in training]
+        seen = [
+            seen_by(points, real, known[name].camera, known[name].room_depth_m, (_SEEN,))[0][0] for name in training
+        ]
         found.append((camera, plate, np.any(seen, axis=0)))
     return found
 
@@ -118,15 +124,21 @@ def main() -> None:
     for name, changes in ROWS.items():
         changes = dict(changes)
         with tempfile.TemporaryDirectory() as place:
-            given = inputs_of(options.scene, options.truth, changes.pop("true_depth", False), options.threads, Path(place))
+            given = inputs_of(
+                options.scene, options.truth, changes.pop("true_depth", False), options.threads, Path(place)
+            )
             runs, began = [], time.process_time()
             for seed in options.seeds:
                 training = {**changes.get("training", {}), "checkpoint_every_s": 0.0}
                 settings = loaded(train.Settings, **{**changes, "training": training, "seed": seed})
                 made = Path(place) / "scene.ply"
-                train.run(settings, **given, background=made, provenance=Path(place) / "provenance.npz")
+                train.run(
+                    settings, **given, background=made, provenance=Path(place) / "provenance.npz", working=Path(place)
+                )
                 gaussians = read_ply(made)
-                runs.append(scored([rasteriser.forward(gaussians, camera).rgb.clip(0, 1) for camera, _, _ in views], views))
+                runs.append(
+                    scored([rasteriser.forward(gaussians, camera).rgb.clip(0, 1) for camera, _, _ in views], views)
+                )
         spent_s = (time.process_time() - began) / len(options.seeds)
         table[name] = {key: float(np.mean([run[key] for run in runs])) for key in runs[0]} | {"cpu_s": spent_s}
         print(name, {key: round(value, 3) for key, value in table[name].items()}, flush=True)

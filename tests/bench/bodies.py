@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What bodies cost and how exact they are: ``OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m tests.bench.bodies``.
 
-The fit, the paper's own fit, smoothing, and skinning weights by grid, nearest vertex and surface; then the accuracy of the whole step
-on a made walk (4 cameras at 90°, 3 px of noise, 5 % outliers, 10 % drop-outs), and the time of four people who walk in a circle, from
-recorded keypoints to bodies. Times are minima of processor time of one thread: other work on the machine still slows them, ratios less.
-Writes ``tests/bench/results/bodies.json``; a minute of an idle core.
+The fit, the paper's own fit, smoothing, and skinning weights by grid, nearest vertex and surface; then the accuracy of
+the whole step on a made walk (4 cameras at 90°, 3 px of noise, 5 % outliers, 10 % drop-outs), and the time of four
+people who walk in a circle, from recorded keypoints to bodies. Times are minima of processor time of one thread: other
+work on the machine still slows them, ratios less. Writes ``tests/bench/results/bodies.json``; a minute of an idle core.
 """
 
 from __future__ import annotations
@@ -20,21 +20,23 @@ from pathlib import Path
 import numpy as np
 import scipy
 from studiorecon import settings as settings_module
-from studiorecon.body import alternation, fitting, skinning
-from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body import skinning
+from studiorecon.body.avatar.weight_grid import build_weight_grid
+from studiorecon.body.fitting import fit as fitting
+from studiorecon.body.fitting import paper_solver
 from studiorecon.body.model import BodyModel, upright_global_orientation
-from studiorecon.body.weight_grid import build_weight_grid
 from studiorecon.geometry import rotations, smoothing
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.tracking import tracks, without_duplicates
 from studiorecon.people import associate
 from studiorecon.people import fit as step
-from studiorecon.people.detections import Settings
-from studiorecon.people.points import Points, lift, observations
-from studiorecon.people.tracking import tracks, without_duplicates
-from studiorecon.people.verdicts import identities_from_keypoints
+from studiorecon.people.association.acceptance import identities_from_keypoints
+from studiorecon.people.fitting.points import Points, lift, observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+from studiorecon.tracks.keypoints import Settings
 
-from tests.defaults import default_settings
+from tests.defaults import default_settings, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = list(LAYOUTS["body_25b"].keypoints)
@@ -61,14 +63,18 @@ def walk(frames: int) -> tuple[np.ndarray, np.ndarray]:
     t = np.arange(frames) / FPS
     swing = np.sin(2 * np.pi * 0.9 * t)
     poses = np.zeros((frames, 24, 3))
-    turned = [rotations.exp(upright_global_orientation(0.6 * s)) @ rotations.exp([0.1 * w, 0, 0]) for s, w in zip(t, swing)]
+    turned = [
+        rotations.exp(upright_global_orientation(0.6 * s)) @ rotations.exp([0.1 * w, 0, 0]) for s, w in zip(t, swing)
+    ]
     poses[:, 0] = rotations.log(np.array(turned))
     poses[:, 1, 0], poses[:, 2, 0] = -0.1 - 0.5 * swing, -0.1 + 0.5 * swing
     poses[:, 4, 0], poses[:, 5, 0] = 0.4 + 0.3 * swing, 0.4 - 0.3 * swing
     poses[:, 9, 1], poses[:, 15, 1] = 0.1 * swing, 0.3 * swing
     poses[:, 16, 2], poses[:, 17, 2] = -1.1, 0.7
     poses[:, 16, 1], poses[:, 18, 1], poses[:, 19, 1] = 0.4 * swing, -0.5 - 0.2 * swing, 1.4 - 0.4 * swing
-    return poses.reshape(frames, 72), np.stack([0.8 * np.cos(0.6 * t), 0.8 * np.sin(0.6 * t), 0.95 + 0.02 * swing], axis=-1)
+    return poses.reshape(frames, 72), np.stack(
+        [0.8 * np.cos(0.6 * t), 0.8 * np.sin(0.6 * t), 0.95 + 0.02 * swing], axis=-1
+    )
 
 
 def ring() -> list[Camera]:
@@ -81,7 +87,9 @@ def ring() -> list[Camera]:
         rows = np.stack([right, np.cross(forward, right), forward])
         camera_from_world = np.eye(4)
         camera_from_world[:3] = np.column_stack([rows, -rows @ centre])
-        out.append(Camera(f"cam{index}", (1280, 704), np.array([[900.0, 0, 640], [0, 900, 352], [0, 0, 1]]), camera_from_world))
+        out.append(
+            Camera(f"cam{index}", (1280, 704), np.array([[900.0, 0, 640], [0, 900, 352], [0, 0, 1]]), camera_from_world)
+        )
     return out
 
 
@@ -127,17 +135,29 @@ def fits(body: BodyModel, options: fitting.FitSettings) -> dict[str, dict[str, f
     sigma = np.full((frames, 25), 0.006)
     chosen = np.linspace(0, body.vertex_count - 1, 100).astype(int)
     skin = body.vertices(poses, BETAS, trans, chosen) + rng.normal(0, 0.006, (frames, 100, 3))
-    surface = fitting.Surface(chosen, skin, np.full(skin.shape[:2], 0.006))
+    surface = fitting.SurfacePoints(chosen, skin, np.full(skin.shape[:2], 0.006))
     literal = replace(options, beta_weight=10.0)
     few = fitting.chosen(surface, slice(0, 5))
     each = replace(options, shape="per_frame")
     # Frames are alone in the paper's fit, so fewer of them tell the same.
     cases = {
         "levenberg_marquardt": (lambda: fitting.fit(body, NAMES, points, sigma, options), 15),
-        "levenberg_marquardt, 100 surface points": (lambda: fitting.fit(body, NAMES, points, sigma, options, surface), 2),
-        "levenberg_marquardt, a shape per frame (U39)": (lambda: fitting.fit(body, NAMES, points[:10], sigma[:10], each), 1),
-        "paper, 30 iterations, λ 10 (U38)": (lambda: alternation.fit(body, NAMES, points[:10], sigma[:10], literal), 1),
-        "paper, 30 iterations, λ 10, 100 surface points": (lambda: alternation.fit(body, NAMES, points[:5], sigma[:5], literal, few), 1),
+        "levenberg_marquardt, 100 surface points": (
+            lambda: fitting.fit(body, NAMES, points, sigma, options, surface),
+            2,
+        ),
+        "levenberg_marquardt, a shape per frame (U39)": (
+            lambda: fitting.fit(body, NAMES, points[:10], sigma[:10], each),
+            1,
+        ),
+        "paper, 30 iterations, λ 10 (U38)": (
+            lambda: paper_solver.fit(body, NAMES, points[:10], sigma[:10], literal),
+            1,
+        ),
+        "paper, 30 iterations, λ 10, 100 surface points": (
+            lambda: paper_solver.fit(body, NAMES, points[:5], sigma[:5], literal, few),
+            1,
+        ),
     }
     out = {}
     for name, (work, repeats) in cases.items():
@@ -163,7 +183,8 @@ def smoothing_cost() -> dict[str, float]:
 
 
 def weights(body: BodyModel) -> dict[str, dict[str, float]]:
-    """Skinning weights of 20,000 points 1 cm above the surface, posed by a stride: the surface's own, the nearest vertex's, grids."""
+    """Skinning weights of 20,000 points 1 cm above the surface, posed by a stride: the surface's own, the nearest
+    vertex's, grids."""
     rng = np.random.default_rng(1)
     rest = body.rest_vertices(BETAS)
     corners = body.faces[rng.integers(0, len(body.faces), 20000)]
@@ -178,20 +199,28 @@ def weights(body: BodyModel) -> dict[str, dict[str, float]]:
     truth = skinning.skin(points, exact, transforms)
     tree = scipy.spatial.cKDTree(rest)
     grids = {r: build_weight_grid(rest, body.weights, r, 0.15) for r in (32, 64)}
-    ways: dict[str, Callable[[], np.ndarray]] = {"surface (by triangle)": lambda: np.einsum("nk,nkj->nj", share, body.weights[corners])}
+    ways: dict[str, Callable[[], np.ndarray]] = {
+        "surface (by triangle)": lambda: np.einsum("nk,nkj->nj", share, body.weights[corners])
+    }
     ways["nearest vertex"] = lambda: body.weights[tree.query(points)[1]]
     ways |= {f"grid {r}³": lambda g=grid: g.query(points) for r, grid in grids.items()}
     out = {}
     for name, way in ways.items():
         wrong = 1000 * np.linalg.norm(skinning.skin(points, way().astype(np.float32), transforms) - truth, axis=-1)
-        out[name] = {"query_ms": 1000 * cost_s(way, 3), "mean_mm": wrong.mean(), "p99_mm": np.percentile(wrong, 99), "max_mm": wrong.max()}
+        out[name] = {
+            "query_ms": 1000 * cost_s(way, 3),
+            "mean_mm": wrong.mean(),
+            "p99_mm": np.percentile(wrong, 99),
+            "max_mm": wrong.max(),
+        }
     for r in grids:
         out[f"grid {r}³"]["build_ms"] = 1000 * cost_s(lambda r=r: build_weight_grid(rest, body.weights, r, 0.15), 1)
     return out
 
 
 def whole_step(body: BodyModel, section: dict) -> dict[str, float]:
-    """The step as the workflow runs it, against exact truth: issue's bar is 12 mm, and half the jitter for at most 2 mm."""
+    """The step as the workflow runs it, against exact truth: issue's bar is 12 mm, and half the jitter for at most 2
+    mm."""
     frames = 121
     poses, trans = walk(frames)
     truth, cameras = body.joints(poses, BETAS, trans), ring()
@@ -210,7 +239,8 @@ def whole_step(body: BodyModel, section: dict) -> dict[str, float]:
 
 
 def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
-    """121 frames of four people and cameras, from recorded keypoints to smoothed bodies; the issue's bar is 20 s on two cores."""
+    """121 frames of four people and cameras, from recorded keypoints to smoothed bodies; the issue's bar is 20 s on two
+    cores."""
     frames, count, cameras = 121, 4, ring()
     poses, trans = walk(frames)
     people = []
@@ -231,7 +261,9 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
         keypoints = np.stack([of[v].keypoints for of in seen], axis=1).reshape(frames * count, len(NAMES), 3)
         keep = without_duplicates(frame, keypoints, options.tracking)
         frame, keypoints = frame[keep], keypoints[keep]
-        found.append(Detections(camera.name, "body_25b", frame, tracks(frame, keypoints, options.tracking, FPS), keypoints))
+        found.append(
+            Detections(camera.name, "body_25b", frame, tracks(frame, keypoints, options.tracking, FPS), keypoints)
+        )
     out["tracks_s"] = time.process_time() - started
     limits = found_step.association, found_step.triangulation, found_step.evidence
     verdicts, rows, _ = identities_from_keypoints(*limits, cameras, found, [], frames, FPS)
@@ -249,7 +281,8 @@ def end_to_end(body: BodyModel, section: dict) -> dict[str, float]:
 def main() -> None:
     body = BodyModel.load(ROOT / "resources/body.npz")
     section = default_settings("people")
-    chosen = {f.name: section["fit"][f.name] for f in fields(fitting.FitSettings) if f.name in section["fit"]}
+    keys = loaded(step.Settings).fit
+    chosen = {f.name: getattr(keys, f.name) for f in fields(fitting.FitSettings) if hasattr(keys, f.name)}
     options = fitting.FitSettings(**chosen, free_scale=False)
     results = {
         "date": str(date.today()),
@@ -263,7 +296,9 @@ def main() -> None:
     for part, rows in results.items():
         print(f"\n{part}" if isinstance(rows, dict) else f"{part}: {rows}")
         for name, values in rows.items() if isinstance(rows, dict) else ():
-            shown = ", ".join(f"{k} {v:.2f}" for k, v in values.items()) if isinstance(values, dict) else f"{values:.2f}"
+            shown = (
+                ", ".join(f"{k} {v:.2f}" for k, v in values.items()) if isinstance(values, dict) else f"{values:.2f}"
+            )
             print(f"  {name}: {shown}")
     path = ROOT / "tests/bench/results/bodies.json"
     path.parent.mkdir(exist_ok=True)

@@ -3,11 +3,13 @@
 
     OMP_NUM_THREADS=1 STUDIORECON_REAL_DATA=... python -m tests.bench.cameras [--seeds 5] [--pose2sim PYTHON]
 
-Prints a table and writes tests/bench/results/cameras.json. Seconds are this process's own processor time beside wall time, because
-other work on the machine counts in the latter. Bars: refinement ≤ 2 s; the doctor < 60 s; cameras found from 60 frames of two people
-at 3 px within 1° and 3 cm; board corners ≤ 1.1 px median and lengths within 0.5 %; the real man ≤ 25 mm from body to triangulated
-keypoints, ≤ 7 px median. ``--pose2sim`` is the Python of an environment with that package: both triangulate the same keypoints of
-the same calibration, and are judged on the keypoints that both call seen (likelihood 0.4).
+Prints a table and writes tests/bench/results/cameras.json. Seconds are this process's own processor time beside wall
+time, because other work on the machine counts in the latter. Bars: refinement ≤ 2 s; the doctor < 60 s; cameras found
+from 60 frames of two people at 3 px within 1° and 3 cm; board corners ≤ 1.1 px median and lengths within 0.5 %; the
+real man ≤ 25 mm from body to triangulated keypoints, ≤ 7 px median. ``--pose2sim`` is the Python of an environment with
+that package: both triangulate the same keypoints of the same calibration, and are judged on the keypoints that both
+call seen (likelihood
+0.4).
 """
 
 from __future__ import annotations
@@ -26,25 +28,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
-from studiorecon.cameras import calibration, doctor, refine, uncalibrated
-from studiorecon.capture import clocks
-from studiorecon.geometry.correspondence import STABLE_KEYPOINTS
+from studiorecon.calibration import doctor, from_people
+from studiorecon.calibration import files as calibration
+from studiorecon.cameras import refine
+from studiorecon.clocks import offsets as clocks
+from studiorecon.detect import keypoints as sightings
 from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_from_calibration
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.people import detections as people_detections
-from studiorecon.people import fit, sightings
-from studiorecon.people.points import Points, lift, observations
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people import fit
+from studiorecon.people.fitting.points import Points, lift, observations
+from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera, Lens
-from studiorecon.scene.dataset import open_dataset
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, read_detections
+from studiorecon.tracks import keypoints as tracks_keypoints
 
 from tests.bench.pose2sim_peer import pose2sim_points
 from tests.defaults import loaded
-from tests.foundations.camera_ring import detect, ring, walk
-from tests.stages.made_take import after_similarity, made_take
+from tests.made.cameras import detect, ring, walk
+from tests.made.take import after_similarity, made_take
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).parent / "results" / "cameras.json"
@@ -64,34 +69,51 @@ def refinement() -> dict[str, Any]:
     truth, people = ring(), [walk([-1.2, -0.5, 0], [0.02, 0.01, 0], 100), walk([1.1, 0.9, 0], [0, -0.02, 0], 100, 2.0)]
     pose = truth[0].camera_from_world.copy()
     pose[:3, 3] += [0.05, 0.0, 0.02]
-    given, seen = [replace(truth[0], camera_from_world=pose), *truth[1:]], detect(truth, people, 2.0, np.random.default_rng(0))
+    given, seen = (
+        [replace(truth[0], camera_from_world=pose), *truth[1:]],
+        detect(truth, people, 2.0, np.random.default_rng(0)),
+    )
     settings = loaded(refine.Settings)
     refine.decide(given, [], seen, 100, True, settings)
     outcome, cost = timed(lambda: refine.decide(given, [], seen, 100, True, settings))
-    return {**cost, **{k: outcome.report[k] for k in ("before_px", "after_px", "before_px_per_camera", "after_px_per_camera")}}
+    return {
+        **cost,
+        **{k: outcome.report[k] for k in ("before_px", "after_px", "before_px_per_camera", "after_px_per_camera")},
+    }
 
 
 def found_from_people(seeds: int) -> list[dict[str, Any]]:
-    template = uncalibrated.mean_body(BodyModel.load(ROOT / "resources/body.npz"))
+    template = from_people.mean_body(BodyModel.load(ROOT / "resources/body.npz"))
     rows = []
     for seed in range(seeds):
         for lenses in ("focal lengths given", "focal lengths unknown"):
             truth, seen = made_take(seed=seed, occluded=False)
             focal = {c.name: c.focal_px[0] for c in truth} if lenses == "focal lengths given" else {}
             (cameras, report), cost = timed(
-                lambda seen=seen, truth=truth, focal=focal: uncalibrated.pose_cameras(
-                    seen, [c.wh for c in truth], focal, 60, template, loaded(uncalibrated.Settings)
+                lambda seen=seen, truth=truth, focal=focal: from_people.pose_cameras(
+                    seen, [c.wh for c in truth], focal, 60, template, loaded(from_people.Settings)
                 )
             )
             degrees, metres, scale = after_similarity(cameras, truth)
             claimed = max(report["sigma_deg"].values()), max(report["sigma_m"].values())
-            rows.append({"seed": seed, "lenses": lenses, "worst_deg": degrees.max(), "worst_m": metres.max(), "scale": scale,
-                         "claimed_deg": claimed[0], "claimed_m": claimed[1], **cost})  # fmt: skip
+            rows.append(
+                {
+                    "seed": seed,
+                    "lenses": lenses,
+                    "worst_deg": degrees.max(),
+                    "worst_m": metres.max(),
+                    "scale": scale,
+                    "claimed_deg": claimed[0],
+                    "claimed_m": claimed[1],
+                    **cost,
+                }
+            )
     return rows
 
 
 def board(data: Path) -> dict[str, Any]:
-    """Corners of a board that four webcams saw: reprojection and lengths of the triangulated corners against the true ones."""
+    """Corners of a board that four webcams saw: reprojection and lengths of the triangulated corners against the true
+    ones."""
     folder = data / "caliscope_webcams"
     names = [f"cam_{i}" for i in range(4)]
     reading = calibration.read_calibration([folder / "camera_array.toml"])
@@ -121,8 +143,13 @@ def board(data: Path) -> dict[str, Any]:
             for b in corners[i + 1 :]:
                 true = np.linalg.norm(place[keys[a][1]] - place[keys[b][1]])
                 ratios.append(np.linalg.norm(found.points_m[a] - found.points_m[b]) / true)
-    return {"corners": int(found.valid.sum()), "median_px": float(np.nanmedian(error)), "p95_px": float(np.nanquantile(error, 0.95)),
-            "length_ratio_median": float(np.median(ratios)), "pairs": len(ratios)}  # fmt: skip
+    return {
+        "corners": int(found.valid.sum()),
+        "median_px": float(np.nanmedian(error)),
+        "p95_px": float(np.nanquantile(error, 0.95)),
+        "length_ratio_median": float(np.median(ratios)),
+        "pairs": len(ratios),
+    }
 
 
 def straight(pixels: np.ndarray, lens: Lens) -> np.ndarray:
@@ -139,25 +166,42 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
 
     def steps() -> None:
         maps = json.dumps(dict(dataset.pixel_maps))
-        calibration.run(loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json")
+        calibration.run(
+            loaded(calibration.Settings), list(dataset.calibration), list(MAN), maps, out / "calibration.json"
+        )
         for c in MAN:
             about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c]
             pixel_map = json.dumps(dataset.pixel_maps[c])
             found = out / f"{c}.npz", out / f"{c}.json"
-            sightings.run(loaded(people_detections.Settings), c, dataset.keypoints[c], *about, 60.0, pixel_map, *found)
+            sightings.run(loaded(tracks_keypoints.Settings), c, dataset.keypoints[c], *about, 60.0, pixel_map, *found)
         footage, seen = [dataset.footage[c] for c in MAN], [out / f"{c}.npz" for c in MAN]
-        clocks.run(loaded(clocks.Settings), list(MAN), footage, seen, "{}", 0, 0, out / "clocks.json", out / "sync.json")
+        clocks.run(
+            loaded(clocks.Settings), list(MAN), footage, seen, "{}", 0, 0, out / "clocks.json", out / "sync.json"
+        )
         doctor.run(
-            loaded(doctor.Settings), take, out / "calibration.json", list(MAN), footage, seen, [out / f"{c}.json" for c in MAN],
-            out / "clocks.json", out / "sync.json", out / "doctor.json", out / "doctor.html",
-        )  # fmt: skip
+            loaded(doctor.Settings),
+            take,
+            out / "calibration.json",
+            list(MAN),
+            footage,
+            seen,
+            [out / f"{c}.json" for c in MAN],
+            out / "clocks.json",
+            out / "sync.json",
+            out / "doctor.json",
+            out / "doctor.html",
+        )
 
     _, cost = timed(steps)
     report = read_json(out / "doctor.json")
     lenses = [Lens.from_json(v) for v in read_json(out / "calibration.json")["lenses"]]
     sizes = [tuple(read_json(out / f"{c}.json")["wh"]) for c in MAN]
     both = [doctor.undistorted(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
-    told = {"verdict": report["verdict"], "advice": report["advice"], "lags": {c: v["frames"] for c, v in report["lags_frames"].items()}}
+    told = {
+        "verdict": report["verdict"],
+        "advice": report["advice"],
+        "lags": {c: v["frames"] for c, v in report["lags_frames"].items()},
+    }
     return {**cost, **told}, [c for c, _ in both], [d for _, d in both], lenses
 
 
@@ -178,19 +222,26 @@ def the_man(
     known = np.isfinite(points.points_m).all(-1)
     ours, fitted = _named(names, points), _named(names, replace(points, points_m=on_body))
     report = {
-        **cost, "before_px": outcome.report["before_px"], "after_px": outcome.report["after_px"], "lens": outcome.report["lens"],
+        **cost,
+        "before_px": outcome.report["before_px"],
+        "after_px": outcome.report["after_px"],
+        "lens": outcome.report["lens"],
         "body_to_points_mean_mm": 1000 * float(np.linalg.norm(on_body - points.points_m, axis=-1)[known].mean()),
         "ours": judged(ours, outcome.training, seen, lenses),
-        "ours, the given cameras": judged(_named(names, _lifted(names, keypoints, cameras, settings)), cameras, seen, lenses),
+        "ours, the given cameras": judged(
+            _named(names, _lifted(names, keypoints, cameras, settings)), cameras, seen, lenses
+        ),
         "ours, the body": judged(fitted, outcome.training, seen, lenses),
-    }  # fmt: skip
+    }
     if pose2sim is not None:
         folder = data / "pose2sim_balancing"
         file = folder / "calibration" / "Calib_scene.toml"
         theirs = pose2sim_points(pose2sim, file, folder / "pose2d_body25b_single", list(MAN), out / "pose2sim")
         english = {"L": "left_", "R": "right_"}
         toes = {"bigtoe": "big_toe", "smalltoe": "small_toe"}
-        renamed = {english[n[0]] + toes.get(n[1:].lower(), n[1:].lower()): v for n, v in theirs.items() if n[0] in english}
+        renamed = {
+            english[n[0]] + toes.get(n[1:].lower(), n[1:].lower()): v for n, v in theirs.items() if n[0] in english
+        }
         report["pose2sim"] = judged(renamed, cameras, seen, lenses)
     return report
 
@@ -203,9 +254,11 @@ def _named(names: list[str], points: Points) -> dict[str, np.ndarray]:
     return {n: points.points_m[:, i] for i, n in enumerate(names)}
 
 
-def judged(points: dict[str, np.ndarray], cameras: list[Camera], seen: list[Detections], lenses: list[Lens]) -> dict[str, float]:
-    """Median reprojection error in pixels of the calibration, over confident keypoints of trunk and limbs, and of all that ``points``
-    have; mean over bones of the standard deviation of their lengths (mm)."""
+def judged(
+    points: dict[str, np.ndarray], cameras: list[Camera], seen: list[Detections], lenses: list[Lens]
+) -> dict[str, float]:
+    """Median reprojection error in pixels of the calibration, over confident keypoints of trunk and limbs, and of all
+    that ``points`` have; mean over bones of the standard deviation of their lengths (mm)."""
     stable, everything = [], []
     for camera, d, lens in zip(cameras, seen, lenses):
         per_px = float(calibration_from_video_pixels(lens, camera.wh)[0, 0])
@@ -219,18 +272,32 @@ def judged(points: dict[str, np.ndarray], cameras: list[Camera], seen: list[Dete
     flat = np.concatenate(stable)
     spread = [1000 * float(np.nanstd(np.linalg.norm(points[a] - points[b], axis=-1))) for a, b in BONES]
     return {
-        "median_px": float(np.nanmedian(flat)), "p95_px": float(np.nanquantile(flat, 0.95)), "missing": float(np.isnan(flat).mean()),
-        "all_median_px": float(np.nanmedian(np.concatenate(everything))), "bone_spread_mm": float(np.mean(spread)),
-    }  # fmt: skip
+        "median_px": float(np.nanmedian(flat)),
+        "p95_px": float(np.nanquantile(flat, 0.95)),
+        "missing": float(np.isnan(flat).mean()),
+        "all_median_px": float(np.nanmedian(np.concatenate(everything))),
+        "bone_spread_mm": float(np.mean(spread)),
+    }
 
 
 def real_uncalibrated(cameras: list[Camera], seen: list[Detections]) -> dict[str, Any]:
     """The man's cameras from his keypoints and nothing but focal lengths, against the calibration as it was given."""
-    template, settings = uncalibrated.mean_body(BodyModel.load(ROOT / "resources/body.npz")), loaded(uncalibrated.Settings)
+    template, settings = (
+        from_people.mean_body(BodyModel.load(ROOT / "resources/body.npz")),
+        loaded(from_people.Settings),
+    )
     focal = {c.name: float(np.mean(c.focal_px)) for c in cameras}
-    (found, report), cost = timed(lambda: uncalibrated.pose_cameras(seen, [c.wh for c in cameras], focal, 100, template, settings))
+    (found, report), cost = timed(
+        lambda: from_people.pose_cameras(seen, [c.wh for c in cameras], focal, 100, template, settings)
+    )
     degrees, metres, scale = after_similarity(found, cameras)
-    return {**cost, "worst_deg": degrees.max(), "worst_m": metres.max(), "scale": scale, "median_px": report["median_px"]}
+    return {
+        **cost,
+        "worst_deg": degrees.max(),
+        "worst_m": metres.max(),
+        "scale": scale,
+        "median_px": report["median_px"],
+    }
 
 
 def main() -> None:
@@ -238,7 +305,11 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--pose2sim", type=Path)
     options = parser.parse_args()
-    result: dict[str, Any] = {"date": date.today().isoformat(), "machine": platform.machine(), "refinement": refinement()}
+    result: dict[str, Any] = {
+        "date": date.today().isoformat(),
+        "machine": platform.machine(),
+        "refinement": refinement(),
+    }
     row("refinement, made ring", result["refinement"], ("cpu_s", "wall_s", "before_px", "after_px"))
     result["found_from_people"] = found_from_people(options.seeds)
     for found in result["found_from_people"]:
@@ -255,12 +326,20 @@ def main() -> None:
                 if take == "single":
                     result["man_uncalibrated"] = real_uncalibrated(cameras, seen)
                     result["man"] = the_man(cameras, seen, lenses, Path(data), options.pose2sim, Path(folder))
-        row("the real man's cameras from himself", result["man_uncalibrated"], ("worst_deg", "worst_m", "scale", "median_px", "cpu_s"))
+        row(
+            "the real man's cameras from himself",
+            result["man_uncalibrated"],
+            ("worst_deg", "worst_m", "scale", "median_px", "cpu_s"),
+        )
         man = result["man"]
         row("the real man, refinement", man, ("cpu_s", "before_px", "after_px", "body_to_points_mean_mm"))
         for name in ("ours", "ours, the given cameras", "ours, the body", "pose2sim"):
             if name in man:
-                row(f"the real man, {name}", man[name], ("median_px", "p95_px", "all_median_px", "missing", "bone_spread_mm"))
+                row(
+                    f"the real man, {name}",
+                    man[name],
+                    ("median_px", "p95_px", "all_median_px", "missing", "bone_spread_mm"),
+                )
     RESULT.write_text(json.dumps(result, indent=1, default=float) + "\n", encoding="utf-8")
 
 

@@ -3,11 +3,12 @@
 
     OMP_NUM_THREADS=1 STUDIORECON_REAL_DATA=... python -m tests.bench.cameras_stale [--seeds 8]
 
-Every camera is turned by 1 to 4° about any axis and moved by 10 to 40 cm. Bar: relative rotation of any two cameras ≤ 0.3° afterwards.
-The studio: two people, 120 frames, 3 px noise, against the true cameras. pose2sim_balancing, single: the OpenPose keypoints of one man on
-one spot, against the shipped calibration after all his keypoints moved its poses freely, since the shipped calibrations are
-themselves 5 to 13 px off: what is measured is whether the planted offsets come out, not how true that reference is (one man on one
-spot leaves it uncertain by about a degree, which the step says). Prints a table and writes tests/bench/results/cameras_stale.json.
+Every camera is turned by 1 to 4° about any axis and moved by 10 to 40 cm. Bar: relative rotation of any two cameras ≤
+0.3° afterwards. The studio: two people, 120 frames, 3 px noise, against the true cameras. pose2sim_balancing, single:
+the OpenPose keypoints of one man on one spot, against the shipped calibration after all his keypoints moved its poses
+freely, since the shipped calibrations are themselves 5 to 13 px off: what is measured is whether the planted offsets
+come out, not how true that reference is (one man on one spot leaves it uncertain by about a degree, which the step
+says). Prints a table and writes tests/bench/results/cameras_stale.json.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from typing import Any
 
 import numpy as np
 from studiorecon.cameras import refine
-from studiorecon.cameras.correspondences import observe
-from studiorecon.cameras.people_bundle import fitted
 from studiorecon.geometry.bundle import BundleSettings, moved
 from studiorecon.geometry.rotations import angle, exp
+from studiorecon.rig.bundle import fitted
+from studiorecon.rig.correspondences import observe
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 from tests.bench.cameras import real_doctor
 from tests.defaults import loaded
-from tests.stages.made_take import made_take
+from tests.made.take import made_take
 
 RESULT = Path(__file__).parent / "results" / "cameras_stale.json"
 FREE = BundleSettings(iterations=60, prior_deg=20.0, prior_m=2.0)
@@ -46,7 +47,9 @@ def planted(cameras: Sequence[Camera], seed: int) -> list[Camera]:
     for camera in cameras:
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         turn = exp(np.radians(rng.uniform(1, 4)) * axis)
-        found.append(moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.1, 0.4) * way))
+        found.append(
+            moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + rng.uniform(0.1, 0.4) * way)
+        )
     return found
 
 
@@ -73,9 +76,23 @@ def rows(
         seconds = time.process_time() - begun
         before, (turn, direction) = apart(stale, truth)[0], apart(outcome.training, truth)
         sigma = max(outcome.report.get("stale", {"sigma_deg": {"": float("nan")}})["sigma_deg"].values())
-        found.append({"take": take, "seed": seed, "before_deg": before, "turn_deg": turn, "direction_deg": direction, "sigma_deg": sigma,
-                      "px": outcome.report["after_px"], "cpu_s": seconds})  # fmt: skip
-        print(f"{take:10} seed {seed}  " + "  ".join(f"{k} {v:.2f}" for k, v in found[-1].items() if isinstance(v, float)), flush=True)
+        found.append(
+            {
+                "take": take,
+                "seed": seed,
+                "before_deg": before,
+                "turn_deg": turn,
+                "direction_deg": direction,
+                "sigma_deg": sigma,
+                "px": outcome.report["after_px"],
+                "cpu_s": seconds,
+            }
+        )
+        print(
+            f"{take:10} seed {seed}  "
+            + "  ".join(f"{k} {v:.2f}" for k, v in found[-1].items() if isinstance(v, float)),
+            flush=True,
+        )
     return found
 
 
@@ -91,7 +108,7 @@ def main() -> None:
         settings = loaded(refine.Settings)
         reference = list(given)
         for _ in range(3):
-            all_of_them, _ = observe(seen, reference, np.arange(100), settings.refine_gate_m)
+            all_of_them, _ = observe(seen, reference, np.arange(100), settings.gate_m)
             again = fitted(reference, all_of_them, settings.limits, FREE)
             reference = again.cameras if again is not None else reference
         table += rows("pose2sim", given, reference, seen, 100, options.seeds)

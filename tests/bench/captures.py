@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real take seen by a camera that was left out: whole, people, background, beside the photos-only baseline.
 
-    STUDIORECON_REAL_DATA=... python -m tests.bench.captures --folder DIR [--cameras cam01 cam02 …] [--frames 50] [--cores 2]
+    STUDIORECON_REAL_DATA=... python -m tests.bench.captures --folder DIR [--cameras cam01 cam02 …] [--frames 50]
+    [--cores 2]
 
-Reconstructs ``pose2sim_balancing/single`` (one man, four real cameras 49 to 120 degrees apart) once with all cameras, for masks of the
-man in every camera, then once without each camera in turn, with the default settings and with ``config/presets/fourview.yaml`` (the
-photos alone, random start). Pictures of the camera that was left out are measured as ``report.score`` measures them. DIR keeps the
-runs: stopped and started again, it goes on where it was. Eight to fifteen minutes per camera on two cores; writes
-tests/bench/results/captures.json after every camera.
+Reconstructs ``pose2sim_balancing/single`` (one man, four real cameras 49 to 120 degrees apart) once with all cameras,
+for masks of the man in every camera, then once without each camera in turn, with the default settings and with
+``config/presets/fourview.yaml`` (the photos alone, random start). Pictures of the camera that was left out are measured
+as ``report.score`` measures them. DIR keeps the runs: stopped and started again, it goes on where it was. Eight to
+fifteen minutes per camera on two cores; writes tests/bench/results/captures.json after every camera.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from studiorecon.images.video import read_frames, write_lossless
+from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.report.score import score
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,17 +38,38 @@ FILMS = {"ours": "enhance/heldout.mkv", "render": "render/heldout.mkv"}
 
 
 def workflow(
-    folder: Path, scene: str, held_out: list[str], frames: int, cores: str, targets: list[str], overlays: list[str], *, take: str = TAKE,
+    folder: Path,
+    scene: str,
+    held_out: list[str],
+    frames: int,
+    cores: str,
+    targets: list[str],
+    overlays: list[str],
+    *,
+    take: str = TAKE,
     first: int = 0,
-) -> None:  # fmt: skip
-    """Make ``targets`` (below results/<scene>) of the take without ``held_out``; raises with the end of the log when that fails."""
-    told = yaml.safe_load((ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8"))
+) -> None:
+    """Make ``targets`` (below results/<scene>) of the take without ``held_out``; raises with the end of the log when
+    that fails."""
+    told = yaml.safe_load(
+        (ROOT / f"tests/captures/{take.replace('_balancing/', '_')}.yaml").read_text(encoding="utf-8")
+    )
     told |= {"held_out": held_out, "frames": {"first": first, "count": frames}}
     description = folder / f"{scene}.yaml"
     description.write_text(yaml.safe_dump(told), encoding="utf-8")
     dataset = Path(os.environ.get("STUDIORECON_REAL_DATA", "../shared/data")).resolve() / take
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--directory", str(folder), "--cores", cores]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--snakefile",
+        str(ROOT / "Snakefile"),
+        "--directory",
+        str(folder),
+        "--cores",
+        cores,
+    ]
     command += ["--configfile", str(ROOT / "config/config.yaml"), *(str(ROOT / overlay) for overlay in overlays)]
     command += [
         "--config",
@@ -59,7 +81,9 @@ def workflow(
     command += ["--", *(f"results/{scene}/{target}" for target in targets)]
     log = folder / f"{scene}.log"
     with open(log, "a", encoding="utf-8") as file:
-        ended = subprocess.run(command, cwd=ROOT, env={**os.environ, "PATH": path}, stdout=file, stderr=subprocess.STDOUT, check=False)
+        ended = subprocess.run(
+            command, cwd=ROOT, env={**os.environ, "PATH": path}, stdout=file, stderr=subprocess.STDOUT, check=False
+        )
     if ended.returncode:
         raise SystemExit(log.read_text(encoding="utf-8")[-3000:])
 
@@ -106,7 +130,10 @@ def main() -> None:
         row["three photos"] = measured(folder, scene, camera, "render/heldout.mkv")
         rows[camera] = row
         for version, values in row.items():
-            print(f"{camera} {version:>12}: " + ", ".join(f"{name} {value:.3f}" for name, value in values.items()), flush=True)
+            print(
+                f"{camera} {version:>12}: " + ", ".join(f"{name} {value:.3f}" for name, value in values.items()),
+                flush=True,
+            )
         means = {v: {m: float(np.mean([r[v][m] for r in rows.values()])) for m in MEASURES} for v in row}
         result = {"take": TAKE, "frames": given.frames, "date": str(date.today()), "left_out": rows, "mean": means}
         RESULT.write_text(json.dumps(result, indent=1, sort_keys=True) + "\n", encoding="utf-8")

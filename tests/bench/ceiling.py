@@ -1,13 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast a blending step can be at all: one pair step of sixteen lanes held in registers, and how many such steps an image takes."""
+"""How fast a blending step can be at all: one pair step of sixteen lanes held in registers, and how many such steps an
+image takes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import float32, int64, njit
-from studiorecon.splatting.conventions import ALL_LANES, ALPHA_LOG2_MIN, ALPHA_MAX, BLOCK_PX, KERNEL, LANES, TILE_PX, TRANSMITTANCE_MIN
-from studiorecon.splatting.simd import above, at_least, both, broadcast, exp2, least, madd, nmadd, select, where
-from studiorecon.splatting.simd_rows import load, store
+from studiorecon.splatting.conventions import (
+    ALL_LANES,
+    ALPHA_LOG2_MIN,
+    ALPHA_MAX,
+    BLOCK_PX,
+    KERNEL,
+    LANES,
+    TILE_PX,
+    TRANSMITTANCE_MIN,
+)
+from studiorecon.splatting.cpu.simd import above, at_least, both, broadcast, exp2, least, madd, nmadd, select, where
+from studiorecon.splatting.cpu.simd_rows import load, store
 
 FIELDS = 10
 """Numbers of ``steps_in_registers``: dx, dy, their steps, a, k, c, log2 opacity, colour, depth."""
@@ -17,8 +27,8 @@ FIELDS = 10
 def steps_in_registers(count, values, lanes, sums):
     """``count`` times what ``forward`` does to one block for one splat, without its loads, stores, boxes and lists.
 
-    ``values`` (10,) and ``lanes`` (32,) float32 come from memory, so nothing is known when it is compiled; ``sums`` (80,) receives the
-    accumulators, so nothing is left out.
+    ``values`` (10,) and ``lanes`` (32,) float32 come from memory, so nothing is known when it is compiled; ``sums``
+    (80,) receives the accumulators, so nothing is left out.
     """
     dx, dy = load(lanes, 0) + values[0], load(lanes, LANES) + values[1]
     step_x, step_y = broadcast(values[2]), broadcast(values[3])
@@ -35,7 +45,12 @@ def steps_in_registers(count, values, lanes, sums):
         blended = both(at_least(power, faintest), above(remaining, opaque))
         weight = where(blended, alpha * transmittance)
         transmittance = select(blended, remaining, transmittance)
-        red, green, blue, far = madd(weight, colour, red), madd(weight, a, green), madd(weight, c, blue), madd(weight, depth, far)
+        red, green, blue, far = (
+            madd(weight, colour, red),
+            madd(weight, a, green),
+            madd(weight, c, blue),
+            madd(weight, depth, far),
+        )
         dx, dy = dx + step_x, dy + step_y
     store(sums, 0, red)
     store(sums, LANES, green)
@@ -56,7 +71,8 @@ def registers(count: int) -> np.ndarray:
 
 @njit(**{**KERNEL, "cache": False})
 def lanes_evaluated(columns, rows, width, height, splats, starts, pairs):
-    """(lanes that ``forward.blend`` evaluates, lanes of them that contribute), by replaying its boxes and early ends lane by lane."""
+    """(lanes that ``forward.blend`` evaluates, lanes of them that contribute), by replaying its boxes and early ends
+    lane by lane."""
     evaluated, contributing = int64(0), int64(0)
     rest = np.empty(LANES, np.float32)
     for tile in range(columns * rows):
@@ -73,12 +89,21 @@ def lanes_evaluated(columns, rows, width, height, splats, starts, pairs):
                         break
                     s = splats[pairs[i]]
                     x, y = s[0] - float32(tile_x) - float32(0.5), s[1] - float32(tile_y) - float32(0.5)
-                    first_x, last_x = np.ceil(max(x - s[10], float32(0))), np.floor(min(x + s[10], float32(TILE_PX - 1)))
-                    first_y, last_y = np.ceil(max(y - s[11], float32(0))), np.floor(min(y + s[11], float32(TILE_PX - 1)))
+                    first_x, last_x = (
+                        np.ceil(max(x - s[10], float32(0))),
+                        np.floor(min(x + s[10], float32(TILE_PX - 1))),
+                    )
+                    first_y, last_y = (
+                        np.ceil(max(y - s[11], float32(0))),
+                        np.floor(min(y + s[11], float32(TILE_PX - 1))),
+                    )
                     if first_x > last_x or first_y > last_y or x + s[10] < 0 or y + s[11] < 0:
                         continue
                     # Whole blocks: from that of the first column to that of the last.
-                    if not (first_x // BLOCK_PX * BLOCK_PX <= block_x <= last_x and first_y // BLOCK_PX * BLOCK_PX <= block_y <= last_y):
+                    if not (
+                        first_x // BLOCK_PX * BLOCK_PX <= block_x <= last_x
+                        and first_y // BLOCK_PX * BLOCK_PX <= block_y <= last_y
+                    ):
                         continue
                     evaluated += LANES
                     for lane in range(LANES):

@@ -23,12 +23,12 @@ INSTRUCTION_SETS = {"AVX2": ("haswell", "+avx2,+fma"), "SSE": ("x86-64", "-avx,-
 def start() -> dict[str, float]:
     """One whole training step, so that every kernel of the loop is compiled or read from the cache."""
     import numpy as np
-    from studiorecon.splatting.rasterise import Rasteriser
-    from studiorecon.splatting.targets import Target
-    from studiorecon.splatting.training import train
+    from studiorecon.splatting.cpu.rasterise import Rasteriser
+    from studiorecon.splatting.train.still import train_still as train
+    from studiorecon.splatting.train.targets import Target
 
-    from tests.foundations.splatting_scenes import camera, room
-    from tests.foundations.test_splatting_training import SETTINGS
+    from tests.made.gaussians import camera, room
+    from tests.made.splatting_training import SETTINGS
 
     scene, view = room(2000, 0), camera(96, 56)
     target = Target(view, Rasteriser(near_m=0.01).forward(scene, view).rgb.clip(0, 1))
@@ -39,27 +39,29 @@ def start() -> dict[str, float]:
 def memory(count: int = 300_000, width: int = 1280, height: int = 704) -> dict[str, float]:
     """Peak resident memory of training steps with loss and Adam on one picture, GB."""
     import numpy as np
-    from studiorecon.splatting.targets import Target
-    from studiorecon.splatting.training import train
+    from studiorecon.splatting.train.still import train_still as train
+    from studiorecon.splatting.train.targets import Target
 
-    from tests.foundations.splatting_scenes import camera, room
-    from tests.foundations.test_splatting_training import SETTINGS
+    from tests.made.gaussians import camera, room
+    from tests.made.splatting_training import SETTINGS
 
     target = Target(camera(width, height), np.random.default_rng(0).random((height, width, 3), np.float32))
     train(room(count, 0), [target], _shortened(SETTINGS, 3), np.random.default_rng(0), extent_m=4.0, threads=2)
     # Not ru_maxrss: that of a process that another one started includes what its parent held.
-    peak = next(line for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines() if line.startswith("VmHWM"))
+    peak = next(
+        line for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines() if line.startswith("VmHWM")
+    )
     return {"peak_gb": int(peak.split()[1]) * 1024 / 1e9}
 
 
 def raster(count: int = 50_000, width: int = 320, height: int = 176, rounds: int = 40) -> dict[str, float]:
     """Least processor milliseconds of the blending kernels forward and back, on one thread."""
     import numpy as np
-    from studiorecon.splatting.blocks import block, morton_order
-    from studiorecon.splatting.rasterise import Rasteriser
+    from studiorecon.splatting.cpu.blocks import block, morton_order
+    from studiorecon.splatting.cpu.rasterise import Rasteriser
 
     from tests.bench.splats import best_ms, raster_of
-    from tests.foundations.splatting_scenes import camera, room
+    from tests.made.gaussians import camera, room
 
     scene, rasteriser = room(count, 0), Rasteriser(near_m=0.01, threads=1)
     by = np.random.default_rng(0).normal(size=(5, height, width)).astype(np.float32)
@@ -79,10 +81,15 @@ def _shortened(settings, iterations: int):
 def ask(what: str, cache: Path, instruction_set: str = "") -> dict[str, float]:
     """Runs one of the above in a fresh process; its answer, with seconds of wall and of processor time.
 
-    On an idle machine the two agree for what one thread does, as compiling and importing; on a busy one only the latter means something.
+    On an idle machine the two agree for what one thread does, as compiling and importing; on a busy one only the latter
+    means something.
     """
     # Byte code is kept with the kernels, also where the machine's setting is to write none.
-    kept = {"NUMBA_CACHE_DIR": str(cache), "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(cache / "bytecode")}
+    kept = {
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONDONTWRITEBYTECODE": "",
+        "PYTHONPYCACHEPREFIX": str(cache / "bytecode"),
+    }
     environment = {**os.environ, **kept, "PYTHONPATH": f"{ROOT / 'workflow'}:{ROOT}"}
     if instruction_set:
         environment["NUMBA_CPU_NAME"], environment["NUMBA_CPU_FEATURES"] = INSTRUCTION_SETS[instruction_set]
@@ -95,18 +102,25 @@ def ask(what: str, cache: Path, instruction_set: str = "") -> dict[str, float]:
 
 
 def prototype(folder: Path, iterations: int) -> dict[str, float]:
-    """The design's sketch doing the same: cold and cached start (processor s), and seconds of a training of 50,000 at 320×176.
+    """The design's sketch doing the same: cold and cached start (processor s), and seconds of a training of 50,000 at
+    320×176.
 
     What its figures are here, beside those it had where the bars were set, says how fast this machine is.
     """
     found: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as name:
-        kept = {"NUMBA_CACHE_DIR": name, "PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(Path(name) / "bytecode")}
+        kept = {
+            "NUMBA_CACHE_DIR": name,
+            "PYTHONDONTWRITEBYTECODE": "",
+            "PYTHONPYCACHEPREFIX": str(Path(name) / "bytecode"),
+        }
 
         def train(*arguments: str) -> tuple[float, str]:
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             command = [sys.executable, str(folder.resolve() / "train.py"), *arguments, "2", "vis"]
-            said = subprocess.run(command, env={**os.environ, **kept}, check=True, stdout=subprocess.PIPE, text=True).stdout
+            said = subprocess.run(
+                command, env={**os.environ, **kept}, check=True, stdout=subprocess.PIPE, text=True
+            ).stdout
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, said
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well clocks are found: planted starts, drift, rates and reverberation in sound; cut frames in a real take's keypoints.
+"""How well clocks are found: planted starts, drift, rates and reverberation in sound; cut frames in a real take's
+keypoints.
 
-``python -m tests.bench.clocks --data DIR --results tests/bench/results/clocks.json``; DIR holds ``pose2sim_balancing``. Errors are in
-frames at the stated rate, largest over all cameras and moments; none: undetermined. The real take's own clocks are only known to a frame
-or so: lags with frames cut off are compared with the lag as filmed.
+``python -m tests.bench.clocks --data DIR --results tests/bench/results/clocks.json``; DIR holds ``pose2sim_balancing``.
+Errors are in frames at the stated rate, largest over all cameras and moments; none: undetermined. The real take's own
+clocks are only known to a frame or so: lags with frames cut off are compared with the lag as filmed.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studiorecon.capture import clocks
-from studiorecon.capture.people_lag import lag_of
-from studiorecon.geometry.correspondence import stable_indices
-from studiorecon.people.readers import read_keypoints
+from studiorecon.clocks import offsets as clocks
+from studiorecon.clocks.people_lag import lag_of
+from studiorecon.keypoints.correspondence import stable_indices
+from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.files import read_json, write_json
 
-from tests.stages.made_sound import Recorder, record, world_sound
+from tests.made.sound import Recorder, record, world_sound
 
 _FPS = 30.0
 _CASES: dict[str, tuple[str, float, list[Recorder]]] = {
@@ -34,12 +35,14 @@ _CASES: dict[str, tuple[str, float, list[Recorder]]] = {
     "±0.4 frame": ("speech", 15, [Recorder("a", 10.0), Recorder("b", 10 + 0.4 / _FPS), Recorder("c", 10 - 0.4 / _FPS)]),
     "50 ppm over 120 s": ("claps", 120, [Recorder("a", 10.0), Recorder("b", 12.0, drift_ppm=50)]),
     "reverberant, muffled, noisy": (
-        "speech", 30, [Recorder("a", 10.0, echo=0.3), Recorder("b", 13.3, muffled=0.8, echo=0.3), Recorder("c", 11.0, noise=0.02)],
+        "speech",
+        30,
+        [Recorder("a", 10.0, echo=0.3), Recorder("b", 13.3, muffled=0.8, echo=0.3), Recorder("c", 11.0, noise=0.02)],
     ),
     "one clap": ("clap", 10, [Recorder("a", 14.0), Recorder("b", 12.5), Recorder("c", 15.1)]),
     "a hum": ("hum", 12, [Recorder("a", 10.0), Recorder("b", 12.0)]),
     "silence": ("silence", 12, [Recorder("a", 10.0), Recorder("b", 12.0)]),
-}  # fmt: skip
+}
 _MAN = ("cam01", "cam02", "cam03", "cam04")
 
 
@@ -50,7 +53,8 @@ def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str
         paths = [record(Path(folder), r, world, seconds) for r in recorders]
         out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
         begin = time.process_time()
-        clocks.run(clocks.Settings("auto", _FPS), [r.name for r in recorders], paths, [], "{}", 0, 0, *out)
+        told = clocks.Settings(sync="auto", picture_fps=_FPS)
+        clocks.run(told, [r.name for r in recorders], paths, [], "{}", 0, 0, *out)
         spent = time.process_time() - begin
         found, told = read_clocks(out[0]), read_json(out[1])["cameras"]
     kinds = {f["camera"]: f["kind"] for f in told}
@@ -79,7 +83,8 @@ def the_man(data: Path, camera: str) -> np.ndarray:
 
 
 def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:
-    """All pairs of the take's cameras at every n-th frame, with ``cut`` frames less at the beginning of the second one."""
+    """All pairs of the take's cameras at every n-th frame, with ``cut`` frames less at the beginning of the second
+    one."""
     tracks = {c: the_man(data, c)[::every] for c in _MAN}
     errors, undetermined = [], 0
     for a, b in itertools.combinations(_MAN, 2):

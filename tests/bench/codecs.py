@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What keeping every bit of colour costs: ``python -m tests.bench.codecs FILM [FILM …] [--frames 24]``.
 
-The first frames of each film, and a made one that is all noise, written and read back as FFV1 and as working videos are: processor
-milliseconds and kilobytes a frame, the least of three rounds in turn. Stops when a bit was lost. Writes
+The first frames of each film, and a made one that is all noise, written and read back as FFV1 and as working videos
+are: processor milliseconds and kilobytes a frame, the least of three rounds in turn. Stops when a bit was lost. Writes
 ``tests/bench/results/codecs.json``.
 """
 
@@ -18,7 +18,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from studiorecon.images.video import Codec, read_frames, read_stack, write_film
+from studiorecon.footage.video import Codec, read_frames, read_stack, write_film
 from studiorecon.scene.files import write_json
 
 RESULT = Path(__file__).parent / "results" / "codecs.json"
@@ -38,7 +38,10 @@ def measured(frames: np.ndarray, folder: Path) -> dict[str, dict[str, float]]:
     for _ in range(3):
         for name, codec in CODECS.items():
             film, best = folder / f"{name}.mkv", found[name]
-            best["write_ms"] = min(best["write_ms"], spent_ms(lambda: write_film(film, frames, 30.0, codec), len(frames)))  # noqa: B023
+            best["write_ms"] = min(
+                best["write_ms"],
+                spent_ms(lambda: write_film(film, frames, 30.0, codec), len(frames)),  # noqa: B023
+            )
             best["read_ms"] = min(best["read_ms"], spent_ms(lambda: sum(1 for _ in read_frames(film)), len(frames)))  # noqa: B023
             best["kilobytes"] = film.stat().st_size / len(frames) / 1000
             if not np.array_equal(read_stack(film), frames):
@@ -62,7 +65,9 @@ def main() -> None:
             result[name] = {"wh": [frames.shape[2], frames.shape[1]], **found}
             old, new = found["ffv1"], found["h264"]
             told = ", ".join(f"{kind} {old[kind]:.1f} → {new[kind]:.1f}" for kind in old)
-            print(f"{name} {frames.shape[2]}×{frames.shape[1]}: {told}; reading ÷ {old['read_ms'] / new['read_ms']:.1f}")
+            print(
+                f"{name} {frames.shape[2]}×{frames.shape[1]}: {told}; reading ÷ {old['read_ms'] / new['read_ms']:.1f}"
+            )
     write_json(RESULT, result)
 
 

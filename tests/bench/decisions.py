@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the survey's decisions save: whole runs as decided, and again with everything that plans and steps obey forced on.
+"""What the survey's decisions save: whole runs as decided, and again with everything that plans and steps obey forced
+on.
 
     python -m tests.bench.decisions [CASE ...] [--cores 2]
 
-Cases are an empty room, a ring of eight cameras around one person, and the demo, all at half the demo's width and length; the smallest
-studio comes first, which compiles the kernels. Both runs are of one house, so that the second does again only what the force changes, and
-every job's processor seconds (Snakemake's benchmarks, without the filming of the studio) are counted in full for both. Held-out PSNR says
-what the savings cost. Writes tests/bench/results/decisions.json; cases not asked for stay.
+Cases are an empty room, a ring of eight cameras around one person, and the demo, all at half the demo's width and
+length; the smallest studio comes first, which compiles the kernels. Both runs are of one house, so that the second does
+again only what the force changes, and every job's processor seconds (Snakemake's benchmarks, without the filming of the
+studio) are counted in full for both. Held-out PSNR says what the savings cost. Writes
+tests/bench/results/decisions.json; cases not asked for stay.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from tests.workflow.conftest import ROOT, House, make_house
 
 RESULTS = Path(__file__).parent / "results" / "decisions.json"
 DEMO = yaml.safe_load((ROOT / "resources/studio/demo.yaml").read_text(encoding="utf-8"))
-# At this size nobody could be found in the films: keypoints are recorded, as a detector would report them in larger ones.
+# At this size nobody could be found in the films: keypoints are recorded, as a detector would report them in larger
+# ones.
 SMALL = {**DEMO, "size": [240, 136], "frames": 30, "detections": {"noise_px": 1.5, "drop_outs": 0.03, "shuffled": True}}
 CASES: dict[str, dict[str, Any]] = {
     "empty room": {**SMALL, "people": 0},
@@ -33,8 +36,14 @@ CASES: dict[str, dict[str, Any]] = {
     "demo": SMALL,
 }
 OBEYED = (
-    "exposure", "changing_light", "view_synthesis", "view_dependent_colour", "temporal_appearance", "moving_shadows", "dynamic_objects",
-)  # fmt: skip
+    "exposure",
+    "changing_light",
+    "view_synthesis",
+    "view_dependent_colour",
+    "temporal_appearance",
+    "moving_shadows",
+    "dynamic_objects",
+)
 """Effects whose verdict changes what is done."""
 
 
@@ -73,7 +82,11 @@ def measured(folder: Path, case: str, cores: str) -> dict[str, Any]:
     decided = told(house, scene)
     house.snakemake("--cores", cores, "--configfile", house.overlay(survey={"force": dict.fromkeys(OBEYED, "on")}))
     everything = told(house, scene)
-    return {"saved_share": round(1 - decided["cpu_s"] / everything["cpu_s"], 3), "as decided": decided, "everything on": everything}
+    return {
+        "saved_share": round(1 - decided["cpu_s"] / everything["cpu_s"], 3),
+        "as decided": decided,
+        "everything on": everything,
+    }
 
 
 def main() -> None:

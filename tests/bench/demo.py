@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole demo as a new user meets it: from nothing, again with nothing to do, and after one changed render setting.
 
-``python -m tests.bench.demo [--description resources/studio/demo.yaml] [--cores 2]`` from the repository's root, on an idle machine.
-Works in a temporary folder with an empty kernel cache, so that filming and compiling are part of the first figure. Prints wall
-seconds and the peak memory of the whole process tree.
+``python -m tests.bench.demo [--description resources/studio/demo.yaml] [--cores 2]`` from the repository's root, on an
+idle machine. Works in a temporary folder with an empty kernel cache, so that filming and compiling are part of the
+first figure. Prints wall seconds and the peak memory of the whole process tree.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ def main() -> None:
         overlay.write_text("render:\n  background_rgb: [0.2, 0.2, 0.2]\n")
         snakemake = [sys.executable, "-m", "snakemake", "--cores", given.cores, "--directory", str(folder)]
         dataset = ["--config", f"dataset={given.description}"]
-        rendered = [f"results/{Path(given.description).stem}/render/{shot}.mkv" for shot in ("orbit", "heldout", "train")]
+        rendered = [
+            f"results/{Path(given.description).stem}/render/{shot}.mkv" for shot in ("orbit", "heldout", "train")
+        ]
         step = [sys.executable, "-m", "studiorecon", "people.associate", "--help"]
         runs = {
             "from nothing": [*snakemake, *dataset],

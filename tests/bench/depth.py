@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seconds and accuracy of depth on made rooms and on posed renderings with dense depth, with and without errors of exposure and pose.
+"""Seconds and accuracy of depth on made rooms and on posed renderings with dense depth, with and without errors of
+exposure and pose.
 
 ``python -m tests.bench.depth --rooms TRUTH ... [--posed FOLDER [--views K ...]] [--set k=v] [--pictures FOLDER]``
 writes tests/bench/results/depth.json.
 
-TRUTH is the ``truth`` folder of a studio capture (plates, depth, cameras); plates are the true empty room, so people and the temporal plate
-play no part. Depth is compared with the exact one per class (seen by two cameras or more, seen by one), walls with where they stand, and
-the held-out plates with the photos carried there through the depth (holes inpainted). FOLDER holds ``rgb/*.png`` and ``condition.npz``
-(poses, intrinsics, depths). Seconds are of this process on this machine, processor time beside wall time: other work on it slows both.
+TRUTH is the ``truth`` folder of a studio capture (plates, depth, cameras); plates are the true empty room, so people
+and the temporal plate play no part. Depth is compared with the exact one per class (seen by two cameras or more, seen
+by one), walls with where they stand, and the held-out plates with the photos carried there through the depth (holes
+inpainted). FOLDER holds ``rgb/*.png`` and ``condition.npz`` (poses, intrinsics, depths). Seconds are of this process on
+this machine, processor time beside wall time: other work on it slows both.
 """
 
 from __future__ import annotations
@@ -24,15 +26,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
-from studiorecon.depth import refine, shell, sweep
-from studiorecon.depth.solids import read_solids
-from studiorecon.images.exr import read_depth
-from studiorecon.images.stills import read_plate
-from studiorecon.images.video import to_bytes
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.depth import refine, sweep
+from studiorecon.depth import room as shell
+from studiorecon.depth.layout.primitives import read_primitives
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.scene.shell import read_shell
+from studiorecon.scene.room import read_room
 from studiorecon.settings import load
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
@@ -68,7 +71,10 @@ def seen_by(cameras: list[Camera], depths: list[np.ndarray], index: int) -> np.n
 
 def picture(path: Path, rows: list[list[np.ndarray]]) -> None:
     """Rows of pictures (uint8 RGB) or maps in [0, 1] (shown in colours) as one PNG."""
-    shown = [[cv2.applyColorMap(to_bytes(x), cv2.COLORMAP_TURBO) if x.ndim == 2 else x[..., ::-1] for x in row] for row in rows]
+    shown = [
+        [cv2.applyColorMap(to_bytes(x), cv2.COLORMAP_TURBO) if x.ndim == 2 else x[..., ::-1] for x in row]
+        for row in rows
+    ]
     cv2.imwrite(str(path), np.concatenate([np.concatenate(row, axis=1) for row in shown]))
 
 
@@ -91,7 +97,9 @@ def made_room(folder: Path) -> Room:
     plates = {c.name: read_plate(folder / f"plates/{c.name}.png")[0] for c in everyone}
     cameras, views = [c for c in everyone if c.name not in held_out], [c for c in everyone if c.name in held_out]
     truth = [read_depth(folder / f"depth/{c.name}.exr")[0] for c in cameras]
-    return Room(folder.name, cameras, [plates[c.name] for c in cameras], truth, views, [plates[c.name] for c in views], True)
+    return Room(
+        folder.name, cameras, [plates[c.name] for c in cameras], truth, views, [plates[c.name] for c in views], True
+    )
 
 
 def posed(folder: Path, chosen: list[int]) -> Room:
@@ -117,7 +125,9 @@ def disturbed(room: Room, what: str, rng: np.random.Generator) -> Room:
         moved = []
         for camera in room.cameras:
             pose = np.eye(4)
-            pose[:3, :3] = cv2.Rodrigues(rng.normal(0, np.radians(0.3) / np.sqrt(3), 3))[0] @ camera.rotation_camera_from_world
+            pose[:3, :3] = (
+                cv2.Rodrigues(rng.normal(0, np.radians(0.3) / np.sqrt(3), 3))[0] @ camera.rotation_camera_from_world
+            )
             pose[:3, 3] = -pose[:3, :3] @ (camera.centre_m + rng.normal(0, 0.02 / np.sqrt(3), 3))
             moved.append(replace(camera, camera_from_world=pose))
         return replace(room, cameras=moved)
@@ -133,7 +143,10 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         for path, plate in zip(plates, room.plates):
             cv2.imwrite(str(path), to_bytes(plate)[..., ::-1])
         model, box, solids, passes = (folder / n for n in ("images.txt", "shell.json", "solids.json", "passes.npz"))
-        sweeps, maps = [folder / f"{c.name}.npz" for c in room.cameras], [folder / f"{c.name}.exr" for c in room.cameras]
+        sweeps, maps = (
+            [folder / f"{c.name}.npz" for c in room.cameras],
+            [folder / f"{c.name}.exr" for c in room.cameras],
+        )
         wall, cpu = [time.perf_counter()], [time.process_time()]
 
         def lap() -> None:
@@ -143,13 +156,25 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         for camera, path in zip(room.cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
-        shell.run(load(shell.Settings, values, "depth"), model, plates, sweeps, [], [], [], box, solids, folder / "solids.png", passes)
+        shell.run(
+            load(shell.Settings, values, "depth"),
+            model,
+            plates,
+            sweeps,
+            [],
+            [],
+            [],
+            box,
+            solids,
+            folder / "solids.png",
+            passes,
+        )
         lap()
         for camera, path in zip(room.cameras, maps):
             refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, solids, path)
         lap()
         found = [read_depth(path)[0] for path in maps]
-        fitted, furniture = read_shell(box), read_solids(solids)
+        fitted, furniture = read_room(box), read_primitives(solids)
         if pictures:
             pictures.mkdir(parents=True, exist_ok=True)
             (pictures / f"{room.name}.solids.png").write_bytes((folder / "solids.png").read_bytes())
@@ -161,8 +186,11 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
     error = np.concatenate([(np.abs(d - t) / np.maximum(t, 1e-6))[t > 0] for d, t in zip(found, room.truth)])
     count = np.concatenate([seen_by(room.cameras, room.truth, i)[t > 0] for i, t in enumerate(room.truth)])
     for label, where in (("all", count > 0), ("seen_by_two", count > 1), ("seen_by_one", count == 1)):
-        result[label] = {"share": round(float(where.mean()), 3), "abs_rel": round(float(error[where].mean()), 4),
-                         "within_5_percent": round(float((error[where] < 0.05).mean()), 4)}  # fmt: skip
+        result[label] = {
+            "share": round(float(where.mean()), 3),
+            "abs_rel": round(float(error[where].mean()), 4),
+            "within_5_percent": round(float((error[where] < 0.05).mean()), 4),
+        }
     if room.made:
         true_m = np.array([HALF_X_M, HALF_Y_M])[[0 if abs(face[0]) > abs(face[1]) else 1 for face in fitted.faces[:4]]]
         result["walls_off_m"] = [round(float(abs(abs(f[3]) - t)), 4) for f, t in zip(fitted.faces[:4], true_m)]
@@ -170,14 +198,19 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
     if room.views:
         result["warp_db"], sheets = carried(room, found, fitted.gains)
         if pictures:
-            maps_in_colour = [[d / 8 for d in found], [t / 8 for t in room.truth], [np.abs(d - t) * 0.5 for d, t in zip(found, room.truth)]]
+            maps_in_colour = [
+                [d / 8 for d in found],
+                [t / 8 for t in room.truth],
+                [np.abs(d - t) * 0.5 for d, t in zip(found, room.truth)],
+            ]
             picture(pictures / f"{room.name}.depth.png", maps_in_colour)
             picture(pictures / f"{room.name}.views.png", sheets)
     return result
 
 
 def carried(room: Room, depths: list[np.ndarray], gains: dict[str, np.ndarray]) -> tuple[float, list[list[np.ndarray]]]:
-    """Mean PSNR over the held-out views of the photos carried there through ``depths``, and the pictures beside the truth."""
+    """Mean PSNR over the held-out views of the photos carried there through ``depths``, and the pictures beside the
+    truth."""
     warp = loaded(synthesize.Settings)
     even = [np.clip(p / gains[c.name].astype(np.float32), 0, 1) for c, p in zip(room.cameras, room.plates)]
     photos = [source(c, e, np.ones(c.hw, bool), d, warp.depth_jump) for c, e, d in zip(room.cameras, even, depths)]

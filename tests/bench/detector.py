@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""People from pictures alone: what the detector costs, whom it finds, and how far what is built on it is from what keypoint files give.
+"""People from pictures alone: what the detector costs, whom it finds, and how far what is built on it is from what
+keypoint files give.
 
-``python -m tests.bench.detector [--parts cost people single demo] [--detector blazepose_heavy] [--folder DIR]`` from the repository's root;
-writes ``tests/bench/results/detector.json``. Parts that are not asked for keep their last figures. ``single`` and ``demo`` run the
-workflow up to the bodies in DIR, and go on where they were. Processor time is meant where seconds are given: cameras run side by side.
+``python -m tests.bench.detector [--parts cost people single demo] [--detector blazepose_heavy] [--folder DIR]`` from
+the repository's root; writes ``tests/bench/results/detector.json``. Parts that are not asked for keep their last
+figures. ``single`` and ``demo`` run the workflow up to the bodies in DIR, and go on where they were. Processor time is
+meant where seconds are given: cameras run side by side.
 """
 
 from __future__ import annotations
@@ -20,13 +22,14 @@ from typing import Any
 
 import numpy as np
 import scipy
-from studiorecon.images.footage import open_source, stills
-from studiorecon.people import detect
-from studiorecon.people.blazepose import BlazePose
-from studiorecon.people.detect import newcomers
-from studiorecon.people.windows import grid
-from studiorecon.scene.found import read_found
-from studiorecon.scene.people import read_identities, read_people, read_person
+from studiorecon.body.person_files import read_person
+from studiorecon.detect import people as detect
+from studiorecon.detector.blazepose import BlazePose
+from studiorecon.detector.following import newcomers
+from studiorecon.detector.windows import grid
+from studiorecon.footage.source import open_source, stills
+from studiorecon.scene.people import read_identities, read_people
+from studiorecon.scene.raw_detections import read_raw_detections
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -54,12 +57,13 @@ def networks(detector: str) -> list[Path]:
 
 
 def cost(detector: str, folder: Path) -> dict[str, Any]:
-    """Processor milliseconds per person and picture of a whole film, all told: decoding, windows, following. Two cores halve it."""
+    """Processor milliseconds per person and picture of a whole film, all told: decoding, windows, following. Two cores
+    halve it."""
     video, found = DATA / "pose2sim_balancing/single/videos/cam03.mp4", folder / "cost.npz"
     began = time.process_time()
     detect.run("cam03", video, [], 30.0, networks(detector), found)
     spent_s = time.process_time() - began
-    people = len(read_found(found).frame)
+    people = len(read_raw_detections(found).frame)
     return {
         "cpu_ms_per_person_and_picture": round(1000 * spent_s / people, 1),
         "two_cores_ms_per_person_and_picture": round(500 * spent_s / people, 1),
@@ -67,9 +71,11 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
 
 
 def people_in_pictures(detector: str, folder: Path) -> dict[str, Any]:
-    """Whom the detector alone finds in the four single pictures of egohumans, of the three people that were marked by hand in each.
+    """Whom the detector alone finds in the four single pictures of egohumans, of the three people that were marked by
+    hand in each.
 
-    Somebody is found when the box of a skeleton's surer landmarks and the marked box overlap by 0.4 (intersection over union).
+    Somebody is found when the box of a skeleton's surer landmarks and the marked box overlap by 0.4 (intersection over
+    union).
     """
     network = BlazePose(*networks(detector)[:2])
     found, others = [], []
@@ -81,7 +87,9 @@ def people_in_pictures(detector: str, folder: Path) -> dict[str, Any]:
         source = open_source(one, 30.0)
         (picture,) = stills(source, [0])
         boxes = [box_of(seen.keypoints) for seen in newcomers(network, picture, grid(source.wh), [])]
-        overlaps = np.array([[overlap(np.array(m) * source.wh[0] / 728, box) for box in boxes] for m in marked]).reshape(3, len(boxes))
+        overlaps = np.array(
+            [[overlap(np.array(m) * source.wh[0] / 728, box) for box in boxes] for m in marked]
+        ).reshape(3, len(boxes))
         rows, columns = scipy.optimize.linear_sum_assignment(-overlaps)
         found.append(int((overlaps[rows, columns] >= 0.4).sum()))
         others.append(len(boxes) - found[-1])
@@ -103,26 +111,46 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 def workflow(folder: Path, targets: list[str], **config: str) -> None:
     """Run the workflow in ``folder`` up to ``targets``."""
     given = [f"{key}={value}" for key, value in config.items()]
-    command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "--cores", "2", "--directory", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "-s",
+        str(ROOT / "Snakefile"),
+        "--cores",
+        "2",
+        "--directory",
+        str(folder),
+    ]
     subprocess.run([*command, *targets, "--config", *given], check=True, capture_output=True)
 
 
 def rigid_mm(first: np.ndarray, second: np.ndarray) -> float:
-    """Mean distance of joints (T, 24, 3) after the one rigid motion that lays all of the first on the second, millimetres."""
+    """Mean distance of joints (T, 24, 3) after the one rigid motion that lays all of the first on the second,
+    millimetres."""
     a, b = first.reshape(-1, 3), second.reshape(-1, 3)
     rotation, _ = scipy.spatial.transform.Rotation.align_vectors(b - b.mean(0), a - a.mean(0))
     return float(1000 * np.linalg.norm(rotation.apply(a - a.mean(0)) - (b - b.mean(0)), axis=1).mean())
 
 
 def single(detector: str, folder: Path) -> dict[str, Any]:
-    """The real man: reprojection after refinement, and his bodies from pictures against those from the shipped keypoints."""
+    """The real man: reprojection after refinement, and his bodies from pictures against those from the shipped
+    keypoints."""
     take = DATA / "pose2sim_balancing/single"
     described = ROOT / "tests/captures/pose2sim_single.yaml"
     fits, told = {}, {}
     for name, source in (("found", "detector"), ("recorded", "keypoints")):
-        people = json.dumps({"source": source, "detector": detector, "hull": {"use": "never"}})
-        # The cameras of this take were triggered together: only what people's places say is compared here, not their clocks.
-        given = {"dataset": str(take), "capture_yaml": str(described), "scene": name, "people": people, "capture": '{"sync": "never"}'}
+        looked = json.dumps({"source": source, "detector": detector})
+        # The cameras of this take were triggered together: only what people's places say is compared here, not their
+        # clocks.
+        given = {
+            "dataset": str(take),
+            "capture_yaml": str(described),
+            "scene": name,
+            "detect": looked,
+            "people": '{"hull": {"use": "never"}}',
+            "clocks": '{"sync": "never"}',
+        }
         workflow(folder, [f"results/{name}/people/p0.npz"], **given)
         fits[name] = read_person(folder / f"results/{name}/people/p0.npz")
         report = (folder / f"logs/{name}/cameras/refine.log").read_text()
@@ -137,9 +165,10 @@ def single(detector: str, folder: Path) -> dict[str, Any]:
 
 
 def demo(detector: str, folder: Path) -> dict[str, Any]:
-    """The demo's people from its films, against the truth: joints, and the share of tracks in the right person's name."""
+    """The demo's people from its films, against the truth: joints, and the share of tracks in the right person's
+    name."""
     targets = [f"results/demo/people/{p}.npz" for p in ("p0", "p1")]
-    workflow(folder, targets, people=json.dumps({"detector": detector}))
+    workflow(folder, targets, detect=json.dumps({"detector": detector}))
     truth = {p.stem: read_person(p) for p in sorted((folder / "results/studio/demo/truth/bodies").glob("*.npz"))}
     errors, whose = {}, {}
     for name in read_people(folder / "results/demo/people/people.tsv"):

@@ -3,9 +3,9 @@
 
     OMP_NUM_THREADS=1 python -m tests.bench.doctor
 
-Four cameras, 268 frames, three people; their tracks whole, and cut into pieces of 8 and 3 frames on average, as a detector at ten
-frames per second cuts them. Prints processor seconds of this process and writes tests/bench/results/doctor.json. The first row pays for
-loading or compiling the kernels.
+Four cameras, 268 frames, three people; their tracks whole, and cut into pieces of 8 and 3 frames on average, as a
+detector at ten frames per second cuts them. Prints processor seconds of this process and writes
+tests/bench/results/doctor.json. The first row pays for loading or compiling the kernels.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-from studiorecon.cameras import doctor
+from studiorecon.calibration import doctor
 from studiorecon.scene.people import Detections
 
 from tests.defaults import loaded
-from tests.stages.made_take import made_take
+from tests.made.take import made_take
 
 RESULT = Path(__file__).parent / "results" / "doctor.json"
 FRAMES, PEOPLE = 268, 3
@@ -42,7 +42,15 @@ def broken(seen: Detections, mean_frames: int, rng: np.random.Generator) -> Dete
 
 def examined_s(cameras: Sequence, seen: Sequence[Detections]) -> tuple[float, dict]:
     """Processor seconds of ``doctor.examined``, and what it says."""
-    facts = {"frames": FRAMES, "first_frame": 0, "count": 0, "keypoints": True, "video_frames": FRAMES, "fps": 10.0, "rotation_deg": 0}
+    facts = {
+        "frames": FRAMES,
+        "first_frame": 0,
+        "count": 0,
+        "keypoints": True,
+        "video_frames": FRAMES,
+        "fps": 10.0,
+        "rotation_deg": 0,
+    }
     about = [{**facts, "brightness": 0.4, "burnt": 0.0, "camera": c.name, "wh": list(c.wh)} for c in cameras]
     begun = time.process_time()
     report, _ = doctor.examined(cameras, seen, about, loaded(doctor.Settings))
@@ -58,8 +66,13 @@ def main() -> None:
         seconds, report = examined_s(cameras, seen)
         tracks = sum(len(np.unique(d.track)) for d in seen)
         clocks = sum(lag["valid"] for lag in report["lags_frames"].values())
-        result["rows"].append({"tracks": tracks, "cpu_s": seconds, "verdict": report["verdict"], "clocks_determined": clocks})
-        print(f"{tracks:5d} tracks  {seconds:6.1f} s  {report['verdict']}, {clocks} of {len(cameras)} clocks determined", flush=True)
+        result["rows"].append(
+            {"tracks": tracks, "cpu_s": seconds, "verdict": report["verdict"], "clocks_determined": clocks}
+        )
+        print(
+            f"{tracks:5d} tracks  {seconds:6.1f} s  {report['verdict']}, {clocks} of {len(cameras)} clocks determined",
+            flush=True,
+        )
     RESULT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which effect sets off which statistic, on made scenes: ``python -m tests.bench.effects [--seeds N]``.
 
-Every effect is planted alone in a scene that has none (``tests/effects/world.py``), several times with other textures, walks and noise, and
-all effects are decided. The diagonal is the share of seeds in which the planted effect's verdict turns as it must; every other entry is
-the share in which another effect's verdict turns though nothing of it was planted ("undetermined" turns nothing). The first row plants
-nothing. Asked: at least 0.95 on the diagonal and at most 0.05 beside it, but for the pairs in ``BY_NATURE``.
+Every effect is planted alone in a scene that has none (``tests/made/studio_world.py``), several times: other textures,
+walks and noise, and all effects are decided. The diagonal is the share of seeds in which the planted effect's verdict
+turns as it must; every other entry is the share in which another effect's verdict turns though nothing of it was
+planted ("undetermined" turns nothing). The first row plants nothing. Asked: at least 0.95 on the diagonal and at most
+0.05 beside it, but for the pairs in ``BY_NATURE``.
 
-Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/stages alone. Prints
-the matrix and writes tests/bench/results/effects.json and, from it, tests/effects/README.md. 50 seconds of processor time a seed.
+Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/report
+alone. Prints the matrix and writes tests/bench/results/effects.json and, from it, tests/effects/README.md. 50 seconds
+of processor time a seed.
 """
 
 from __future__ import annotations
@@ -21,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studiorecon.scene.decisions import ORDER
 from studiorecon.scene.files import write_json
-from studiorecon.survey.effects import Settings, judge
+from studiorecon.survey.evidence import Evidence
+from studiorecon.survey.judge import Settings, judge
 
 from tests.defaults import loaded
-from tests.effects.world import PLANTED, scene
+from tests.made.studio_world import PLANTED, scene
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).resolve().parent / "results" / "effects.json"
@@ -44,7 +46,7 @@ def verdicts(seed: int, settings: Settings, **planted: object) -> tuple[dict[str
     """Effect → verdict, and the processor seconds of the survey."""
     material = scene(seed, **planted)
     begun = time.process_time()
-    made = judge(material, settings)
+    made = judge(Evidence(material, settings), settings.thresholds)
     return {d.effect: d.verdict for d in made}, time.process_time() - begun
 
 
@@ -60,9 +62,11 @@ def page(result: dict[str, Any]) -> str:
     lines = [
         "# Which effect turns which decision",
         "",
-        f"`python -m tests.bench.effects --seeds {result['seeds']}` printed this on {result['date']}: each effect planted alone in a made "
+        f"`python -m tests.bench.effects --seeds {result['seeds']}` printed this on "
+        f"{result['date']}: each effect planted alone in a made "
         "scene that has none of",
-        "them, and the share of seeds in which a decision turned. Asked: at least 0.95 on the diagonal, at most 0.05 beside it.",
+        "them, and the share of seeds in which a decision turned. Asked: at least 0.95 "
+        "on the diagonal, at most 0.05 beside it.",
         "A dot is 0. Scenes are made (`world.py`): no threshold is calibrated on real captures.",
         "",
         "| planted | " + " | ".join(f"{letters[e]}" for e in judged) + " |",
@@ -75,13 +79,16 @@ def page(result: dict[str, Any]) -> str:
     by_nature = "; ".join(f"{pair.replace('_', ' ')} ({why})" for pair, why in result["by_nature"].items())
     lines += ["", f"Beside the diagonal by nature: {by_nature}."]
     never = ", ".join(f"{letters[e]} {e.replace('_', ' ')}" for e in result["never_planted"])
-    lines += [f"Never planted here: {never}. Decisions about trained scenes are planted in `tests/stages/test_survey_trained.py`."]
+    lines += [
+        f"Never planted here: {never}. Decisions about trained scenes are planted in "
+        "`tests/report/test_report_audit.py`."
+    ]
     return "\n".join(lines) + "\n"
 
 
 def main(seeds: int) -> int:
     settings = loaded(Settings)
-    judged = [e for e in ORDER if e in verdicts(0, settings)[0]]
+    judged = list(verdicts(0, settings)[0])
     plain = [verdicts(seed, settings) for seed in range(seeds)]
     usual = {e: max(("on", "off", "undetermined"), key=[v[e] for v, _ in plain].count) for e in judged}
     rows = {"nothing": {e: float(np.mean([turned(usual[e], v[e]) for v, _ in plain])) for e in judged}}
@@ -98,13 +105,19 @@ def main(seeds: int) -> int:
         if e != planted and share > MOST and (planted, e) not in BY_NATURE
     }
     result = {
-        "date": date.today().isoformat(), "machine": platform.processor() or platform.machine(), "load": os.getloadavg()[0],
-        "seeds": seeds, "planted": {k: {n: list(v) if isinstance(v, tuple) else v for n, v in p.items()} for k, p in PLANTED.items()},
-        "usual": usual, "matrix": rows, "missed": missed, "false": false,
+        "date": date.today().isoformat(),
+        "machine": platform.processor() or platform.machine(),
+        "load": os.getloadavg()[0],
+        "seeds": seeds,
+        "planted": {k: {n: list(v) if isinstance(v, tuple) else v for n, v in p.items()} for k, p in PLANTED.items()},
+        "usual": usual,
+        "matrix": rows,
+        "missed": missed,
+        "false": false,
         "by_nature": {f"{a} → {b}": why for (a, b), why in BY_NATURE.items()},
         "never_planted": sorted(set(judged) - set(PLANTED)),
         "survey_processor_s": {"least": min(seconds), "median": float(np.median(seconds))},
-    }  # fmt: skip
+    }
     write_json(RESULT, result)
     PAGE.write_text(page(result), encoding="utf-8")
     print(f"usual verdicts: {usual}")

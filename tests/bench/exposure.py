@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What acting on a verdict gains and costs: ``python -m tests.bench.exposure [--scenes gained lit ...] [--seeds N] [--folder DIR]``.
+"""What acting on a verdict gains and costs: ``python -m tests.bench.exposure [--scenes gained lit ...] [--seeds N]
+[--folder DIR]``.
 
-A small made studio is filmed plain, with gains of ±12 % (and a white balance of ±5 %) between the cameras, with lamps that swing by 30 %,
-and with a glossy floor. On each, the effect's verdict is forced on, forced off, and left to the survey (the regret test: what is decided
-must be within the better branch's spread, at no more cost). All films are scored at the held-out cameras against the *plain* studio's
-photos, where nothing is planted, after one gain per channel for the whole film: which exposure is the common one is a convention.
-``colour`` is the same PSNR of pictures averaged in blocks of 8×8 pixels, which texture that is out of place does not hide; ``steps`` is
-how much the room's mean brightness departs from the photos' from picture to picture, one standard deviation. Seconds are processor time
-of the steps whose work depends on the verdict. Writes tests/bench/results/exposure.json; 3 to 5 minutes a scene and seed.
+A small synthetic studio is filmed plain, with gains of ±12 % (and a white balance of ±5 %) between the cameras, with
+lamps that swing by 30 %, and with a glossy floor. On each, the effect's verdict is forced on, forced off, and left to
+the survey (the regret test: what is decided must be within the better branch's spread, at no more cost). All films are
+scored at the held-out cameras against the
+*plain* studio's photos, where nothing is planted, after one gain per channel for the whole film: which exposure is the
+common one is a convention. ``colour`` is the same PSNR of pictures averaged in blocks of 8×8 pixels, which texture that
+is out of place does not hide; ``steps`` is how much the room's mean brightness departs from the photos' from picture to
+picture, one standard deviation. Seconds are processor time of the steps whose work depends on the verdict. Writes
+tests/bench/results/exposure.json; 3 to 5 minutes a scene and seed.
 """
 
 from __future__ import annotations
@@ -22,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from studiorecon.footage.video import read_frames, to_float
 from studiorecon.images.metrics import decibels
-from studiorecon.images.video import read_frames, to_float
 from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import read_path
 
@@ -31,9 +34,14 @@ from tests.workflow.conftest import House, make_house, over
 
 RESULT = Path(__file__).resolve().parent / "results" / "exposure.json"
 STUDIO = {
-    "frames": 12, "fps": 15.0, "size": [240, 136], "people": 2, "plates": True, "cameras": {"held_out": 2},
+    "frames": 12,
+    "fps": 15.0,
+    "size": [240, 136],
+    "people": 2,
+    "plates": True,
+    "cameras": {"held_out": 2},
     "detections": {"noise_px": 0.5},
-}  # fmt: skip
+}
 QUICK = {
     "depth": {"solids": 0},
     "background": {"training": {"iterations": 600}},
@@ -57,7 +65,11 @@ BLOCK_PX = 8
 def seconds(house: House, scene: str) -> float:
     """Processor seconds of the steps that depend on the verdict."""
     folder = house.folder / "benchmarks" / scene
-    found = [p for step in STEPS for p in ([folder / f"{step}.tsv"] if "/" in step else sorted((folder / step).rglob("*.tsv")))]
+    found = [
+        p
+        for step in STEPS
+        for p in ([folder / f"{step}.tsv"] if "/" in step else sorted((folder / step).rglob("*.tsv")))
+    ]
     return sum(float(row["cpu_time"]) for path in found if path.is_file() for row in read_table(path, ("cpu_time",)))
 
 
@@ -69,19 +81,23 @@ def pairs(house: House, scene: str, plain: str, film: str) -> Iterator[tuple[np.
     for camera in dict.fromkeys(step.segment for step in steps):
         count = sum(step.segment == camera for step in steps)
         for photo, labels, _ in zip(
-            read_frames(truth / "frames" / f"{camera}.mkv"), read_frames(truth / "masks" / f"{camera}.mkv"), range(count)
+            read_frames(truth / "frames" / f"{camera}.mkv"),
+            read_frames(truth / "masks" / f"{camera}.mkv"),
+            range(count),
         ):
             yield to_float(next(shown)), to_float(photo), labels > 0
 
 
 def score(house: House, scene: str, plain: str, film: str) -> dict[str, float]:
-    """PSNR of all, of the room and of people, after one gain per channel for the whole film; flicker of the room over time."""
+    """PSNR of all, of the room and of people, after one gain per channel for the whole film; flicker of the room over
+    time."""
     made, photos, people = (np.stack(part) for part in zip(*pairs(house, scene, plain, film)))
     gain = (made * photos).sum(axis=(0, 1, 2)) / (made * made).sum(axis=(0, 1, 2))
     error = np.square(np.clip(made * gain, 0, 1) - photos).mean(axis=-1)
     per_frame = {"all": np.ones_like(people), "room": ~people, "people": people}
     found = {
-        name: float(np.mean([decibels(float(e[m].mean())) for e, m in zip(error, where) if m.any()])) for name, where in per_frame.items()
+        name: float(np.mean([decibels(float(e[m].mean())) for e, m in zip(error, where) if m.any()]))
+        for name, where in per_frame.items()
     }
     soft = [np.square(in_blocks(np.clip(m * gain, 0, 1)) - in_blocks(p)).mean() for m, p in zip(made, photos)]
     step = [np.log(float(m[~who].mean()) / float(p[~who].mean())) for m, p, who in zip(made, photos, people)]
@@ -92,7 +108,9 @@ def score(house: House, scene: str, plain: str, film: str) -> dict[str, float]:
 def in_blocks(picture: np.ndarray) -> np.ndarray:
     """(h, w, 3) means of blocks of pixels of a picture (H, W, 3)."""
     height, width = (n // BLOCK_PX * BLOCK_PX for n in picture.shape[:2])
-    return picture[:height, :width].reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX, 3).mean(axis=(1, 3))
+    return (
+        picture[:height, :width].reshape(height // BLOCK_PX, BLOCK_PX, width // BLOCK_PX, BLOCK_PX, 3).mean(axis=(1, 3))
+    )
 
 
 def description(house: House, name: str, planted: dict, seed: int) -> str:
@@ -122,10 +140,16 @@ def measured(house: House, name: str, seed: int, cores: int) -> dict:
     result: dict = {"scene": name, "seed": seed, "effect": effect, "planted": planted}
     for branch in ("decided", "on", "off"):
         filmed(house, dataset, {} if branch == "decided" else {effect: branch}, cores)
-        entry = {film: score(house, scene, plain, film) for film in ("render", "enhance")} | {"seconds": seconds(house, scene)}
-        decided = {d["effect"]: d for d in read_json(house.folder / "results" / scene / "survey/decisions.json")["decisions"]}[effect]
+        entry = {film: score(house, scene, plain, film) for film in ("render", "enhance")} | {
+            "seconds": seconds(house, scene)
+        }
+        decided = {
+            d["effect"]: d for d in read_json(house.folder / "results" / scene / "survey/decisions.json")["decisions"]
+        }[effect]
         result[branch] = entry | {"verdict": decided["verdict"], "value": decided["value"], "detail": decided["detail"]}
-        told = ", ".join(f"{k} {v:.2f}" for k, v in entry["enhance"].items() if k in ("all", "room", "people", "colour"))
+        told = ", ".join(
+            f"{k} {v:.2f}" for k, v in entry["enhance"].items() if k in ("all", "room", "people", "colour")
+        )
         told += f" dB, steps {entry['enhance']['steps']:.2%}; {entry['seconds']:.0f} s"
         print(f"{name}{seed} {effect} {branch}: {told}; {decided['verdict']}", flush=True)
     best = max(result["on"]["enhance"]["all"], result["off"]["enhance"]["all"])
@@ -140,10 +164,16 @@ def main(scenes: list[str], seeds: int, folder: Path, cores: int) -> int:
     found = [measured(house, name, seed, cores) for seed in range(1, seeds + 1) for name in scenes]
     made = {(r["scene"], r["seed"]) for r in found}
     kept = [r for r in read_json(RESULT)["runs"] if (r["scene"], r["seed"]) not in made] if RESULT.is_file() else []
-    write_json(RESULT, {
-        "date": date.today().isoformat(), "machine": platform.processor() or platform.machine(), "load": os.getloadavg()[0],
-        "spread_db": SPREAD_DB, "runs": kept + found,
-    })  # fmt: skip
+    write_json(
+        RESULT,
+        {
+            "date": date.today().isoformat(),
+            "machine": platform.processor() or platform.machine(),
+            "load": os.getloadavg()[0],
+            "spread_db": SPREAD_DB,
+            "runs": kept + found,
+        },
+    )
     regretted = [f"{r['scene']}{r['seed']}" for r in found if r["regret_db"] > SPREAD_DB]
     print(f"regret over {SPREAD_DB} dB: {', '.join(regretted) or 'none'}")
     return 1 if regretted else 0

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same take at 120, 60, 30, 15 and 10 frames per second: ``python -m tests.bench.frame_rates``.
 
-Three people cross in the middle of the made studio's room (``tests.bench.association``), filmed at 120 frames per second for three
-seconds; slower ones are every n-th of these pictures, with the same noise: 3 px, 10 % drop-outs, a false person in 5 % of the pictures.
-Per rate: tracks per camera, people, identities (share of detections under the right name), and joints of the fitted bodies against the
-truth at the pictures that all rates share. Prints a table and writes tests/bench/results/frame_rates.json.
+Three people cross in the middle of the synthetic studio's room (``tests.bench.association``), filmed at 120 frames per
+second for three seconds; slower ones are every n-th of these pictures, with the same noise: 3 px, 10 % drop-outs, a
+false person in 5 % of the pictures. Per rate: tracks per camera, people, identities (share of detections under the
+right name), and joints of the fitted bodies against the truth at the pictures that all rates share. Prints a table and
+writes tests/bench/results/frame_rates.json.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ from typing import Any
 
 import numpy as np
 from studiorecon.body.model import BodyModel
-from studiorecon.people import associate, detections, fit
-from studiorecon.people.points import lift, observations
-from studiorecon.people.tracking import tracks, without_duplicates
-from studiorecon.people.verdicts import identities_from_keypoints
+from studiorecon.keypoints.tracking import tracks, without_duplicates
+from studiorecon.people import associate, fit
+from studiorecon.people.association.acceptance import identities_from_keypoints
+from studiorecon.people.fitting.points import lift, observations
+from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.files import write_json
-from studiorecon.scene.identity_scores import identity_scores
 from studiorecon.scene.people import Detections
 from studiorecon.studio.description import RESOURCES
 from studiorecon.studio.detections import detect
+from studiorecon.tracks import keypoints as detections
 
 from tests.bench.association import LAYOUT, NOISE, PEOPLE, Take, crossing, nearest
 from tests.defaults import loaded
@@ -44,8 +46,8 @@ def seen_at_full_rate(take: Take, frames: int, reading: detections.Settings) -> 
         for t in range(frames):
             for person in detect(take.keypoints_m[t], lens, take.tracers[t], take.first_actor, NOISE, rng):
                 frame.append(t)
-                keypoints.append(np.where(person[:, 2:] >= reading.detection_confidence, person, [np.nan, np.nan, 0.0]))
-        keep = (np.array(keypoints)[..., 2] > 0).sum(1) >= reading.detection_keypoints
+                keypoints.append(np.where(person[:, 2:] >= reading.min_confidence, person, [np.nan, np.nan, 0.0]))
+        keep = (np.array(keypoints)[..., 2] > 0).sum(1) >= reading.min_keypoints
         out.append((np.array(frame)[keep], np.array(keypoints)[keep]))
     return out
 
@@ -72,7 +74,9 @@ def measured(
     names = {name: k for k, (name, *_) in enumerate(rows)}
     given = [np.array([names.get(table[d.camera, int(t)].person, -1) for t in d.track]) for d in found]
     view = np.repeat(np.arange(len(found)), [len(d.frame) for d in found])
-    scores = identity_scores(np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given))
+    scores = identity_scores(
+        np.concatenate([d.frame for d in found]), view, np.concatenate(owners), np.concatenate(given)
+    )
     body = BodyModel.load(RESOURCES / "body.npz")
     identities = {key: verdict.person for key, verdict in table.items()}
     shared = np.arange(0, frames, 24) // every  # pictures that every rate has
@@ -81,7 +85,10 @@ def measured(
         keypoint_names, keypoints = observations(name, found, identities, body, count)
         points = lift(keypoint_names, keypoints, take.cameras, fitting.triangulation, fitting.fit.unverified_sigma_m)
         person = fit.fit_person(name, points, body, fps, fitting)[0]
-        apart = [np.linalg.norm(person.joints[shared] - true, axis=-1) for true in true_joints(take, np.arange(0, frames, 24), body)]
+        apart = [
+            np.linalg.norm(person.joints[shared] - true, axis=-1)
+            for true in true_joints(take, np.arange(0, frames, 24), body)
+        ]
         best = min(range(PEOPLE), key=lambda p: float(np.median(apart[p])))
         errors.append(apart[best].mean())
         truth = true_joints(take, np.arange(0, frames, every), body)[best]
@@ -118,8 +125,10 @@ def main() -> None:
     for every in EVERY:
         rows.append(row := measured(take, seen, every, frames, reading))
         print(
-            f"{row['fps']:5.0f} fps  tracks {row['tracks']}  people {row['people']}  left out {row['left_out']}  accuracy "
-            f"{row['accuracy']:.1%}  precision {row['precision']:.1%}  joints {row['joints_mm']:.1f} mm  their error moves at "
+            f"{row['fps']:5.0f} fps  tracks {row['tracks']}  people {row['people']}  "
+            f"left out {row['left_out']}  accuracy "
+            f"{row['accuracy']:.1%}  precision {row['precision']:.1%}  joints "
+            f"{row['joints_mm']:.1f} mm  their error moves at "
             f"{row['error_speed_mm_s']:.0f} mm/s  association {row['association_s']:.1f} s"
         )
     write_json(RESULT, {"people": PEOPLE, "seconds": SECONDS, "rates": rows})

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person without a body: Gaussians of their own for every frame, started in the masks' visual hull or anywhere; bodies' rival."""
+"""A person without a body: Gaussians of their own for every frame, started in the masks' visual hull or anywhere;
+bodies' rival."""
 
 from __future__ import annotations
 
@@ -7,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from studiorecon.humans.footage import IGNORED, OUTSIDE, PERSON, Crop
+from studiorecon.humans.crops import IGNORED, OUTSIDE, PERSON, Crop
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
-from studiorecon.splatting.schedule import TrainingSettings
-from studiorecon.splatting.targets import Target
-from studiorecon.splatting.training import train
+from studiorecon.splatting.train.schedule import TrainingSettings
+from studiorecon.splatting.train.still import train_still as train
+from studiorecon.splatting.train.targets import Target
 
 _TRIED, _OPACITY = 200_000, 0.5
 
@@ -30,7 +31,8 @@ class FreePerson:
 def first_points(
     crops: Sequence[Crop], middle_m: np.ndarray, count: int, hull: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Up to ``count`` points (N, 3) around ``middle_m``, with ``hull`` those no crop shows as empty; mean colours (N, 3) in 0..1."""
+    """Up to ``count`` points (N, 3) around ``middle_m``, with ``hull`` those no crop shows as empty; mean colours (N,
+    3) in 0..1."""
     points = middle_m + rng.uniform([-1.0, -1.0, -1.3], [1.0, 1.0, 1.0], (_TRIED, 3))
     kept, sums, looks = np.ones(_TRIED, bool), np.zeros((_TRIED, 3)), np.zeros(_TRIED)
     for crop in crops:
@@ -48,9 +50,16 @@ def first_points(
 
 
 def free_person(
-    crops: Sequence[Crop], middles_m: np.ndarray, frames: Sequence[int], settings: TrainingSettings, count: int, hull: bool, seed: int
+    crops: Sequence[Crop],
+    middles_m: np.ndarray,
+    frames: Sequence[int],
+    settings: TrainingSettings,
+    count: int,
+    hull: bool,
+    seed: int,
 ) -> FreePerson:
-    """One training per frame on that frame's crops, each before a black and a white ground so that alpha is learned too."""
+    """One training per frame on that frame's crops, each before a black and a white ground so that alpha is learned
+    too."""
     at = {}
     for frame in frames:
         here, rng = [crop for crop in crops if crop.frame == frame], np.random.default_rng([seed, frame])
@@ -59,15 +68,21 @@ def free_person(
             continue
         spacing_m = (np.prod(np.ptp(points, axis=0)) / len(points)) ** (1 / 3) / 2
         start = Gaussians(
-            points.astype(np.float32), np.tile(np.float32([1, 0, 0, 0]), (len(points), 1)),
-            np.full((len(points), 3), np.log(spacing_m), np.float32), np.full(len(points), np.log(_OPACITY / (1 - _OPACITY)), np.float32),
+            points.astype(np.float32),
+            np.tile(np.float32([1, 0, 0, 0]), (len(points), 1)),
+            np.full((len(points), 3), np.log(spacing_m), np.float32),
+            np.full(len(points), np.log(_OPACITY / (1 - _OPACITY)), np.float32),
             sh_from_rgb(colours)[:, None].astype(np.float32),
-        )  # fmt: skip
+        )
         targets = []
         for crop in here:
             weight = (crop.verdict != IGNORED).astype(np.float32)
             for level in (0.0, 1.0):
-                rgb = np.where((crop.verdict == PERSON)[..., None], crop.rgb.astype(np.float32) / np.float32(255), np.float32(level))
+                rgb = np.where(
+                    (crop.verdict == PERSON)[..., None],
+                    crop.rgb.astype(np.float32) / np.float32(255),
+                    np.float32(level),
+                )
                 targets.append(Target(crop.camera, rgb, weight, background_rgb=(level,) * 3))
         at[frame] = train(
             start, targets, replace(settings, largest_scale_m=0.1), rng, extent_m=1.0, threads=1, label=f"frame {frame}"

@@ -3,11 +3,12 @@
 
     python -m tests.bench.geometry [--rounds 5] [--points 100000]
 
-Prints a table and writes tests/bench/results/geometry.json. Times are the minimum over interleaved rounds on one thread; the thread's
-own processor time is given beside wall time, because other work on the machine counts in the latter. The per-point loop is the same
-robust triangulation written for one point in plain numpy: what a batch saves. Bars: robust triangulation of 4 views ≤ 15 µs a point,
-≥ 20 times the loop, 100,000 points ≤ 0.8 GB; a million points projected, unprojected, undistorted ≤ 60 ms each; 481 poses ≤ 5 ms;
-smoothing 121 frames × 24 rotations × 4 people ≤ 50 ms.
+Prints a table and writes tests/bench/results/geometry.json. Times are the minimum over interleaved rounds on one
+thread; the thread's own processor time is given beside wall time, because other work on the machine counts in the
+latter. The per-point loop is the same robust triangulation written for one point in plain numpy: what a batch saves.
+Bars: robust triangulation of 4 views ≤ 15 µs a point, ≥ 20 times the loop, 100,000 points ≤ 0.8 GB; a million points
+projected, unprojected, undistorted ≤ 60 ms each; 481 poses ≤ 5 ms; smoothing 121 frames × 24 rotations × 4 people ≤ 50
+ms.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from studiorecon.geometry.smoothing import smooth_rotations
 from studiorecon.geometry.triangulation import triangulate, unit_px
 from studiorecon.scene.camera import Camera
 
-from tests.foundations.camera_ring import LIMITS, ring, seen
+from tests.made.cameras import LIMITS, ring, seen
 
 RESULT = Path(__file__).parent / "results" / "geometry.json"
 MILLION = 1_000_000
@@ -56,7 +57,8 @@ def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str
 
 
 def one_point(pixels: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """Robust triangulation of one point (V, 2) in plain numpy: pairs by SVD, truncated cost, Gauss-Newton on the agreeing views."""
+    """Robust triangulation of one point (V, 2) in plain numpy: pairs by SVD, truncated cost, Gauss-Newton on the
+    agreeing views."""
     units = unit_px(cameras, LIMITS)
     matrices = [c.intrinsics @ c.camera_from_world[:3] for c in cameras]
 
@@ -65,7 +67,9 @@ def one_point(pixels: np.ndarray, cameras: list[Camera]) -> np.ndarray:
 
     best, lowest = np.full(3, np.nan), np.inf
     for pair in combinations(range(len(cameras)), 2):
-        rows = np.concatenate([[p[0] * m[2] - m[0], p[1] * m[2] - m[1]] for m, p in ((matrices[v], pixels[v]) for v in pair)])
+        rows = np.concatenate(
+            [[p[0] * m[2] - m[0], p[1] * m[2] - m[1]] for m, p in ((matrices[v], pixels[v]) for v in pair)]
+        )
         solution = np.linalg.svd(rows)[2][-1]
         point = solution[:3] / solution[3]
         cost = (np.minimum(np.nan_to_num(errors(point), nan=np.inf) / LIMITS.outlier_units, 1) ** 2).sum()
@@ -77,7 +81,10 @@ def one_point(pixels: np.ndarray, cameras: list[Camera]) -> np.ndarray:
         for v in inliers:
             x, y, z = cameras[v].camera_from_world[:3, :3] @ best + cameras[v].camera_from_world[:3, 3]
             (fx, fy), (cx, cy) = cameras[v].focal_px, cameras[v].principal_px
-            rows = np.array([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]]) @ cameras[v].camera_from_world[:3, :3]
+            rows = (
+                np.array([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]])
+                @ cameras[v].camera_from_world[:3, :3]
+            )
             matrix += rows.T @ rows
             side += rows.T @ (np.array([fx * x / z + cx, fy * y / z + cy]) - pixels[v])
         best = best - np.linalg.solve(matrix, side)
@@ -85,7 +92,8 @@ def one_point(pixels: np.ndarray, cameras: list[Camera]) -> np.ndarray:
 
 
 def made(count: int, wrong: int) -> tuple[np.ndarray, np.ndarray, list[Camera]]:
-    """Truth (N, 3) within a metre of the middle, pixels (4, N, 2) with 1 px noise and ``wrong`` views 200 px off, cameras on a 4 m ring."""
+    """Truth (N, 3) within a metre of the middle, pixels (4, N, 2) with 1 px noise and ``wrong`` views 200 px off,
+    cameras on a 4 m ring."""
     rng = np.random.default_rng(wrong)
     cameras = ring()
     truth = rng.uniform(-1, 1, (count, 3)) + np.array([0, 0, 1])
@@ -113,16 +121,21 @@ def triangulation(count: int, rounds: int) -> list[dict[str, float | str]]:
             error_cm = 100 * np.linalg.norm(points - truth[:number], axis=-1)
             found.append(
                 {
-                    "solver": name, "wrong": wrong, "wall_us": 1e6 * wall / number, "own_us": 1e6 * own / number,
-                    "median_cm": float(np.nanmedian(error_cm)), "p95_cm": float(np.nanquantile(error_cm, 0.95)),
+                    "solver": name,
+                    "wrong": wrong,
+                    "wall_us": 1e6 * wall / number,
+                    "own_us": 1e6 * own / number,
+                    "median_cm": float(np.nanmedian(error_cm)),
+                    "p95_cm": float(np.nanquantile(error_cm, 0.95)),
                     "within_3cm": float((np.nan_to_num(error_cm, nan=np.inf) < 3).mean()),
                 }
-            )  # fmt: skip
+            )
     return found
 
 
 def others(rounds: int) -> dict[str, tuple[float, float]]:
-    """Seconds of projecting, unprojecting and undistorting a million points, of a path of 481 poses, and of smoothing."""
+    """Seconds of projecting, unprojecting and undistorting a million points, of a path of 481 poses, and of
+    smoothing."""
     rng = np.random.default_rng(0)
     cameras = ring()
     points = rng.uniform(-1, 1, (MILLION, 3)) + np.array([0, 0, 1])
@@ -132,7 +145,14 @@ def others(rounds: int) -> dict[str, tuple[float, float]]:
 
     def path() -> None:
         for k, count in enumerate((121, 120, 120, 120)):
-            between(cameras[k], cameras[(k + 1) % 4], count, np.array([0, 0, 1.0]), centres="linear", rotations="slerp", clearance=0.6)
+            between(
+                cameras[k],
+                cameras[(k + 1) % 4],
+                count,
+                np.array([0, 0, 1.0]),
+                rotations="slerp",
+                clearance=0.6,
+            )
 
     calls: dict[str, Callable[[], object]] = {
         "project 1 M": lambda: cameras[0].project(points),
@@ -171,9 +191,14 @@ def main() -> None:
     RESULT.parent.mkdir(exist_ok=True)
     milliseconds = {name: {"wall_ms": 1e3 * wall, "own_ms": 1e3 * own} for name, (wall, own) in times.items()}
     result = {
-        "date": str(date.today()), "machine": machine, "points": given.points, "peak_gb": peak_gb,
-        "times_the_loop": ratio, "triangulation": frontier, "others": milliseconds,
-    }  # fmt: skip
+        "date": str(date.today()),
+        "machine": machine,
+        "points": given.points,
+        "peak_gb": peak_gb,
+        "times_the_loop": ratio,
+        "triangulation": frontier,
+        "others": milliseconds,
+    }
     RESULT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 

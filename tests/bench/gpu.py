@@ -4,7 +4,8 @@
     tests/gpu/run.sh [--wheels DIR]                                      # compiles gsplat first
     python -m tests.bench.gpu [--iterations 7000] [--count 300000]
 
-Writes ``tests/bench/results/<gpu>.json``. The bar: 7,000 iterations of 300,000 Gaussians at 1280×704 in at most 90 s on an H200.
+Writes ``tests/bench/results/<gpu>.json``. The bar: 7,000 iterations of 300,000 Gaussians at 1280×704 in at most 90 s on
+an H200.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.device import resolve
-from studiorecon.splatting.rasterise import Rasteriser
-from studiorecon.splatting.targets import Target
+from studiorecon.splatting.train.still import train_still
+from studiorecon.splatting.train.targets import Target
 
-from tests.foundations.splatting_scenes import camera_on_ring, room
-from tests.foundations.test_splatting_training import SETTINGS
+from tests.made.gaussians import camera_on_ring, room
+from tests.made.splatting_training import SETTINGS
 
 RESULTS = Path(__file__).resolve().parent / "results"
 BAR_S, DIFFERENCE_BAR = 90.0, 1e-3
@@ -33,27 +35,33 @@ BAR_S, DIFFERENCE_BAR = 90.0, 1e-3
 
 def measure(count: int, width: int, height: int, iterations: int) -> dict[str, float]:
     """Seconds of a training without its first 20 iterations' compiling, and its PSNR on views it did not see."""
-    from studiorecon.splatting.cuda_training import train
-    from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+    from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
     truth, rasteriser = room(count, 0), GsplatRasteriser(near_m=0.01)
-    targets = [Target(v, rasteriser.forward(truth, v).rgb.clip(0, 1)) for v in (camera_on_ring(i, 60, width, height) for i in range(60))]
+    targets = [
+        Target(v, rasteriser.forward(truth, v).rgb.clip(0, 1))
+        for v in (camera_on_ring(i, 60, width, height) for i in range(60))
+    ]
     begin = replace(truth, sh=np.zeros_like(truth.sh), logit_opacities=np.full(count, np.log(0.1 / 0.9)))
     settings = replace(SETTINGS, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0, cap=count)
-    train(begin, targets, replace(settings, iterations=20), np.random.default_rng(0), extent_m=4.0)
+    train_still(begin, targets, replace(settings, iterations=20), np.random.default_rng(0), extent_m=4.0, device="cuda")
     began = time.perf_counter()
-    trained = train(begin, targets, settings, np.random.default_rng(0), extent_m=4.0)
+    trained = train_still(begin, targets, settings, np.random.default_rng(0), extent_m=4.0, device="cuda")
     seconds = time.perf_counter() - began
     errors = []
     for view in (camera_on_ring(i + 0.5, 12, width, height) for i in range(12)):
         shown, wanted = (rasteriser.forward(g, view).rgb.clip(0, 1) for g in (trained.gaussians, truth))
         errors.append(float(((shown - wanted) ** 2).mean()))
-    return {"seconds": seconds, "seconds_for_7000": seconds * 7000 / iterations, "heldout_psnr_db": -10 * float(np.log10(np.mean(errors)))}
+    return {
+        "seconds": seconds,
+        "seconds_for_7000": seconds * 7000 / iterations,
+        "heldout_psnr_db": -10 * float(np.log10(np.mean(errors))),
+    }
 
 
 def agreement(count: int, width: int, height: int) -> float:
     """Mean absolute difference between this GPU's picture and the CPU's."""
-    from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+    from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
     scene, view = room(count, 0), camera_on_ring(0, 60, width, height)
     pictures = [r.forward(scene, view).rgb for r in (Rasteriser(near_m=0.01), GsplatRasteriser(near_m=0.01))]
@@ -68,21 +76,33 @@ def main() -> int:
     options = parser.parse_args()
     try:
         resolve("cuda")
-    except Refusal as refusal:
+    except UserError as refusal:
         print(f"tests.bench.gpu: {refusal}", file=sys.stderr)
         return 1
     import torch
 
     name = torch.cuda.get_device_name().replace(" ", "-")
-    passed = subprocess.run([sys.executable, "-m", "pytest", "-q", "-m", "gpu", "tests/gpu"], check=False).returncode == 0
+    passed = (
+        subprocess.run([sys.executable, "-m", "pytest", "-q", "-m", "gpu", "tests/gpu"], check=False).returncode == 0
+    )
     figures = measure(options.count, *options.wh, options.iterations)
     memory_gb, difference = torch.cuda.max_memory_allocated() / 1e9, agreement(options.count, *options.wh)
     result = {
-        "gpu": name, "torch": torch.__version__, "gsplat": version("gsplat"), "tests_passed": passed, "count": options.count,
-        "wh": list(options.wh), "iterations": options.iterations, **figures, "peak_memory_gb": memory_gb,
-        "difference_from_cpu": difference, "difference_bar": DIFFERENCE_BAR, "difference_holds": difference <= DIFFERENCE_BAR,
-        "bar_s": BAR_S, "bar_holds": figures["seconds_for_7000"] <= BAR_S,
-    }  # fmt: skip
+        "gpu": name,
+        "torch": torch.__version__,
+        "gsplat": version("gsplat"),
+        "tests_passed": passed,
+        "count": options.count,
+        "wh": list(options.wh),
+        "iterations": options.iterations,
+        **figures,
+        "peak_memory_gb": memory_gb,
+        "difference_from_cpu": difference,
+        "difference_bar": DIFFERENCE_BAR,
+        "difference_holds": difference <= DIFFERENCE_BAR,
+        "bar_s": BAR_S,
+        "bar_holds": figures["seconds_for_7000"] <= BAR_S,
+    }
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result, indent=1))

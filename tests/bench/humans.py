@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a person look right: held-out PSNR of the person's own pixels, as trained and with one thing changed (paper, robustness).
+"""What makes a person look right: held-out PSNR of the person's own pixels, as trained and with one thing changed
+(paper, robustness).
 
     snakemake --cores 2 results/demo/humans/p0.ply                 # once: makes the inputs
-    python -m tests.bench.humans [--scene results/demo] [--truth results/studio/demo/truth] [--people p0] [--only full "no network"]
+    python -m tests.bench.humans [--scene results/demo] [--truth results/studio/demo/truth] [--people p0] [--only full
+    "no network"]
 
-Every row trains by ``humans.train`` with the configuration's settings and one change: masks eroded, fitted bodies turned at random
-(one turn per joint for the whole clip, so that no average hides it), keypoints off by normal noise before the body is fitted to them,
-poses not refined, no temporal network. Pixels are those of photos 1280 wide, as the paper's are. Scores are of cameras no step reads, on
-every fifth frame: the PSNR on the pixels that the truth calls the person's, where a mask that is too small or a body beside itself costs
-most, and as in the paper's table the PSNR of whole frames, with the room and everybody else as they were trained. Losses are against the
-first row; seconds are of processor time. Table and machine go to tests/bench/results/humans.json after every row; others stay.
+Every row trains by ``humans.train`` with the configuration's settings and one change: masks eroded, fitted bodies
+turned at random (one turn per joint for the whole clip, so that no average hides it), keypoints off by normal noise
+before the body is fitted to them, poses not refined, no temporal network. Pixels are those of photos 1280 wide, as the
+paper's are. Scores are of cameras no step reads, on every fifth frame: the PSNR on the pixels that the truth calls the
+person's, where a mask that is too small or a body beside itself costs most, and as in the paper's table the PSNR of
+whole frames, with the room and everybody else as they were trained. Losses are against the first row; seconds are of
+processor time. Table and machine go to tests/bench/results/humans.json after every row; others stay.
 """
 
 from __future__ import annotations
@@ -28,18 +31,19 @@ from typing import Any
 import cv2
 import numpy as np
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar import Avatar, read_avatar
+from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person, write_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
-from studiorecon.images.video import read_frames, write_lossless
 from studiorecon.people import fit
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.people import Detections, Person, read_detections, read_people, read_person, write_detections, write_person
-from studiorecon.splatting.rasterise import Rasteriser
-from studiorecon.splatting.schedule import TrainingSettings
+from studiorecon.scene.people import Detections, Person, read_detections, read_people, write_detections
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.train.schedule import TrainingSettings
 
 from tests.bench.free_people import FreePerson, free_person
 from tests.defaults import default_settings, loaded
@@ -82,12 +86,15 @@ def turned(degrees: float) -> Callable[[Person], Person]:
 
 
 def off(photo_px: float) -> Callable[[Detections, int], Detections]:
-    """Keypoints of a camera, whose pictures are so wide, with normal noise of this deviation on each coordinate, anew in every frame."""
+    """Keypoints of a camera, whose pictures are so wide, with normal noise of this deviation on each coordinate, anew
+    in every frame."""
 
     def change(seen: Detections, width: int) -> Detections:
         rng = np.random.default_rng([7, *seen.camera.encode()])
         noise = rng.normal(0, photo_px * width / PHOTO_WIDTH, (*seen.keypoints.shape[:2], 2))
-        return replace(seen, keypoints=np.concatenate([seen.keypoints[..., :2] + noise, seen.keypoints[..., 2:]], axis=2))
+        return replace(
+            seen, keypoints=np.concatenate([seen.keypoints[..., :2] + noise, seen.keypoints[..., 2:]], axis=2)
+        )
 
     return change
 
@@ -130,9 +137,20 @@ def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> 
     ply, npz, settings = folder / f"{person}.ply", folder / f"{person}.npz", loaded(train.Settings, **changes)
     begin = time.process_time()
     train.run(
-        settings, person, scene / "cameras/images.txt", scene / "capture/manifest.json", scene / "people/people.tsv",
-        [scene / f"capture/{name}.mkv" for name in names], masks, fitted, BODY, 1, ply, npz,
-    )  # fmt: skip
+        settings,
+        person,
+        scene / "cameras/images.txt",
+        scene / "capture/manifest.json",
+        scene / "people/people.tsv",
+        [scene / f"capture/{name}.mkv" for name in names],
+        masks,
+        fitted,
+        BODY,
+        1,
+        ply,
+        npz,
+        folder / "working",
+    )
     return ply, npz, time.process_time() - begin
 
 
@@ -141,10 +159,21 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
     detections = []
     for camera in read_model(scene / "cameras"):
         detections.append(folder / f"{camera.name}.npz")
-        write_detections(detections[-1], change(read_detections(scene / f"people/detections/{camera.name}.npz"), camera.wh[0]))
-    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}", folder / f"{person}.noisy.npz"
-    tracks, silhouettes = who.with_suffix(".tsv"), who.with_suffix(".npz")
-    fit.run(settings, person, scene / "cameras/images.txt", scene / "capture/manifest.json", detections, tracks, silhouettes, BODY, path)
+        write_detections(
+            detections[-1], change(read_detections(scene / f"people/detections/{camera.name}.npz"), camera.wh[0])
+        )
+    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}.tsv", folder / f"{person}.noisy.npz"
+    fit.run(
+        settings,
+        person,
+        scene / "cameras/images.txt",
+        scene / "capture/manifest.json",
+        detections,
+        [who],
+        [],
+        BODY,
+        path,
+    )
     return path
 
 
@@ -156,7 +185,9 @@ def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
     label = read_people(scene / "people/people.tsv").index(person) + 1
     crops = train.read_crops(settings, cameras, videos, masks, fitted, body, label, len(fitted.valid))
     changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
-    steps = settings_module.load(TrainingSettings, default_settings("background", training=changes)["training"], "background")
+    steps = settings_module.load(
+        TrainingSettings, default_settings("background", training=changes)["training"], "background"
+    )
     begin = time.process_time()
     frames = range(0, len(fitted.valid), STEP)
     found = free_person(crops, fitted.trans, frames, steps, settings.gaussians, start == "hull", settings.seed)
@@ -164,7 +195,8 @@ def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
 
 
 def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar | FreePerson) -> tuple[list[float], list[float]]:
-    """PSNR of the person's pixels, and of whole frames, in every ``STEP``-th frame of every held-out camera that shows 60 of them."""
+    """PSNR of the person's pixels, and of whole frames, in every ``STEP``-th frame of every held-out camera that shows
+    60 of them."""
     rasteriser = Rasteriser(near_m=0.05, threads=1)
     room, model = read_ply(scene / "background/scene.ply"), BodyModel.load(BODY)
     others = [
@@ -174,7 +206,9 @@ def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar | FreePers
     ]
     label, found, whole = json.loads((truth / "truth.json").read_text())["people"].index(person) + 1, [], []
     for camera in read_model(scene / "cameras" / "heldout"):
-        pictures, labels = (read_frames(truth / kind / f"{camera.name}.mkv", 0, avatar.frames) for kind in ("frames", "masks"))
+        pictures, labels = (
+            read_frames(truth / kind / f"{camera.name}.mkv", 0, avatar.frames) for kind in ("frames", "masks")
+        )
         for frame, (photo, mask) in enumerate(zip(pictures, labels)):
             if frame % STEP or np.count_nonzero(mask == label) < 60:
                 continue
@@ -210,9 +244,17 @@ def main() -> None:
         means = {"person_db": np.mean(scores), "worst_person_db": np.min(scores), "frame_db": np.mean(frames)}
         table[name] = {key: round(float(value), 3) for key, value in means.items()} | {"cpu_s": round(seconds, 1)}
         for row in table.values() if "full" in table else ():
-            row |= {f"{kind}_loss_db": round(table["full"][f"{kind}_db"] - row[f"{kind}_db"], 3) for kind in ("person", "frame")}
+            row |= {
+                f"{kind}_loss_db": round(table["full"][f"{kind}_db"] - row[f"{kind}_db"], 3)
+                for kind in ("person", "frame")
+            }
         print(f"{name}: {table[name]}", flush=True)
-        machine = {"processor": platform.processor(), "cores": os.cpu_count(), "python": platform.python_version(), "numpy": np.__version__}
+        machine = {
+            "processor": platform.processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+        }
         rows = {row: table[row] for row in ROWS if row in table}
         RESULTS.write_text(json.dumps({"machine": machine, "people": options.people, "rows": rows}, indent=1) + "\n")
 

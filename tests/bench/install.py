@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README's two commands download and how long they install, as on a machine that has seen neither: a clone, and an empty cache.
+"""What the README's two commands download and how long they install, as on a machine that has seen neither: a clone,
+and an empty cache.
 
     uv run --group test python -m tests.bench.install
 
-Downloads are the sizes, as the registry states them, of the wheels that this machine's Python takes from the lock that uv makes.
+Downloads are the sizes, as the registry states them, of the wheels that this machine's Python takes from the lock that
+uv makes.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ COMMANDS = {"run": ["uv", "sync"], "test": ["uv", "sync", "--group", "test"]}
 
 
 def downloaded_bytes(lock: Path, installed: list[dict]) -> dict[str, int]:
-    """Bytes of the wheel of every installed package, by name; a package's own source counts where it has no wheel for this machine."""
+    """Bytes of the wheel of every installed package, by name; a package's own source counts where it has no wheel for
+    this machine."""
     ranks = {tag: rank for rank, tag in enumerate(sys_tags())}
     wanted = {(entry["name"], entry["version"]) for entry in installed}
     found = {}
@@ -57,7 +60,9 @@ def main() -> None:
             listed = ["uv", "pip", "list", "--format", "json"]
             listing = subprocess.run(listed, cwd=folder / "clone", env=environment, capture_output=True, check=True)
             sizes = downloaded_bytes(folder / "clone/uv.lock", json.loads(listing.stdout))
-            largest = dict(sorted(((n, round(size / 1e6, 1)) for n, size in sizes.items()), key=lambda item: -item[1])[:12])
+            largest = dict(
+                sorted(((n, round(size / 1e6, 1)) for n, size in sizes.items()), key=lambda item: -item[1])[:12]
+            )
             report[group] = {
                 "command": " ".join(command),
                 "packages": len(sizes),

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m tests.bench.objects [CASE ...]``: things followed, made and seen from cameras that were not used.
 
-In ``CASES`` it is the made studio's ball. The same play is filmed with and without the ball. The step ``humans.objects`` is given the true
-cameras, plates and bodies. Scored are the ball's middle and radius, and the PSNR in the ball's true pixels of held-out cameras: of the
-film without a ball, and of the same film with the ball that was made laid over it. In ``TURNING`` things tumble before smooth walls in
-four views of 240 × 136. Scored are how far their turns and their long axes are off, and the PSNR in the thing's pixels at a fifth camera
-with the turns that were found, without, and without the thing. Writes ``tests/bench/results/objects.json``; a case that was not asked for
-stays.
+In ``CASES`` it is the synthetic studio's ball. The same play is filmed with and without the ball. The step
+``objects.find`` is given the true cameras, plates and bodies. Scored are the ball's middle and radius, and the PSNR
+in the ball's true pixels of held-out cameras: of the film without a ball, and of the same film with the ball that was
+made laid over it. In ``TURNING`` things tumble before smooth walls in four views of 240 × 136. Scored are how far their
+turns and their long axes are off, and the PSNR in the thing's pixels at a fifth camera with the turns that were found,
+without, and without the thing. Writes ``tests/bench/results/objects.json``; a case that was not asked for stays.
 """
 
 from __future__ import annotations
@@ -25,26 +25,32 @@ import cv2
 import numpy as np
 import yaml
 from studiorecon.body.model import BodyModel
-from studiorecon.humans.objects import Settings, moments_of, objects_in, open_view, rested
-from studiorecon.images.video import read_frames, to_bytes
+from studiorecon.body.person_files import read_person
+from studiorecon.footage.video import read_frames, to_bytes
+from studiorecon.objects.find import Settings, moments_of, objects_in, open_view, rested
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
-from studiorecon.scene.objects import RigidObject
-from studiorecon.scene.people import read_person
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.rigid_object import RigidObject
 from studiorecon.studio import capture
-from studiorecon.studio.actors import Troupe
+from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import read_description
 
 from tests.defaults import loaded
-from tests.stages.test_humans_objects import Ball, bouncing, drawn
-from tests.stages.test_humans_turning import Board, found, seen_db, shown, tumbling, turn_errors_deg
+from tests.made.objects import Ball, bouncing, drawn
+from tests.made.objects_rotation import Board, found, seen_db, shown, tumbling, turn_errors_deg
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = Path(__file__).resolve().parent / "results" / "objects.json"
 TAKE: dict[str, Any] = {
-    "seed": 5, "frames": 24, "fps": 15.0, "size": [320, 180], "people": 2, "plates": True, "cameras": {"training": 4, "held_out": 2},
-}  # fmt: skip
+    "seed": 5,
+    "frames": 24,
+    "fps": 15.0,
+    "size": [320, 180],
+    "people": 2,
+    "plates": True,
+    "cameras": {"training": 4, "held_out": 2},
+}
 HARD: dict[str, Any] = {"effects": {"moving_shadows": True, "contact_shading": 0.5}, "faults": {"noise_levels": 3.0}}
 # Name → what is different in the take, and how many training cameras the step is given.
 CASES: dict[str, tuple[dict[str, Any], int]] = {
@@ -74,7 +80,7 @@ def make(folder: Path, ball: bool, changed: dict[str, Any]) -> None:
 def true_middles(folder: Path) -> tuple[np.ndarray, float]:
     """(T, 3) middle of the ball, and its radius."""
     described = read_description(folder / "take.yaml")
-    troupe = Troupe(described, BodyModel.load(ROOT / "resources/body.npz"), np.arange(described.frames) / described.fps)
+    troupe = Actors(described, BodyModel.load(ROOT / "resources/body.npz"), np.arange(described.frames) / described.fps)
     balls = [next(s for s in troupe.at(t)[0] if s.name == "ball") for t in range(described.frames)]
     middles = np.array([ball.world_from_solid[:3, 3] for ball in balls])
     return middles, float(np.linalg.norm(balls[0].vertices_m - middles[0], axis=1).max())
@@ -82,7 +88,7 @@ def true_middles(folder: Path) -> tuple[np.ndarray, float]:
 
 def found_in(folder: Path, cameras: int) -> list[RigidObject]:
     """What the step finds with the first so many training cameras."""
-    settings = loaded(Settings).objects
+    settings = loaded(Settings)
     known = {c["name"]: Camera.from_json(c) for c in json.loads((folder / "truth/cameras.json").read_text())}
     names = [name for name in known if name.startswith("cam")][:cameras]
     data = folder / "dataset"
@@ -117,7 +123,9 @@ def seen(folder: Path, without: Path, things: Sequence[RigidObject], pictures: P
             frames_seen += 1
             if frames_seen % 6 == 1:
                 strip = np.concatenate([truth, empty, to_bytes(made.astype(np.float32))], axis=1)
-                cv2.imwrite(str(pictures / f"{camera.name}-{t:02d}.png"), cv2.resize(strip, None, fx=2, fy=2)[..., ::-1])
+                cv2.imwrite(
+                    str(pictures / f"{camera.name}-{t:02d}.png"), cv2.resize(strip, None, fx=2, fy=2)[..., ::-1]
+                )
     off, on = -10 * np.log10(squares / count)
     return {"without_db": float(off), "with_db": float(on), "held-out pictures": frames_seen, "pixels": count // 3}
 
@@ -138,18 +146,23 @@ def score(name: str, takes: Path) -> dict[str, Any]:
         pictures = takes / name.replace(" ", "_")
         pictures.mkdir(exist_ok=True)
         row |= {
-            "turns": ball.turns, "measured frames": int(ball.valid.sum()), "filled frames": int((ball.present & ~ball.valid).sum()),
-            "middle_mm": float(np.median(error_mm[ball.valid])), "middle_worst_mm": float(error_mm[ball.valid].max()),
-            "radius_mm": 1000 * ball.radius_m, "true radius_mm": 1000 * radius_m, "gaussians": ball.gaussians.count,
+            "turns": ball.turns,
+            "measured frames": int(ball.valid.sum()),
+            "filled frames": int((ball.present & ~ball.valid).sum()),
+            "middle_mm": float(np.median(error_mm[ball.valid])),
+            "middle_worst_mm": float(error_mm[ball.valid].max()),
+            "radius_mm": 1000 * ball.radius_m,
+            "true radius_mm": 1000 * radius_m,
+            "gaussians": ball.gaussians.count,
             **seen(on, off, things, pictures),
-        }  # fmt: skip
+        }
     return rounded(row)
 
 
 def turning(name: str) -> dict[str, Any]:
     """One tumbling or bouncing thing, with and without looking for its turns."""
     settings = loaded(Settings)
-    never = replace(settings, objects=replace(settings.objects, turn=replace(settings.objects.turn, gain_db=99.0)))
+    never = replace(settings, turn=replace(settings.turn, gain_db=99.0))
     half_m = TURNING[name]
     board = replace(tumbling(), half_m=half_m) if half_m else None
     ball = Ball(bouncing())
@@ -173,7 +186,8 @@ def turning(name: str) -> dict[str, Any]:
 
 
 def axis_errors_deg(thing: RigidObject, board: Board) -> np.ndarray:
-    """(T,) degrees between true and found directions of the longest side: a square stick looks the same after a quarter turn about it."""
+    """(T,) degrees between true and found directions of the longest side: a square stick looks the same after a quarter
+    turn about it."""
     true = board.world_from_board[:, :, 0]
     in_object = np.einsum("txy,tx->ty", thing.world_from_object, true)[thing.valid].mean(axis=0)
     cosine = np.einsum("txy,y,tx->t", thing.world_from_object, in_object / np.linalg.norm(in_object), true)
@@ -192,7 +206,10 @@ def main(wanted: Sequence[str]) -> None:
         for name in wanted or [*CASES, *TURNING]:
             rows[name] = score(name, takes) if name in CASES else turning(name)
             print(name, rows[name], flush=True)
-            parts = {part: {n: rows[n] for n in names if n in rows} for part, names in (("cases", CASES), ("turning", TURNING))}
+            parts = {
+                part: {n: rows[n] for n in names if n in rows}
+                for part, names in (("cases", CASES), ("turning", TURNING))
+            }
             write_json(RESULT, {"date": str(date.today()), "take": TAKE, **parts})
 
 

@@ -3,8 +3,9 @@
 
     python -m tests.bench.parts --prototype DIR [--iterations 1500] [--rounds 3] [--threads 2]
 
-50,000 Gaussians on sixty views of 320×176, all harmonics from the start. The two run in turns, each in processes of its own; a part's
-figure is the least of its rounds, milliseconds of wall time per step. Writes tests/bench/results/splats_parts.json.
+50,000 Gaussians on sixty views of 320×176, all harmonics from the start. The two run in turns, each in processes of its
+own; a part's figure is the least of its rounds, milliseconds of wall time per step. Writes
+tests/bench/results/splats_parts.json.
 """
 
 from __future__ import annotations
@@ -24,9 +25,15 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).parent / "results" / "splats_parts.json"
 PARTS = {
-    "project": "project", "sort": "sort", "bin": "bin", "blend": "fwd", "loss": "loss", "gather": "bwd", "project back": "proj bwd",
+    "project": "project",
+    "sort": "sort",
+    "bin": "bin",
+    "blend": "fwd",
+    "loss": "loss",
+    "gather": "bwd",
+    "project back": "proj bwd",
     "Adam": "adam",
-}  # fmt: skip
+}
 """Our name of a part → the sketch's."""
 WARM = 30
 """Steps before the clock starts: they compile, or read kernels from the cache."""
@@ -35,10 +42,12 @@ WARM = 30
 def ours(iterations: int, threads: int) -> dict[str, float]:
     """Milliseconds per step of every part, and of the whole."""
     import numpy as np
-    from studiorecon.splatting import backward, losses, projection_gradient, rasterise, tiles
-    from studiorecon.splatting.targets import DrawOrder
+    from studiorecon.splatting.cpu import backward, projection_gradient, rasterise, tiles
+    from studiorecon.splatting.train import photometric
+    from studiorecon.splatting.train.targets import DrawOrder
 
     from tests.bench.splats import SIZES, VIEWS, perturbed_run
+    from tests.made.training import one_step
 
     spent: Counter[str] = Counter()
 
@@ -53,21 +62,21 @@ def ours(iterations: int, threads: int) -> dict[str, float]:
 
         setattr(owner, name, measured)
 
-    run, _ = perturbed_run(*SIZES[1], threads, iterations)
+    run, terms = perturbed_run(*SIZES[1], threads, iterations)
     timed(rasterise, "project", "project")
     timed(tiles, "depth_order", "sort")
     timed(tiles, "scatter_into_tiles", "bin")
     timed(rasterise, "blend", "blend")
-    timed(losses.Photometric, "evaluate", "loss")
+    timed(photometric.Photometric, "evaluate", "loss")
     timed(backward, "gather", "gather")
     timed(projection_gradient, "project_gradient", "project back")
-    timed(run, "_adam", "Adam")
+    timed(run, "descend", "Adam")
     order, began = DrawOrder([1.0] * VIEWS, np.random.default_rng(0)), 0.0
     for iteration in range(-WARM, iterations):
         if iteration == 0:
             spent.clear()
             began = time.perf_counter()
-        run.step(max(iteration, 0), order.draw())
+        one_step(run, terms, max(iteration, 0), order.draw())
     return {"step": 1e3 * (time.perf_counter() - began) / iterations} | {p: 1e3 * spent[p] / iterations for p in PARTS}
 
 
@@ -115,7 +124,9 @@ def main() -> None:
         mine, other = (min(round_[part] for round_ in rounds[who]) for who in ("ours", "sketch"))
         table[part] = {"ours_ms": round(mine, 3), "sketch_ms": round(other, 3), "share": round(mine / other, 3)}
         print(f"{part}: {mine:.2f} ms, the sketch {other:.2f} ms ({mine / other:.2f})")
-    RESULTS.write_text(json.dumps({"threads": options.threads, "iterations": options.iterations, "parts": table}, indent=1) + "\n")
+    RESULTS.write_text(
+        json.dumps({"threads": options.threads, "iterations": options.iterations, "parts": table}, indent=1) + "\n"
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other people's and earlier rasterisers, drawn from what our own has projected or from the same Gaussians; never part of this project.
+"""Other people's and earlier rasterisers, drawn from what our own has projected or from the same Gaussians; never part
+of this project.
 
-gsplat 1.5.3's torch reference is read from its unpacked wheel. As shipped it calls CUDA for the pairs of pixel and Gaussian and nerfacc for
-the scan along a ray; both are replaced here, by numba and by one torch cumulative sum, which favours it. The prototype is the folder of
-numba sketches that the design was measured with.
+gsplat 1.5.3's torch reference is read from its unpacked wheel. As shipped it calls CUDA for the pairs of pixel and
+Gaussian and nerfacc for the scan along a ray; both are replaced here, by numba and by one torch cumulative sum, which
+favours it. The prototype is the folder of numba sketches that the design was measured with.
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ import numpy as np
 from numba import njit, prange
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 
 from tests.bench.plain import TILE
 
 NEAR_M = 0.01
 
 
-def gsplat_reference(folder: Path, gaussians: Gaussians, camera: Camera, drawn: Rasteriser, by: np.ndarray) -> Callable[[bool], np.ndarray]:
-    """A call that draws with gsplat's torch functions, and with True also computes all gradients for ``by`` (5, H, W); returns RGB.
+def gsplat_reference(
+    folder: Path, gaussians: Gaussians, camera: Camera, drawn: Rasteriser, by: np.ndarray
+) -> Callable[[bool], np.ndarray]:
+    """A call that draws with gsplat's torch functions, and with True also computes all gradients for ``by`` (5, H, W);
+    returns RGB.
 
     ``drawn`` has just drawn the same Gaussians in the same order: its lists say which pairs contribute.
     """
@@ -39,10 +43,17 @@ def gsplat_reference(folder: Path, gaussians: Gaussians, camera: Camera, drawn: 
 
     height, width = camera.hw
     splats, lists = drawn._splats.reshape(-1, 16), (drawn._starts, drawn._pairs)
-    fields = [gaussians.means_m, gaussians.quaternions, np.exp(gaussians.log_scales), 1 / (1 + np.exp(-gaussians.logit_opacities)),
-              gaussians.sh]  # fmt: skip
+    fields = [
+        gaussians.means_m,
+        gaussians.quaternions,
+        np.exp(gaussians.log_scales),
+        1 / (1 + np.exp(-gaussians.logit_opacities)),
+        gaussians.sh,
+    ]
     leaves = [torch.tensor(value, requires_grad=True) for value in fields]
-    viewmat, k, centre = (torch.tensor(m, dtype=torch.float32) for m in (camera.camera_from_world, camera.intrinsics, camera.centre_m))
+    viewmat, k, centre = (
+        torch.tensor(m, dtype=torch.float32) for m in (camera.camera_from_world, camera.intrinsics, camera.centre_m)
+    )
     weights = torch.tensor(by)
 
     def run(gradients: bool) -> np.ndarray:
@@ -54,14 +65,22 @@ def gsplat_reference(folder: Path, gaussians: Gaussians, camera: Camera, drawn: 
         with torch.set_grad_enabled(gradients):
             means, quaternions, scales, opacities, sh = leaves
             covariances, _ = theirs._quat_scale_to_covar_preci(quaternions, scales, True, False)
-            _, centres, depths, conics, _ = theirs._fully_fused_projection(means, covariances, viewmat[None], k[None], width, height, 0.3,
-                                                                           NEAR_M)  # fmt: skip
+            _, centres, depths, conics, _ = theirs._fully_fused_projection(
+                means, covariances, viewmat[None], k[None], width, height, 0.3, NEAR_M
+            )
             colours = torch.clamp_min(theirs._spherical_harmonics(3, means - centre, sh) + 0.5, 0.0)
             values = torch.cat([colours, depths[0][:, None]], dim=1)
             image, alpha = theirs.accumulate(
-                centres[0], conics[0], opacities, values, torch.from_numpy(ids), torch.from_numpy(pixels), torch.zeros(len(ids), dtype=int),
-                width, height,
-            )  # fmt: skip
+                centres[0],
+                conics[0],
+                opacities,
+                values,
+                torch.from_numpy(ids),
+                torch.from_numpy(pixels),
+                torch.zeros(len(ids), dtype=int),
+                width,
+                height,
+            )
             if gradients:
                 for leaf in leaves:
                     leaf.grad = None
@@ -73,7 +92,8 @@ def gsplat_reference(folder: Path, gaussians: Gaussians, camera: Camera, drawn: 
 
 
 def _weights(alphas, ray_indices, n_rays):
-    """Weights and transmittances of pairs that are sorted by ray and depth: a product along each ray, as one sum of logarithms."""
+    """Weights and transmittances of pairs that are sorted by ray and depth: a product along each ray, as one sum of
+    logarithms."""
     import torch
 
     logs = torch.log1p(-alphas.double())
@@ -92,7 +112,8 @@ def _sums(weights, values, ray_indices, n_rays):
 
 @njit(parallel=True, cache=True)
 def pairs_of(columns, splats, starts, pairs, places, ids, pixels):
-    """Counts contributing pairs per pixel into ``places`` (H, W), or, with room in ``ids``, writes them from those places on."""
+    """Counts contributing pairs per pixel into ``places`` (H, W), or, with room in ``ids``, writes them from those
+    places on."""
     height, width = places.shape
     fill = len(ids) > 0
     for y in prange(height):
@@ -115,18 +136,34 @@ def pairs_of(columns, splats, starts, pairs, places, ids, pixels):
                 places[y, x] = found
 
 
-def prototype(folder: Path, gaussians: Gaussians, camera: Camera, threads: int, by: np.ndarray) -> tuple[Callable, Callable, Callable]:
-    """Forward, forward + backward, and raster forward + backward of the sketches in ``folder``, on the same Gaussians in the same order."""
+def prototype(
+    folder: Path, gaussians: Gaussians, camera: Camera, threads: int, by: np.ndarray
+) -> tuple[Callable, Callable, Callable]:
+    """Forward, forward + backward, and raster forward + backward of the sketches in ``folder``, on the same Gaussians
+    in the same order."""
     sys.path.insert(0, str(folder))
     from nbdrv import NbRaster, block
 
-    blocked = block({
-        "means": gaussians.means_m, "scales": np.exp(gaussians.log_scales), "quats": gaussians.quaternions,
-        "opac": 1 / (1 + np.exp(-gaussians.logit_opacities)), "sh": gaussians.sh,
-    })  # fmt: skip
+    blocked = block(
+        {
+            "means": gaussians.means_m,
+            "scales": np.exp(gaussians.log_scales),
+            "quats": gaussians.quaternions,
+            "opac": 1 / (1 + np.exp(-gaussians.logit_opacities)),
+            "sh": gaussians.sh,
+        }
+    )
     (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.wh
-    view = {"W": width, "H": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy, "R": camera.rotation_camera_from_world.astype(np.float32),
-            "t": camera.camera_from_world[:3, 3].astype(np.float32)}  # fmt: skip
+    view = {
+        "W": width,
+        "H": height,
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+        "R": camera.rotation_camera_from_world.astype(np.float32),
+        "t": camera.camera_from_world[:3, 3].astype(np.float32),
+    }
     theirs = NbRaster(-(-gaussians.count // 16) * 16, width, height, threads)
 
     def forward() -> np.ndarray:

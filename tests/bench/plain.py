@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The obvious numba rasteriser: one pixel at a time over its tile's list, scalar; the peer that the vector kernels are measured against.
+"""The obvious numba rasteriser: one pixel at a time over its tile's list, scalar; the peer that the vector kernels are
+measured against.
 
-It blends the same splat records with the same thresholds, and its gradients by the records are those that ``backward`` turns into
-moments. Gradients are summed per thread, as in the fast one.
+It blends the same splat records with the same thresholds, and its gradients by the records are those that ``backward``
+turns into moments. Gradients are summed per thread, as in the fast one.
 """
 
 from __future__ import annotations
@@ -36,14 +37,26 @@ def blend(columns, rows, splats, starts, pairs, planes):
                     if after <= np.float32(1e-4):
                         break
                     weight = alpha * rest
-                    red, green, blue, depth = red + weight * s[6], green + weight * s[7], blue + weight * s[8], depth + weight * s[9]
+                    red, green, blue, depth = (
+                        red + weight * s[6],
+                        green + weight * s[7],
+                        blue + weight * s[8],
+                        depth + weight * s[9],
+                    )
                     rest = after
-                planes[0, y, x], planes[1, y, x], planes[2, y, x], planes[3, y, x], planes[4, y, x] = red, green, blue, depth, rest
+                planes[0, y, x], planes[1, y, x], planes[2, y, x], planes[3, y, x], planes[4, y, x] = (
+                    red,
+                    green,
+                    blue,
+                    depth,
+                    rest,
+                )
 
 
 @njit(parallel=True, fastmath=True, cache=True)
 def gather(shares, columns, rows, splats, starts, pairs, planes, by, gradients):
-    """Adds to gradients (shares, N, 10) by centre, ellipse, log2 opacity, colour and depth for image gradients (5, H, W)."""
+    """Adds to gradients (shares, N, 10) by centre, ellipse, log2 opacity, colour and depth for image gradients (5, H,
+    W)."""
     height, width = planes.shape[1], planes.shape[2]
     for share in prange(shares):
         for tile in range(share, columns * rows, shares):

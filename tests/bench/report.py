@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long scoring takes, and what exact structural similarity costs: ``python -m tests.bench.report [--frames 121] [--cameras 4]``.
+"""How long scoring takes, and what exact structural similarity costs: ``python -m tests.bench.report [--frames 121]
+[--cameras 4]``.
 
-Scores made films of 1280×704 as ``report.score`` does, masks included, from files to the result; the bar is 60 s for 4 cameras of 121
-frames on 2 cores. Then compares, interleaved, the exact similarity map with the float32 one, and the efforts of the flow, by processor
-time. Writes ``tests/bench/results/report.json``.
+Scores made films of 1280×704 as ``report.score`` does, masks included, from files to the result; the bar is 60 s for 4
+cameras of 121 frames on 2 cores. Then compares, interleaved, the exact similarity map with the float32 one, and the
+efforts of the flow, by processor time. Writes ``tests/bench/results/report.json``.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from studiorecon.footage.video import write_lossless
 from studiorecon.images import metrics
 from studiorecon.images.flow import PRESETS, dis_flow, grey_levels, one_thread
-from studiorecon.images.video import write_lossless
 from studiorecon.report.score import score
 from studiorecon.scene.files import write_json
 
@@ -74,7 +75,9 @@ def main() -> None:
     render = np.clip(photos[1] + np.random.default_rng(0).normal(0, 8, photos[1].shape), 0, 255).astype(np.uint8)
     greys = [grey_levels(p) for p in photos]
     with one_thread():
-        maps = interleaved({t.__name__: lambda t=t: metrics.ssim_map(render, photos[1], t) for t in (np.float64, np.float32)})
+        maps = interleaved(
+            {t.__name__: lambda t=t: metrics.ssim_map(render, photos[1], t) for t in (np.float64, np.float32)}
+        )
         flows = interleaved({preset: lambda preset=preset: dis_flow(*greys, preset) for preset in PRESETS})
         exact, cheap = (metrics.ssim(metrics.ssim_map(render, photos[1], t)) for t in (np.float64, np.float32))
     with tempfile.TemporaryDirectory() as temporary:
@@ -84,19 +87,33 @@ def main() -> None:
         result = score(folder / "renders", folder / "truth", folder / "masks")
         wall_s, cpu_s = time.perf_counter() - began, time.process_time() - worked
     measured = {
-        "machine": {"processor": platform.machine(), "cores": os.cpu_count(), "load_before": load, "python": platform.python_version()},
+        "machine": {
+            "processor": platform.machine(),
+            "cores": os.cpu_count(),
+            "load_before": load,
+            "python": platform.python_version(),
+        },
         "scoring": {
-            "cameras": given.cameras, "frames": given.frames, "wh": WH, "wall_s": wall_s, "cpu_s": cpu_s, "bar_s": BAR_S,
-            "cpu_ms_per_frame": 1000 * cpu_s / (given.cameras * given.frames), "psnr": result["pictures"]["renders"]["psnr"]["value"],
+            "cameras": given.cameras,
+            "frames": given.frames,
+            "wh": WH,
+            "wall_s": wall_s,
+            "cpu_s": cpu_s,
+            "bar_s": BAR_S,
+            "cpu_ms_per_frame": 1000 * cpu_s / (given.cameras * given.frames),
+            "psnr": result["pictures"]["renders"]["psnr"]["value"],
         },
         "similarity_cpu_ms": {name: 1000 * seconds for name, seconds in maps.items()},
         "similarity_float32_error": cheap - exact,
         "flow_cpu_ms": {name: 1000 * seconds for name, seconds in flows.items()},
-    }  # fmt: skip
+    }
     write_json(RESULT, measured)
     films, load_told = f"{given.cameras} cameras × {given.frames} frames", f"load {load:.1f}"
     print(f"{films}: {wall_s:.1f} s wall, {cpu_s:.1f} s processor (bar {BAR_S:.0f} s), {load_told}")
-    print(f"similarity: {1000 * maps['float64']:.0f} ms exact, {1000 * maps['float32']:.0f} ms float32 ({cheap - exact:+.1e})")
+    print(
+        f"similarity: {1000 * maps['float64']:.0f} ms exact, "
+        f"{1000 * maps['float32']:.0f} ms float32 ({cheap - exact:+.1e})"
+    )
     print("flow: " + ", ".join(f"{name} {1000 * seconds:.0f} ms" for name, seconds in flows.items()))
 
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far ``deliver/room.glb`` of the made studio is from the studio's own meshes.
+"""How far ``deliver/room.glb`` of the synthetic studio is from the studio's own meshes.
 
 Run ``uv run --extra mesh snakemake --cores all room_mesh``, then
 ``uv run --group test --extra mesh python -m tests.bench.room_mesh`` (the demo, unless told otherwise).
-Accuracy: from points of the mesh to the true surfaces. Completeness: true surfaces of furniture that the mesh has within 5 cm.
+Accuracy: from points of the mesh to the true surfaces. Completeness: true surfaces of furniture that the mesh has
+within 5 cm.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 import trimesh
 from studiorecon.deliver.fusion import open3d
 from studiorecon.studio.description import read_description
+from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import room
-from studiorecon.studio.solids import Solid
 
 SAMPLES = 20_000
 NEAR_M = 0.05
@@ -42,7 +43,7 @@ def points_on(part: trimesh.Trimesh, count: int) -> np.ndarray:
     return trimesh.sample.sample_surface(part, count, seed=0)[0]
 
 
-def furniture(solids: list[Solid]) -> list[Solid]:
+def furniture(solids: list[Mesh]) -> list[Mesh]:
     return [solid for solid in solids if not any(word in solid.name for word in _SHELL)]
 
 
@@ -59,7 +60,11 @@ def main() -> None:
     result: dict[str, dict[str, float]] = {}
     for name, part in parts.items():
         off_m = truth(points_on(part, SAMPLES))
-        result[name] = {"median_mm": 1e3 * np.median(off_m), "p90_mm": 1e3 * np.percentile(off_m, 90), "triangles": len(part.faces)}
+        result[name] = {
+            "median_mm": 1e3 * np.median(off_m),
+            "p90_mm": 1e3 * np.percentile(off_m, 90),
+            "triangles": len(part.faces),
+        }
     for solid in furniture(solids):
         off_m = ours(points_on(trimesh.Trimesh(solid.vertices_m, solid.faces, process=False), 2000))
         result[f"true {solid.name}"] = {"share_within_5_cm": float((off_m < NEAR_M).mean())}

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What thrown shadows buy: a made studio whose people shade the floor, filmed again at its held-out cameras with and without them.
+"""What thrown shadows buy: a synthetic studio whose people shade the floor, filmed again at its held-out cameras with
+and without them.
 
     python -m tests.bench.shadows [--house FOLDER] [--picture FILE]
 
-Runs the small studio below up to background, people and light (some minutes on two cores), draws the held-out cameras twice and measures
-PSNR against the true films outside people: on pixels that people shade there (by more than 3 %), on floor within 1 m of their feet, and
-on all, beside how far the floor's brightness is off there. Table to tests/bench/results/shadows.json.
+Runs the small studio below up to background, people and light (some minutes on two cores), draws the held-out cameras
+twice and measures PSNR against the true films outside people: on pixels that people shade there (by more than 3 %), on
+floor within 1 m of their feet, and on all, beside how far the floor's brightness is off there. Table to
+tests/bench/results/shadows.json.
 """
 
 from __future__ import annotations
@@ -23,22 +25,28 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.video import read_stack
+from studiorecon.geometry.floor import floor_points
 from studiorecon.images.metrics import psnr
-from studiorecon.images.video import read_stack
 from studiorecon.render.canvas import Canvas
+from studiorecon.render.room_light import read_light
 from studiorecon.render.shot import read_composite
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.floor import floor_points
-from studiorecon.scene.light import read_light
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.studio.room import LAMP_SHARES, LAMPS_M
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Path(__file__).parent / "results" / "shadows.json"
 STUDIO = {
-    "seed": 3, "frames": 24, "fps": 15.0, "size": [320, 180], "people": 2, "cameras": {"held_out": 2},
-    "effects": {"moving_shadows": True, "contact_shading": 0.5}, "detections": {"noise_px": 0.5},
-}  # fmt: skip
+    "seed": 3,
+    "frames": 24,
+    "fps": 15.0,
+    "size": [320, 180],
+    "people": 2,
+    "cameras": {"held_out": 2},
+    "effects": {"moving_shadows": True, "contact_shading": 0.5},
+    "detections": {"noise_px": 0.5},
+}
 _SHADED, _RING_M = 0.03, 1.0
 KINDS = ("shaded", "ring", "everywhere")
 
@@ -57,13 +65,21 @@ def made(house: Path) -> Path:
 def measured(scene: Path, truth: Path, picture: Path | None) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR by held-out camera, kind of pixel, and with or without shadows."""
     people = sorted((scene / "humans").glob("p?.ply"))
-    files = [scene / "background/scene.ply", scene / "background/provenance.npz", people, [p.with_suffix(".npz") for p in people]]
+    files = [
+        scene / "background/scene.ply",
+        scene / "background/provenance.npz",
+        people,
+        [p.with_suffix(".npz") for p in people],
+    ]
     shaded = read_composite(*files, ROOT / "resources/body.npz", "heldout", {}, [scene / "render/room.light.json"])
     films = {"without": Canvas(replace(shaded, shading=None), 0.2), "with": Canvas(shaded, 0.2)}
     table: dict[str, dict[str, dict[str, float]]] = {}
     rows = []
     for camera in read_model(scene / "cameras/heldout"):
-        true, masks = read_stack(scene / f"capture/{camera.name}.mkv"), read_stack(truth / "masks" / f"{camera.name}.mkv")
+        true, masks = (
+            read_stack(scene / f"capture/{camera.name}.mkv"),
+            read_stack(truth / "masks" / f"{camera.name}.mkv"),
+        )
         empty = cv2.imread(str(truth / "plates" / f"{camera.name}.png"))[..., ::-1].astype(np.float32) / 255
         depth = Rasteriser(near_m=0.05).forward(shaded.background, camera).depth_m
         points, floor = floor_points(camera, depth, shaded.shading.light.floor_m)
@@ -81,7 +97,8 @@ def measured(scene: Path, truth: Path, picture: Path | None) -> dict[str, dict[s
                 drawn[name].append(canvas.draw(camera, float(frame), (0.0, 0.0, 0.0))[0].rgb.clip(0, 1))
         photos = true.astype(np.float32) / 255
         table[camera.name] = {
-            kind: {name: round(psnr(_one(drawn[name]), _one(photos), _one(pixels)), 2) for name in films} for kind, pixels in chosen.items()
+            kind: {name: round(psnr(_one(drawn[name]), _one(photos), _one(pixels)), 2) for name in films}
+            for kind, pixels in chosen.items()
         }
         levels = {name: round(_level_off_by(drawn[name], photos, chosen["ring"]), 4) for name in films}
         table[camera.name]["level_off_by"] = levels
@@ -93,7 +110,8 @@ def measured(scene: Path, truth: Path, picture: Path | None) -> dict[str, dict[s
 
 
 def _level_off_by(pictures: Sequence[np.ndarray], photos: np.ndarray, chosen: Sequence[np.ndarray]) -> float:
-    """Root mean square log ratio of brightness to the photo's, both averaged over 9 × 9 of the chosen pixels: shade, not detail."""
+    """Root mean square log ratio of brightness to the photo's, both averaged over 9 × 9 of the chosen pixels: shade,
+    not detail."""
     squares, count = 0.0, 0
     for picture, photo, pixels in zip(pictures, photos, chosen):
         here = pixels.astype(np.float32)
@@ -125,7 +143,9 @@ def lamp_error_deg(scene: Path) -> list[float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--house", type=Path, default=None, help="working directory that is kept; made and removed when not given")
+    parser.add_argument(
+        "--house", type=Path, default=None, help="working directory that is kept; made and removed when not given"
+    )
     parser.add_argument("--picture", type=Path, default=None, help="photo, without and with shadows, side by side")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
@@ -136,8 +156,15 @@ def main() -> None:
         light = json.loads((scene / "render/room.light.json").read_text())
         angles = lamp_error_deg(scene)
     for camera, kinds in table.items():
-        print(camera, ", ".join(f"{kind} {kinds[kind]['without']:.2f} → {kinds[kind]['with']:.2f} dB" for kind in KINDS), end=", ")
-        print(f"brightness in the ring off by {kinds['level_off_by']['without']:.1%} → {kinds['level_off_by']['with']:.1%}")
+        print(
+            camera,
+            ", ".join(f"{kind} {kinds[kind]['without']:.2f} → {kinds[kind]['with']:.2f} dB" for kind in KINDS),
+            end=", ",
+        )
+        print(
+            f"brightness in the ring off by {kinds['level_off_by']['without']:.1%} → "
+            f"{kinds['level_off_by']['with']:.1%}"
+        )
     print(f"light: {light['reason']}; lamps off by {angles} degrees; {time.perf_counter() - begun:.0f} s")
     result = {"studio": STUDIO, "cameras": table, "light": light["figures"], "lamps_off_by_deg": angles}
     RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

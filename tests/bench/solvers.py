@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the exact and the cheap form of each solver cost and lose, in one table: ``python -m tests.bench.solvers [--rounds 9]``.
+"""What the exact and the cheap form of each solver cost and lose, in one table: ``python -m tests.bench.solvers
+[--rounds 9]``.
 
-Measures the similarity map, the flow's efforts and the warp's filters here, interleaved, by processor time on one thread, against planted
-truth; takes triangulation, the body's fit, skinning weights and association from what their own benches wrote (tests/bench/results).
-Writes ``resources/solvers.tsv``, which the page shows.
+Measures the similarity map, the flow's efforts and the warp's filters here, interleaved, by processor time on one
+thread, against planted truth; takes triangulation, the body's fit, skinning weights and association from what their own
+benches wrote (tests/bench/results). Writes ``resources/solvers.tsv``, which the page shows.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from studiorecon.images import metrics
 from studiorecon.images.flow import PRESETS, dis_flow, grey_levels, one_thread
 from studiorecon.images.warp import warp
-from studiorecon.report.solvers import COLUMNS
+from studiorecon.report.sections.solvers import COLUMNS
 from studiorecon.scene.files import write_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,7 +32,8 @@ WAVES = 60
 
 
 def texture(pixels: np.ndarray, seed: int = 0) -> np.ndarray:
-    """(h, w, 3) float32 in [0, 1]: a sum of waves no shorter than 6 pixels, known at every fractional pixel (h, w, 2)."""
+    """(h, w, 3) float32 in [0, 1]: a sum of waves no shorter than 6 pixels, known at every fractional pixel (h, w,
+    2)."""
     rng = np.random.default_rng(seed)
     total = np.zeros((*pixels.shape[:2], 3))
     for _ in range(WAVES):
@@ -67,27 +69,53 @@ def measured_here(rounds: int) -> list[tuple]:
     """Similarity, flow and warp at 1280×704."""
     pixels, flow = grid(), planted_flow()
     first = texture(pixels)
-    # The second picture at p is the first at p + flow(p): what a backward warp makes, and what a search from second to first finds.
+    # The second picture at p is the first at p + flow(p): what a backward warp makes, and what a search from second to
+    # first finds.
     second = texture(pixels + flow)
     inside = np.s_[40:-40, 40:-40]
     eight = [np.round(255 * picture).astype(np.uint8) for picture in (first, second)]
     noisy = np.clip(eight[0] + np.random.default_rng(1).normal(0, 8, eight[0].shape), 0, 255).astype(np.uint8)
     greys = [grey_levels(picture) for picture in eight]
     with one_thread():
-        maps = interleaved({t.__name__: lambda t=t: metrics.ssim_map(noisy, eight[0], t) for t in (np.float64, np.float32)}, rounds)
+        maps = interleaved(
+            {t.__name__: lambda t=t: metrics.ssim_map(noisy, eight[0], t) for t in (np.float64, np.float32)}, rounds
+        )
         flows = interleaved({p: lambda p=p: dis_flow(greys[1], greys[0], p) for p in PRESETS}, rounds)
-        warps = interleaved({how: lambda how=how: warp(first, flow, how) for how in ("nearest", "linear", "cubic")}, rounds)
+        warps = interleaved(
+            {how: lambda how=how: warp(first, flow, how) for how in ("nearest", "linear", "cubic")}, rounds
+        )
         exact, cheap = (metrics.ssim(metrics.ssim_map(noisy, eight[0], t)) for t in (np.float64, np.float32))
         lost = {p: np.linalg.norm(dis_flow(greys[1], greys[0], p) - flow, axis=-1)[inside] for p in PRESETS}
         wrong = {how: 255 * np.abs(warp(first, flow, how)[0] - second)[inside] for how in warps}
     rows = [
         ("similarity map", "float64", "in the code", maps["float64"], "ms per picture", 0.0, "off, SSIM", "yes"),
-        ("similarity map", "float32", "in the code", maps["float32"], "ms per picture", abs(cheap - exact), "off, SSIM", ""),
+        (
+            "similarity map",
+            "float32",
+            "in the code",
+            maps["float32"],
+            "ms per picture",
+            abs(cheap - exact),
+            "off, SSIM",
+            "",
+        ),
     ]
     used = {"medium": "yes", "linear": "yes"}
-    rows += [("flow", p, "enhance.flow_preset", flows[p], "ms per pair", lost[p].mean(), "off, mean px", used.get(p, "")) for p in PRESETS]
     rows += [
-        ("warp", how, "in the code", warps[how], "ms per picture", wrong[how].mean(), "off, mean levels", used.get(how, ""))
+        ("flow", p, "enhance.flow_preset", flows[p], "ms per pair", lost[p].mean(), "off, mean px", used.get(p, ""))
+        for p in PRESETS
+    ]
+    rows += [
+        (
+            "warp",
+            how,
+            "in the code",
+            warps[how],
+            "ms per picture",
+            wrong[how].mean(),
+            "off, mean levels",
+            used.get(how, ""),
+        )
         for how in warps
     ]
     return rows
@@ -115,12 +143,30 @@ def from_other_benches() -> list[tuple]:
     for form, entry in read["bodies"]["fit"].items():
         default = "yes" if form == "levenberg_marquardt" else ""
         rows.append(
-            ("body fit", form, "people.fit.solver", entry["ms_per_frame"], "ms per frame", entry["joints_mm"], "off, mean mm", default)
+            (
+                "body fit",
+                form,
+                "people.fit.solver",
+                entry["ms_per_frame"],
+                "ms per frame",
+                entry["joints_mm"],
+                "off, mean mm",
+                default,
+            )
         )
     for form, entry in read["bodies"]["skinning weights"].items():
         default = "yes" if form.startswith("surface") else ""
         rows.append(
-            ("skinning weights", form, "humans.skinning", entry["query_ms"], "ms per query", entry["mean_mm"], "off, mean mm", default)
+            (
+                "skinning weights",
+                form,
+                "humans.skinning",
+                entry["query_ms"],
+                "ms per query",
+                entry["mean_mm"],
+                "off, mean mm",
+                default,
+            )
         )
     for form, entry in read["association"]["methods"].items():
         default = "yes" if form == "tracks, rays, keypoints alone (default)" else ""
@@ -148,7 +194,10 @@ def main() -> None:
     write_table(
         TABLE,
         COLUMNS,
-        [(s, f, where, f"{cost:.4g}", unit, f"{off:.3g}", kind, default) for s, f, where, cost, unit, off, kind, default in rows],
+        [
+            (s, f, where, f"{cost:.4g}", unit, f"{off:.3g}", kind, default)
+            for s, f, where, cost, unit, off, kind, default in rows
+        ],
     )
     print(f"{platform.machine()}, OpenCV {cv2.__version__}")
     for solver, form, _, cost, unit, off, kind, default in rows:

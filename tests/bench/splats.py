@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rasteriser and its training beside their peers, with the bars they are held to; figures go to tests/bench/results/splats.json.
+"""The rasteriser and its training beside their peers, with the bars they are held to; figures go to
+tests/bench/results/splats.json.
 
     python -m tests.bench.splats [--threads 2] [--gsplat DIR] [--prototype DIR] [--iterations 7000]
     python -m tests.bench.splats --table          # milliseconds by size, nothing else
 
-DIR is gsplat 1.5.3's unpacked wheel (pip download --no-deps gsplat==1.5.3; python -m zipfile -e …) and the folder of the design's numba
-sketches; a bar whose peer is not given is left out and said to be. Peers take turns with ours in one process, and every figure is the
-least of its rounds, because neighbours on the machine only ever add. Ratios are of processor time on one thread, which a busy machine
-hardly changes; what is meant for idle cores (frames per second, a whole training, two threads against one) is wall time, and the load is
-written down beside it: on a busy machine these say what the machine was doing. Bars in seconds were set on a machine where the prototype
-trained in 39.8 s and started in 18.5 s cold and 1.1 to 2.3 s cached; the shares of its times here are what another machine can be held to.
+DIR is gsplat 1.5.3's unpacked wheel (pip download --no-deps gsplat==1.5.3; python -m zipfile -e …) and the folder of
+the design's numba sketches; a bar whose peer is not given is left out and said to be. Peers take turns with ours in one
+process, and every figure is the least of its rounds, because neighbours on the machine only ever add. Ratios are of
+processor time on one thread, which a busy machine hardly changes; what is meant for idle cores (frames per second, a
+whole training, two threads against one) is wall time, and the load is written down beside it: on a busy machine these
+say what the machine was doing. Bars in seconds were set on a machine where the prototype trained in 39.8 s and started
+in 18.5 s cold and
+1.1 to 2.3 s cached; the shares of its times here are what another machine can be held to.
 """
 
 from __future__ import annotations
@@ -27,18 +30,20 @@ import numba
 import numpy as np
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite
-from studiorecon.splatting import state
-from studiorecon.splatting.backward import gather
-from studiorecon.splatting.blocks import block, morton_order
-from studiorecon.splatting.forward import LANE_OFFSETS, blend
-from studiorecon.splatting.rasterise import Rasteriser
-from studiorecon.splatting.targets import DrawOrder, Target
-from studiorecon.splatting.training import _Run
+from studiorecon.splatting.cpu.backward import gather
+from studiorecon.splatting.cpu.blocks import block, morton_order
+from studiorecon.splatting.cpu.forward import LANE_OFFSETS, blend
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.train import state
+from studiorecon.splatting.train.blocked_set import BlockedSet
+from studiorecon.splatting.train.targets import DrawOrder, Target
+from studiorecon.splatting.train.terms import Term, terms_of
 
 from tests.bench import ceiling, children, peers, plain
-from tests.foundations.splatting_scenes import camera, camera_on_ring, hard, room
-from tests.foundations.test_splatting_gradients import BACKGROUND, FIELDS, NEAR_M, reference
-from tests.foundations.test_splatting_training import SETTINGS
+from tests.made.gaussians import camera, camera_on_ring, hard, room
+from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, reference
+from tests.made.splatting_training import SETTINGS
+from tests.made.training import one_step
 
 RESULTS = Path(__file__).resolve().parent / "results" / "splats.json"
 SIZES = [(20_000, 320, 176), (50_000, 320, 176), (100_000, 640, 352), (300_000, 1280, 704)]
@@ -73,8 +78,13 @@ def raster_of(drawn: Rasteriser, by: np.ndarray) -> Callable[[], None]:
 
 
 def accuracy() -> Bars:
-    """Largest relative L2 error of any gradient, and mean absolute error of the picture, against float64 autograd; repeated bit for bit."""
-    scenes = {"room": (room(1500, 5), camera(96, 56)), "hard": (hard(600, 1), camera(96, 56)), "hard 2": (hard(900, 7), camera(160, 90))}
+    """Largest relative L2 error of any gradient, and mean absolute error of the picture, against float64 autograd;
+    repeated bit for bit."""
+    scenes = {
+        "room": (room(1500, 5), camera(96, 56)),
+        "hard": (hard(600, 1), camera(96, 56)),
+        "hard 2": (hard(900, 7), camera(160, 90)),
+    }
     bars: Bars = {}
     for name, (gaussians, view) in scenes.items():
         by = np.random.default_rng(3).normal(size=(*view.hw, 5)).astype(np.float32)
@@ -119,15 +129,32 @@ def speed(gsplat: Path | None, prototype: Path | None, rounds: int) -> tuple[Bar
 
         def blend_only() -> None:
             blend(
-                1, *ours._grid, ours._splats, *lists, ours._touched, ours._ends, np.zeros(3, np.float32), LANE_OFFSETS, planes, ours._ticket
+                1,
+                *ours._grid,
+                ours._splats,
+                *lists,
+                ours._touched,
+                ours._ends,
+                np.zeros(3, np.float32),
+                LANE_OFFSETS,
+                planes,
+                ours._ticket,
             )
 
         calls = {
-            "forward": forward, "both": both, "raster": raster_of(ours, by), "blend": blend_only,
+            "forward": forward,
+            "both": both,
+            "raster": raster_of(ours, by),
+            "blend": blend_only,
             "steps in registers": lambda: ceiling.registers(steps),
-        }  # fmt: skip
+        }
         if prototype:
-            calls |= dict(zip(("prototype forward", "prototype both", "prototype raster"), peers.prototype(prototype, scene, view, 1, by)))
+            calls |= dict(
+                zip(
+                    ("prototype forward", "prototype both", "prototype raster"),
+                    peers.prototype(prototype, scene, view, 1, by),
+                )
+            )
         slow: dict[str, Callable[[], object]] = {"plain": scalar, "raster": calls["raster"]}
         if gsplat:
             import torch
@@ -164,9 +191,13 @@ def speed(gsplat: Path | None, prototype: Path | None, rounds: int) -> tuple[Bar
 
 
 def scaling(threads: int, rounds: int) -> tuple[Bars, dict[str, float]]:
-    """Forward + backward of 50,000 at 320×176, and of a film's frames of 300,000 at 1280×704 (colours, alpha, depth, shares of classes)."""
+    """Forward + backward of 50,000 at 320×176, and of a film's frames of 300,000 at 1280×704 (colours, alpha, depth,
+    shares of classes)."""
     scene, view = room(50_000, 0), camera(320, 176)
-    blocked, by = block(scene.take(morton_order(scene.means_m))), np.random.default_rng(0).normal(size=(5, *view.hw)).astype(np.float32)
+    blocked, by = (
+        block(scene.take(morton_order(scene.means_m))),
+        np.random.default_rng(0).normal(size=(5, *view.hw)).astype(np.float32),
+    )
     many, single = (Rasteriser(near_m=0.01, threads=n) for n in (threads, 1))
 
     def both(rasteriser: Rasteriser) -> None:
@@ -178,7 +209,9 @@ def scaling(threads: int, rounds: int) -> tuple[Bars, dict[str, float]]:
     large, film = room(300_000, 0), camera(1280, 704)
     classes = np.random.default_rng(0).integers(0, 3, large.count).astype(np.uint8)
     canvas = Canvas(Composite(large.take(morton_order(large.means_m)), classes, []), 0.01)
-    wall, processor = best_ms({"one thread": lambda: both(single), f"{threads} threads": lambda: both(many)}, 5 * rounds)
+    wall, processor = best_ms(
+        {"one thread": lambda: both(single), f"{threads} threads": lambda: both(many)}, 5 * rounds
+    )
     film_wall, film_processor = best_ms({"film frame": lambda: canvas.draw(film, 0.0, (0, 0, 0))}, rounds)
     bars: Bars = {
         f"1 -> {threads} threads, forward + backward": (wall["one thread"] / wall[f"{threads} threads"], ">=", 1.6),
@@ -188,32 +221,36 @@ def scaling(threads: int, rounds: int) -> tuple[Bars, dict[str, float]]:
     return bars, told | {f"{name}, processor": ms for name, ms in (processor | film_processor).items()}
 
 
-def perturbed_run(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[_Run, np.random.Generator]:
-    """A training of a perturbed room on sixty views before its first step, and the generator its order is drawn from."""
+def perturbed_run(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[BlockedSet, list[Term]]:
+    """A training of a perturbed room on sixty views before its first step, and its terms."""
     truth, rasteriser, rng = room(count, 0), Rasteriser(near_m=0.01, threads=threads), np.random.default_rng(0)
     views = [camera_on_ring(i, VIEWS, width, height) for i in range(VIEWS)]
     targets = [Target(view, rasteriser.forward(truth, view).rgb.clip(0, 1)) for view in views]
     begin = replace(
-        truth, means_m=truth.means_m + rng.normal(0, 0.04, truth.means_m.shape).astype(np.float32),
-        quaternions=np.tile(np.float32([1, 0, 0, 0]), (count, 1)), logit_opacities=np.full(count, np.log(0.1 / 0.9)),
-        log_scales=np.repeat(truth.log_scales.mean(axis=1, keepdims=True) + 0.5, 3, axis=1), sh=np.zeros_like(truth.sh),
-    )  # fmt: skip
+        truth,
+        means_m=truth.means_m + rng.normal(0, 0.04, truth.means_m.shape).astype(np.float32),
+        quaternions=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        logit_opacities=np.full(count, np.log(0.1 / 0.9)),
+        log_scales=np.repeat(truth.log_scales.mean(axis=1, keepdims=True) + 0.5, 3, axis=1),
+        sh=np.zeros_like(truth.sh),
+    )
     settings = replace(SETTINGS, iterations=iterations, sh_degree=3, warmup_half_resolution=0.0, cap=count)
-    return _Run(state.start(begin), targets, settings, rng, 4.0, threads), rng
+    return BlockedSet(begin, targets, settings, rng, 4.0, threads), terms_of(settings)
 
 
 def training(count: int, width: int, height: int, threads: int, iterations: int) -> tuple[Bars, dict[str, float]]:
     """A whole training of a perturbed room on sixty views.
 
-    The figure is the time at the pace of quiet moments: in each tenth of the run the fastest step of every view stands for its others.
+    The figure is the time at the pace of quiet moments: in each tenth of the run the fastest step of every view stands
+    for its others.
     """
-    run, rng = perturbed_run(count, width, height, threads, iterations)
+    run, terms = perturbed_run(count, width, height, threads, iterations)
     truth, rasteriser = room(count, 0), Rasteriser(near_m=0.01, threads=threads)
-    order, times = DrawOrder([1.0] * VIEWS, rng), []
+    order, times = DrawOrder([1.0] * VIEWS, np.random.default_rng(0)), []
     began, processor = time.perf_counter(), time.process_time()
     for iteration in range(iterations):
         index, at = order.draw(), time.perf_counter()
-        run.step(iteration, index)
+        one_step(run, terms, iteration, index)
         times.append((iteration * 10 // iterations, index, time.perf_counter() - at))
     wall_s, processor_s = time.perf_counter() - began, time.process_time() - processor
     fastest: dict[tuple[int, int], float] = {}
@@ -224,12 +261,20 @@ def training(count: int, width: int, height: int, threads: int, iterations: int)
     for view in (camera_on_ring(i + 0.5, 12, width, height) for i in range(12)):
         shown, wanted = (rasteriser.forward(g, view).rgb.clip(0, 1) for g in (trained, truth))
         errors.append(float(((shown - wanted) ** 2).mean()))
-    told = {"wall_s": wall_s, "processor_s": processor_s, "quiet_s": quiet_s, "heldout_psnr_db": float(np.mean(-10 * np.log10(errors)))}
-    return {f"7,000 iterations of {count} at {width}x{height}, s": (min(wall_s, quiet_s) * 7000 / iterations, "<=", 60)}, told
+    told = {
+        "wall_s": wall_s,
+        "processor_s": processor_s,
+        "quiet_s": quiet_s,
+        "heldout_psnr_db": float(np.mean(-10 * np.log10(errors))),
+    }
+    return {
+        f"7,000 iterations of {count} at {width}x{height}, s": (min(wall_s, quiet_s) * 7000 / iterations, "<=", 60)
+    }, told
 
 
 def processes(plain_ms: float) -> tuple[Bars, dict[str, dict[str, float]]]:
-    """What is measured in processes of their own; ``plain_ms`` is the plain kernel with all of this machine's instructions."""
+    """What is measured in processes of their own; ``plain_ms`` is the plain kernel with all of this machine's
+    instructions."""
     found = children.all_of_them()
     return {
         "cold start to the first training step, processor s": (found["cold"]["processor_s"], "<=", 30),
@@ -245,11 +290,17 @@ def table(threads: int) -> None:
     for count, width, height in SIZES:
         scene, view, rasteriser = room(count, 0), camera(width, height), Rasteriser(near_m=0.01, threads=threads)
         blocked, by = block(scene.take(morton_order(scene.means_m))), np.ones((5, height, width), np.float32)
-        calls = {"forward": lambda: rasteriser.draw(blocked, view, (0, 0, 0)), "backward": lambda: rasteriser.gather(by)}  # noqa: B023
+        calls = {
+            "forward": lambda: rasteriser.draw(blocked, view, (0, 0, 0)),  # noqa: B023
+            "backward": lambda: rasteriser.gather(by),  # noqa: B023
+        }
         with rasteriser.own_threads():
             ms, _ = best_ms(calls, 40 if count < 200_000 else 15)
         ratio = sum(ms.values()) / ms["forward"]
-        print(f"{count} {width}x{height}: forward {ms['forward']:.2f} ms, backward {ms['backward']:.2f} ms, both / forward {ratio:.2f}")
+        print(
+            f"{count} {width}x{height}: forward {ms['forward']:.2f} ms, backward "
+            f"{ms['backward']:.2f} ms, both / forward {ratio:.2f}"
+        )
 
 
 def main() -> None:
@@ -265,7 +316,9 @@ def main() -> None:
         table(options.threads)
         return
     if os.getloadavg()[0] > (os.cpu_count() or 1):
-        os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # threads that spin for one that waits its turn only make it wait longer
+        os.environ.setdefault(
+            "OMP_WAIT_POLICY", "passive"
+        )  # threads that spin for one that waits its turn only make it wait longer
     load, bars = [os.getloadavg()[0]], accuracy()
     found, ms = speed(options.gsplat, options.prototype, options.rounds)
     bars |= found
@@ -283,20 +336,39 @@ def main() -> None:
         apart["prototype"] = theirs
         bars["whole training, share of the prototype's time"] = (trained["wall_s"] / theirs["training_s"], "<=", 1.25)
         bars["cold start, share of the prototype's"] = (apart["cold"]["processor_s"] / theirs["cold_s"], "<=", 1.25)
-        bars["cached start, share of the prototype's"] = (apart["cached"]["processor_s"] / theirs["cached_s"], "<=", 1.25)
+        bars["cached start, share of the prototype's"] = (
+            apart["cached"]["processor_s"] / theirs["cached_s"],
+            "<=",
+            1.25,
+        )
     load.append(os.getloadavg()[0])
     result = {
         n: {"value": float(f"{v:.4g}"), "bar": f"{op} {b:g}", "holds": bool(v >= b if op == ">=" else v <= b)}
         for n, (v, op, b) in bars.items()
     }
-    left_out = [name for name, given in (("gsplat's torch reference", options.gsplat), ("the prototype", options.prototype)) if not given]
+    left_out = [
+        name
+        for name, given in (("gsplat's torch reference", options.gsplat), ("the prototype", options.prototype))
+        if not given
+    ]
     for name, row in result.items():
         print(f"{'holds' if row['holds'] else 'MISSED'}  {name}: {row['value']:g} (bar {row['bar']})")
     print("".join(f"not measured: {name} was not given\n" for name in left_out), end="")
     RESULTS.parent.mkdir(exist_ok=True)
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, {numba.config.NUMBA_NUM_THREADS} threads, numba {numba.__version__}"
-    told = {"machine": machine, "load": load, "left_out": left_out, "bars": result, "one_thread_processor_ms": ms,
-            "idle_cores_ms": walls, "training": trained, "processes": apart}  # fmt: skip
+    machine = (
+        f"{platform.machine()}, {os.cpu_count()} cores, "
+        f"{numba.config.NUMBA_NUM_THREADS} threads, numba {numba.__version__}"
+    )
+    told = {
+        "machine": machine,
+        "load": load,
+        "left_out": left_out,
+        "bars": result,
+        "one_thread_processor_ms": ms,
+        "idle_cores_ms": walls,
+        "training": trained,
+        "processes": apart,
+    }
     RESULTS.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
 
 

@@ -3,10 +3,11 @@
 
     STUDIORECON_REAL_DATA=... python -m tests.bench.takes --folder DIR [--frames 99] [--cores 2]
 
-``pose2sim_balancing/multi`` is ``single`` with a woman put in; she has no keypoints and is found by what stands out from the clean plates.
-``multi`` is reconstructed, room and man are rendered without her at the training cameras, and compared with ``single``'s frames: where she
-stood, and where nobody is. Her pixels are those in which the two takes differ, not what the masks say. Small on purpose (``SMALL``); DIR
-keeps the runs. Pictures go to DIR, the table to tests/bench/results/multi.json.
+``pose2sim_balancing/multi`` is ``single`` with a woman put in; she has no keypoints and is found by what stands out
+from the clean plates. ``multi`` is reconstructed, room and man are rendered without her at the training cameras, and
+compared with ``single``'s frames: where she stood, and where nobody is. Her pixels are those in which the two takes
+differ, not what the masks say. Small on purpose (``SMALL``); DIR keeps the runs. Pictures go to DIR, the table to
+tests/bench/results/multi.json.
 """
 
 from __future__ import annotations
@@ -20,18 +21,19 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from studiorecon.body.avatar import Avatar, read_avatar
+from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import read_frames, to_bytes
 from studiorecon.images.metrics import psnr
-from studiorecon.images.stills import read_plate
-from studiorecon.images.video import read_frames, to_bytes
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.people import read_people, read_person
-from studiorecon.splatting.rasterise import Rasteriser
+from studiorecon.scene.people import read_people
+from studiorecon.splatting.cpu.rasterise import Rasteriser
 
 from tests.bench.captures import MAN, ROOT, workflow
 
@@ -51,7 +53,8 @@ _DIFFERENT, _AROUND = 30.0, 7
 
 
 def where_she_is(multi: np.ndarray, single: np.ndarray) -> np.ndarray:
-    """(H, W) bool: the two takes differ by more than compression; specks are left out, and what is within some pixels is counted in."""
+    """(H, W) bool: the two takes differ by more than compression; specks are left out, and what is within some pixels
+    is counted in."""
     differs = (np.abs(multi.astype(np.float32) - single).mean(axis=-1) > _DIFFERENT).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return cv2.dilate(differs, np.ones((_AROUND, _AROUND), np.uint8)) > 0
@@ -69,23 +72,28 @@ def pictures(folder: Path, scene: str, camera: str) -> list[np.ndarray]:
 def the_man(scene: Path, cameras: list[Camera], single: dict[str, np.ndarray]) -> str:
     """The person whose joints lie on what differs from the plates in ``single``: nobody else is in that take.
 
-    The keypoints of ``multi`` hold a skeleton of nobody as well, which a clip too short for movement does not tell from a person.
+    The keypoints of ``multi`` hold a skeleton of nobody as well, which a clip too short for movement does not tell from
+    a person.
     """
     share = {}
     for path in sorted((scene / "people").glob("p*.npz")):
         person, on = read_person(path), []
         for camera in cameras:
-            plate, _ = read_plate(scene / f"capture/{camera.name}.plate.png")
+            plate, _ = read_plate(scene / f"plates/{camera.name}.png")
             differs = np.abs(single[camera.name] / 255 - plate).mean(axis=-1) > _DIFFERENT / 255
             pixels, _ = camera.project(person.joints[0])
             on.append(sample(differs.astype(np.float32), pixels[None], "nearest")[0])
         share[person.name] = float(np.mean(on))
-    print("joints on what differs from the plates: " + ", ".join(f"{name} {value:.2f}" for name, value in share.items()), flush=True)
+    print(
+        "joints on what differs from the plates: " + ", ".join(f"{name} {value:.2f}" for name, value in share.items()),
+        flush=True,
+    )
     return max(sorted(share), key=share.__getitem__)
 
 
 def compared(folder: Path, frames: int) -> dict[str, Any]:
-    """Decibels per camera of three pictures against ``single``: room and man, the room alone, and ``multi``'s own photo."""
+    """Decibels per camera of three pictures against ``single``: room and man, the room alone, and ``multi``'s own
+    photo."""
     scene = folder / "results/multi"
     body = BodyModel.load(ROOT / "resources/body.npz")
     room, cameras = read_ply(scene / "background/scene.ply"), read_model(scene / "cameras")
@@ -109,13 +117,20 @@ def compared(folder: Path, frames: int) -> dict[str, Any]:
                 errors[name].append((psnr(look, truth, hers), psnr(look, truth, nobody)))
             share.append(float(hers.mean()))
             if k == frames // 2:
-                row = [multi[k], to_bytes(looks["room and man"]), single[k], np.repeat(hers[..., None] * np.uint8(255), 3, 2)]
+                row = [
+                    multi[k],
+                    to_bytes(looks["room and man"]),
+                    single[k],
+                    np.repeat(hers[..., None] * np.uint8(255), 3, 2),
+                ]
                 cv2.imwrite(str(folder / f"{camera.name}.png"), np.concatenate(row, axis=1)[..., ::-1])
         table[camera.name] = {"her_share": round(float(np.mean(share)), 4)} | {
-            name: {part: round(float(np.mean(known)), 2) if (known := [v[i] for v in values if v[i] is not None]) else None
-                   for i, part in enumerate(("where_she_was_db", "nobody_db"))}
+            name: {
+                part: round(float(np.mean(known)), 2) if (known := [v[i] for v in values if v[i] is not None]) else None
+                for i, part in enumerate(("where_she_was_db", "nobody_db"))
+            }
             for name, values in errors.items()
-        }  # fmt: skip
+        }
         print(camera.name, json.dumps(table[camera.name]), flush=True)
     return table
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stands in for ``views.generate`` on a machine without GPU and weights: films of GEN3C's size and length, and a note of what the job had.
+"""Stands in for ``views.generate`` on a machine without GPU and weights: films of GEN3C's size and length, and a note
+of what the job had.
 
-Each film repeats the request's first key frame. The job of segment 01 fails at its first attempt, as one does that runs out of memory.
+Each film repeats the request's first key frame. The job of segment 01 fails at its first attempt, as one does that runs
+out of memory.
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from studiorecon.images.video import write_lossless
-from studiorecon.models.gen3c_request import check_form, read_request
+from studiorecon.footage.video import write_lossless
+from studiorecon.models.adapters.gen3c_request import check_form
+from studiorecon.views.generate import read_request
 
 _NOTED = ("CUDA_VISIBLE_DEVICES", "SLURM_ARRAY_JOB_ID", "SLURM_ARRAY_TASK_ID", "SLURM_JOB_ID")
 

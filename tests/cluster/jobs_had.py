@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks after ``slurm.sh``: ``python jobs_had.py NOTES JOBS FILM…``; prints a line per job and fails with a sentence."""
+"""Checks after ``slurm.sh``: ``python jobs_had.py NOTES JOBS FILM…``; prints a line per job and fails with a
+sentence."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ import re
 import sys
 from pathlib import Path
 
-from studiorecon.images.video import read_frame
+from studiorecon.footage.video import read_frame
 
 
 def main(notes: Path, jobs: Path, films: list[Path]) -> None:
@@ -19,7 +20,9 @@ def main(notes: Path, jobs: Path, films: list[Path]) -> None:
     assert set(had) == {"00.1", "01.1", "01.2", "02.1", "03.1"}, "every segment once, and the failed one again"
     first = [share for name, share in had.items() if name.endswith(".1")]
     assert len({share["SLURM_JOB_ID"] for share in first}) == 4, "segments share a job"
-    assert not any(share["SLURM_ARRAY_JOB_ID"] for share in first), "segments are an array, whose tasks remove each other's films"
+    assert not any(share["SLURM_ARRAY_JOB_ID"] for share in first), (
+        "segments are an array, whose tasks remove each other's films"
+    )
     for share in had.values():
         assert share["CUDA_VISIBLE_DEVICES"] in ("0", "1"), "a job sees other GPUs than its own"
     said = [dict(re.findall(r"(\w+)=(\S*)", block)) for block in jobs.read_text().split("\n\n") if "JobId=" in block]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Profiles of clusters: what every rule asks for and how that grows when a job fails; nightly, a Slurm of this one machine."""
+"""Profiles of clusters: what every rule asks for and how that grows when a job fails; nightly, a Slurm of this one
+machine."""
 
 from __future__ import annotations
 
@@ -25,7 +26,10 @@ def submitted() -> dict[str, str]:
     """Text of every rule that a cluster gets as a job, by name."""
     found = {}
     for path in sorted((ROOT / "workflow/rules").glob("*.smk")):
-        for block in re.split(r"\n(?= *(?:rule|checkpoint) )", path.read_text()):
+        for block in re.split(r"\n(?= *(?:(?:use )?rule|checkpoint) )", path.read_text()):
+            again = re.match(r" *use rule (\w+) as (\w+) with:", block)
+            if again:
+                found[again.group(2)] = found[again.group(1)]
             named = re.match(r" *(?:rule|checkpoint) (\w+):", block)
             if named and "shell:" in block and "localrule: True" not in block:
                 found[named.group(1)] = block
@@ -66,16 +70,32 @@ def test_segments_are_jobs_of_their_own() -> None:
 
 def test_profiles_hold_no_places_of_their_own() -> None:
     for name in PROFILES:
-        text = "\n".join(line.partition("#")[0] for line in (ROOT / "profiles" / name / "config.yaml").read_text().splitlines())
+        text = "\n".join(
+            line.partition("#")[0] for line in (ROOT / "profiles" / name / "config.yaml").read_text().splitlines()
+        )
         assert "//" not in text
         assert "partition" not in text
 
 
 def planned(profile_folder: Path, *arguments: str) -> str:
-    command = [sys.executable, "-m", "snakemake", "--dry-run", "--snakefile", str(ROOT / "Snakefile"), "--profile", str(profile_folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--dry-run",
+        "--snakefile",
+        str(ROOT / "Snakefile"),
+        "--profile",
+        str(profile_folder),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "workflow")}
     done = subprocess.run(
-        [*command, *arguments], cwd=profile_folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        [*command, *arguments],
+        cwd=profile_folder,
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
     )
     assert done.returncode == 0, done.stdout[-3000:]
     return done.stdout
@@ -87,12 +107,18 @@ def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
     own = {key: value for key, value in profile("slurm").items() if key != "executor" and not key.startswith("slurm-")}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump({**own, "cores": 64}))
     text = planned(
-        tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "views={synthesizer: gen3c}", "survey={force: {view_synthesis: 'on'}}"
+        tmp_path,
+        "--config",
+        "dataset=resources/studio/tiny.yaml",
+        "views={synthesizer: gen3c}",
+        "survey={force: {view_synthesis: 'on'}}",
     )
     asked = {}
     for block in text.split("\nrule ")[1:]:
         resources = re.search(r"resources: (.*)", block)
-        asked[block.partition(":")[0]] = dict(pair.split("=", 1) for pair in resources.group(1).split(", ")) if resources else {}
+        asked[block.partition(":")[0]] = (
+            dict(pair.split("=", 1) for pair in resources.group(1).split(", ")) if resources else {}
+        )
     generate = asked["views_generate"]
     assert (generate["gpu"], generate["mem_mb"], generate["runtime"]) == ("1", "64000", "240")
     assert asked["views_request"]["mem_mb"] == "3000"
@@ -104,7 +130,11 @@ def test_kubernetes_is_planned_with_files_in_a_bucket(tmp_path: Path) -> None:
     """A folder stands in for the bucket: its storage plugin wants no account."""
     if importlib.util.find_spec("snakemake_storage_plugin_fs") is None:
         pytest.skip("snakemake-storage-plugin-fs is not installed")
-    own = {key: value for key, value in profile("kubernetes").items() if key not in ("executor", "default-storage-provider")}
+    own = {
+        key: value
+        for key, value in profile("kubernetes").items()
+        if key not in ("executor", "default-storage-provider")
+    }
     bucket = {"default-storage-provider": "fs", "default-storage-prefix": str(tmp_path / "bucket"), "cores": 8}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(own | bucket))
     text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "survey={force: {view_synthesis: 'on'}}")
@@ -115,7 +145,11 @@ def test_kubernetes_is_planned_with_files_in_a_bucket(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 def test_segments_go_through_slurm_each_with_its_gpu(tmp_path: Path) -> None:
-    environment = {**os.environ, "STUDIORECON_SCRATCH": str(tmp_path), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    environment = {
+        **os.environ,
+        "STUDIORECON_SCRATCH": str(tmp_path),
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+    }
     script = ROOT / "tests/cluster/slurm.sh"
     done = subprocess.run([str(script)], env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode == 77:

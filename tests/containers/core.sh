@@ -8,7 +8,7 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
 targets=("$@")
-((${#targets[@]})) || targets=(results/tiny/cameras/calibration.json results/tiny/capture/cam1.mkv)
+((${#targets[@]})) || targets=(results/tiny/calibration/calibration.json results/tiny/capture/cam1.mkv)
 
 skip() {
   echo "tests/containers/core.sh: skipped: $1" >&2

@@ -8,9 +8,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.models import containers
-from studiorecon.models.containers import Image, build, definition, engine, instructions, read_image
+from studiorecon.models.containers import ContainerImage, build, definition, engine, instructions, read_image
 
 
 def planted(folder: Path, name: str, script: str) -> None:
@@ -29,47 +29,72 @@ def test_the_first_engine_that_works_is_taken(tmp_path: Path, monkeypatch: pytes
     assert engine() == "apptainer"
 
 
-def test_without_an_engine_one_sentence_says_what_each_of_them_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_engine_one_sentence_says_what_each_of_them_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
     planted(tmp_path / "bin", "docker", "echo Cannot connect to the Docker daemon >&2; exit 1")
-    sentence = r"apptainer is not installed; podman is not installed; docker does not work here \(Cannot connect to the Docker daemon\)"
-    with pytest.raises(Refusal, match=sentence):
+    sentence = (
+        r"apptainer is not installed; podman is not installed; docker does not work here "
+        r"\(Cannot connect to the Docker daemon\)"
+    )
+    with pytest.raises(UserError, match=sentence):
         containers.run(["core=studiorecon/core:0.1.0"], tmp_path, tmp_path)
 
 
 def test_podman_is_given_folder_tag_and_context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
     planted(tmp_path / "bin", "podman", f'echo "$@" >> {tmp_path}/calls; echo sha256:12')
-    said = build("podman", Image("core", "studiorecon/core", "0.1.0"), root, tmp_path)
+    said = build("podman", ContainerImage("core", "studiorecon/core", "0.1.0"), root, tmp_path)
     calls = (tmp_path / "calls").read_text().splitlines()
     assert calls[0] == f"build -f {root}/envs/core/Containerfile -t studiorecon/core:0.1.0 {root}"
     assert "studiorecon/core:0.1.0 in podman's store (sha256:12)" in said
 
 
-def test_apptainer_makes_a_file_completely_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
+def test_apptainer_makes_a_file_completely_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: Path
+) -> None:
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
-    core = Image("core", "studiorecon/core", "0.1.0")
+    core = ContainerImage("core", "studiorecon/core", "0.1.0")
     planted(tmp_path / "bin", "apptainer", 'echo half > "$3"; echo no space left; exit 1')
-    with pytest.raises(Refusal, match=r"image core could not be built by apptainer \(no space left\)"):
+    with pytest.raises(UserError, match=r"image core could not be built by apptainer \(no space left\)"):
         build("apptainer", core, root, tmp_path / "images")
     assert not (tmp_path / "images/core-0.1.0.sif").exists()
     planted(tmp_path / "bin", "apptainer", 'cp "$4" "$3"')
     assert "core-0.1.0.sif, which --sdm apptainer uses" in build("apptainer", core, root, tmp_path / "images")
-    assert (tmp_path / "images/core-0.1.0.sif").read_text().startswith("Bootstrap: docker\nFrom: docker.io/library/python:3.11-slim\n")
+    assert (
+        (tmp_path / "images/core-0.1.0.sif")
+        .read_text()
+        .startswith("Bootstrap: docker\nFrom: docker.io/library/python:3.11-slim\n")
+    )
 
 
 def test_a_containerfile_becomes_a_definition() -> None:
     text = "# c\nARG BASE=a/b:1\nFROM ${BASE}\nENV A=1\nRUN one \\\n  two\nCOPY x /opt/x\nENV PYTHONPATH=/opt\n"
     assert definition(text).split("\n") == [
-        "Bootstrap: docker", "From: a/b:1", "", "%files", "    x /opt/x", "", "%environment", "    export A=1",
-        "    export PYTHONPATH=/opt", "", "%post", "    set -e", "    export A=1", "    one    two", "    export PYTHONPATH=/opt", "",
-    ]  # fmt: skip
-    with pytest.raises(Refusal, match="WORKDIR has no counterpart"):
+        "Bootstrap: docker",
+        "From: a/b:1",
+        "",
+        "%files",
+        "    x /opt/x",
+        "",
+        "%environment",
+        "    export A=1",
+        "    export PYTHONPATH=/opt",
+        "",
+        "%post",
+        "    set -e",
+        "    export A=1",
+        "    one    two",
+        "    export PYTHONPATH=/opt",
+        "",
+    ]
+    with pytest.raises(UserError, match="WORKDIR has no counterpart"):
         instructions("WORKDIR /opt")
 
 
 def test_an_image_is_named_in_full() -> None:
-    assert read_image("core=studiorecon/core:0.1.0") == Image("core", "studiorecon/core", "0.1.0")
+    assert read_image("core=studiorecon/core:0.1.0") == ContainerImage("core", "studiorecon/core", "0.1.0")
     with pytest.raises(ValueError, match="not NAME=ADDRESS:VERSION"):
         read_image("core")
 

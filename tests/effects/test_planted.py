@@ -1,27 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each effect: planted it is found, alone it does not set off another, and without information nothing is claimed.
 
-Many seeds and all pairs are the benchmark's (``python -m tests.bench.effects``); here a few seeds keep the statistics honest.
+Many seeds and all pairs are the benchmark's (``python -m tests.bench.effects``); here a few seeds keep the statistics
+honest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision
-from studiorecon.settings import load
-from studiorecon.survey.effects import Material, Settings, judge
+from studiorecon.survey.evidence import Evidence, Material
+from studiorecon.survey.judge import judge
 
-from .world import FRAMES, NAMES, PLANTED, scene
+from tests.made.planted import ROOT, SETTINGS  # noqa: F401
+from tests.made.studio_world import FRAMES, NAMES, PLANTED, scene
 
-ROOT = Path(__file__).resolve().parents[2]
-SETTINGS = load(Settings, yaml.safe_load((ROOT / "config/config.yaml").read_text())["survey"], "survey")
 # Where the scene without anything planted stands: a ring of four cameras in a deep room, with one person far from them.
 USUAL_ON = {"people", "depth_shift", "closed_path", "view_synthesis"}
 # One picture size makes both hands and faces large; rows of cameras before a wall are no ring.
@@ -29,7 +27,7 @@ TOGETHER = {("face", "hands"), ("depth_shift", "closed_path")}
 
 
 def judged(material: Material, was_on: tuple[str, ...] = ()) -> dict[str, Decision]:
-    return {d.effect: d for d in judge(material, SETTINGS, was_on)}
+    return {d.effect: d for d in judge(Evidence(material, SETTINGS), SETTINGS.thresholds, was_on)}
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +67,9 @@ class TestNoInformation:
 
     def test_without_depth_cameras_share_nothing(self) -> None:
         found = judged(scene(2, known_depth=False))
-        assert {found[e].verdict for e in ("exposure", "view_dependent_colour", "depth_shift", "moving_shadows")} == {"undetermined"}
+        assert {found[e].verdict for e in ("exposure", "view_dependent_colour", "depth_shift", "moving_shadows")} == {
+            "undetermined"
+        }
 
     @pytest.mark.parametrize("effect", ["sync_offset", "rolling_shutter"])
     def test_who_stands_still_does_not_tell_clocks(self, effect: str) -> None:
@@ -79,19 +79,33 @@ class TestNoInformation:
 
     def test_without_people_nothing_is_said_of_clocks_hands_and_shadows(self) -> None:
         found = judged(scene(2, people=0))
-        of_people = ("lens_distortion", "sync_offset", "rolling_shutter", "hands", "face", "vertex_term", "moving_shadows")
+        of_people = (
+            "lens_distortion",
+            "sync_offset",
+            "rolling_shutter",
+            "hands",
+            "face",
+            "vertex_term",
+            "moving_shadows",
+        )
         assert {found[e].verdict for e in of_people} == {"undetermined"}
         assert found["people"].verdict == "off"
 
     def test_where_people_hide_the_room_nothing_is_said_of_light_and_things(self, usual: Material) -> None:
         hidden = replace(usual, films=[replace(f, free=np.zeros_like(f.free)) for f in usual.films])
         found = judged(hidden)
-        assert {found[e].verdict for e in ("changing_light", "dynamic_objects", "moving_shadows", "moving_cameras")} == {"undetermined"}
+        assert {
+            found[e].verdict for e in ("changing_light", "dynamic_objects", "moving_shadows", "moving_cameras")
+        } == {"undetermined"}
 
     def test_keypoints_without_wrists_say_nothing_of_hands(self, usual: Material) -> None:
         kept = [i for i, name in enumerate(NAMES) if "wrist" not in name]
-        few = replace(usual.tracks, pixels=usual.tracks.pixels[..., kept, :], confidence=usual.tracks.confidence[..., kept],
-                      names=tuple(NAMES[i] for i in kept))  # fmt: skip
+        few = replace(
+            usual.tracks,
+            pixels=usual.tracks.pixels[..., kept, :],
+            confidence=usual.tracks.confidence[..., kept],
+            names=tuple(NAMES[i] for i in kept),
+        )
         found = judged(replace(usual, tracks=few))["hands"]
         assert found.verdict == "undetermined"
         assert "no keypoints named left_wrist" in found.reason
@@ -138,14 +152,18 @@ class TestLookalikes:
 
 
 class TestPairs:
-    """Two effects at once are both found (evaluation §3.21)."""
+    """Two effects at once are both found."""
 
     @pytest.mark.parametrize(
         "pair",
-        [("exposure", "view_dependent_colour"), ("sync_offset", "rolling_shutter"), ("moving_shadows", "dynamic_objects"),
-         ("lens_distortion", "sync_offset")],
+        [
+            ("exposure", "view_dependent_colour"),
+            ("sync_offset", "rolling_shutter"),
+            ("moving_shadows", "dynamic_objects"),
+            ("lens_distortion", "sync_offset"),
+        ],
         ids="+".join,
-    )  # fmt: skip
+    )
     def test_both_are_found(self, pair: tuple[str, str]) -> None:
         found = judged(scene(4, **PLANTED[pair[0]], **PLANTED[pair[1]]))
         assert [found[e].verdict for e in pair] == ["on", "on"]

@@ -16,19 +16,18 @@ if not torch.cuda.is_available():
 
 from studiorecon.scene.camera import Camera  # noqa: E402
 from studiorecon.scene.gaussians import Gaussians, concatenate  # noqa: E402
-from studiorecon.splatting import cuda_training  # noqa: E402
-from studiorecon.splatting.checkpoint import Checkpoint  # noqa: E402
-from studiorecon.splatting.cuda_training import train  # noqa: E402
-from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser  # noqa: E402
-from studiorecon.splatting.rasterise import Rasteriser  # noqa: E402
-from studiorecon.splatting.targets import Target  # noqa: E402
-from studiorecon.splatting.training import TrainedGaussians  # noqa: E402
-from studiorecon.splatting.training import train as train_on_cpu  # noqa: E402
+from studiorecon.splatting.cpu.rasterise import Rasteriser  # noqa: E402
+from studiorecon.splatting.cuda.rasterise import GsplatRasteriser  # noqa: E402
+from studiorecon.splatting.cuda.tensor_set import TensorSet  # noqa: E402
+from studiorecon.splatting.train.checkpoint import Checkpoint  # noqa: E402
+from studiorecon.splatting.train.still import TrainedGaussians, train_still  # noqa: E402
+from studiorecon.splatting.train.targets import Target  # noqa: E402
+from studiorecon.splatting.train.terms import TensorView  # noqa: E402
 
-from tests.foundations.splatting_scenes import camera, camera_on_ring, room  # noqa: E402
-from tests.foundations.test_splatting_gradients import BACKGROUND, FIELDS, NEAR_M, SCENES, reference  # noqa: E402
-from tests.foundations.test_splatting_training import SETTINGS  # noqa: E402
-from tests.hard.test_splatting import DEGENERATE, POISON, assert_finite, one, run  # noqa: E402
+from tests.made.gaussians import camera, camera_on_ring, room  # noqa: E402
+from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, SCENES, reference  # noqa: E402
+from tests.made.splatting_limits import DEGENERATE, POISON, assert_finite, one, run  # noqa: E402
+from tests.made.splatting_training import SETTINGS  # noqa: E402
 
 pytestmark = pytest.mark.gpu
 LIMIT = 1e-3
@@ -52,7 +51,7 @@ def test_images_and_gradients_agree_with_the_reference(gaussians: Gaussians, vie
 def test_poisoned_and_degenerate_gaussians_do_no_harm(changes: dict) -> None:
     rendering, gradients, rasteriser = run(
         concatenate([room(300, 2), one(**changes)]), camera(97, 53), GsplatRasteriser(near_m=NEAR_M)
-    )  # fmt: skip
+    )
     assert_finite(rendering, gradients)
     assert rasteriser.refused == (changes in POISON.values())
 
@@ -60,14 +59,19 @@ def test_poisoned_and_degenerate_gaussians_do_no_harm(changes: dict) -> None:
 def lesson() -> tuple[Gaussians, list[Target]]:
     truth = room(5000, 3).with_sh_degree(1)
     rasteriser = Rasteriser(near_m=0.01)
-    targets = [Target(v, rasteriser.forward(truth, v).rgb.clip(0, 1)) for v in (camera_on_ring(i, 8, 320, 176) for i in range(8))]
+    targets = [
+        Target(v, rasteriser.forward(truth, v).rgb.clip(0, 1))
+        for v in (camera_on_ring(i, 8, 320, 176) for i in range(8))
+    ]
     begin = replace(truth, sh=np.zeros_like(truth.sh), logit_opacities=np.full(truth.count, -1.0))
     return begin, targets
 
 
 def test_training_learns() -> None:
     begin, targets = lesson()
-    trained = train(begin, targets, replace(SETTINGS, iterations=500), np.random.default_rng(0), extent_m=1.0)
+    trained = train_still(
+        begin, targets, replace(SETTINGS, iterations=500), np.random.default_rng(0), extent_m=1.0, device="cuda"
+    )
     assert trained.psnr_db > 25
     assert trained.refused == 0
 
@@ -76,9 +80,9 @@ def test_training_learns() -> None:
 def test_mixed_precision_around_the_loop_stays_finite_and_learns_the_same(kind: torch.dtype) -> None:
     begin, targets = lesson()
     settings = replace(SETTINGS, iterations=100)
-    plain = train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
+    plain = train_still(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, device="cuda")
     with torch.autocast("cuda", kind):
-        mixed = train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
+        mixed = train_still(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, device="cuda")
     assert mixed.refused == mixed.left_out == 0
     assert mixed.psnr_db == pytest.approx(plain.psnr_db, abs=0.1)
 
@@ -87,30 +91,40 @@ def test_mixed_precision_around_the_loop_stays_finite_and_learns_the_same(kind: 
 def test_density_control_adds_as_many_as_on_the_cpu(densify: str) -> None:
     begin, targets = lesson()
     settings = replace(
-        SETTINGS, iterations=120, densify=densify, densify_every=50, densify_from=50, densify_until=100, cap=9000, prune_opacity=0.05,
-        relocate_growth=0.05,
-    )  # fmt: skip
-    found = train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
-    wanted = train_on_cpu(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
+        SETTINGS,
+        iterations=120,
+        densify=densify,
+        densify_every=50,
+        densify_from=50,
+        densify_until=100,
+        cap=9000,
+        prune_opacity=0.05,
+    )
+    found = train_still(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, device="cuda")
+    wanted = train_still(begin, targets, settings, np.random.default_rng(0), extent_m=1.0)
     assert found.gaussians.count == pytest.approx(wanted.gaussians.count, rel=0.03)
     assert found.psnr_db == pytest.approx(wanted.psnr_db, abs=1.5), "offsets of split halves are drawn in another order"
 
 
-def test_a_killed_training_taken_up_learns_what_an_uninterrupted_one_does(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_killed_training_taken_up_learns_what_an_uninterrupted_one_does(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     begin, targets = lesson()
-    settings, step, done = replace(SETTINGS, iterations=100), cuda_training._Run.step, []
+    settings, step, done = replace(SETTINGS, iterations=100), TensorSet.step, []
 
     def run(checkpoint: Checkpoint | None) -> TrainedGaussians:
-        return train(begin, targets, settings, np.random.default_rng(0), extent_m=1.0, checkpoint=checkpoint)
+        return train_still(
+            begin, targets, settings, np.random.default_rng(0), extent_m=1.0, checkpoint=checkpoint, device="cuda"
+        )
 
-    def dying(running: cuda_training._Run, iteration: int, index: int) -> tuple[float, float]:
+    def dying(running: TensorSet, iteration: int, view: TensorView, loss: torch.Tensor) -> tuple[float, float]:
         done.append(iteration)
         if len(done) == 60:
             raise KeyboardInterrupt
-        return step(running, iteration, index)
+        return step(running, iteration, view, loss)
 
     whole = run(None)
-    monkeypatch.setattr(cuda_training._Run, "step", dying)
+    monkeypatch.setattr(TensorSet, "step", dying)
     with pytest.raises(KeyboardInterrupt):
         run(Checkpoint(tmp_path / "state.npz", "mark", 1e-9))
     taken_up = run(Checkpoint(tmp_path / "state.npz", "mark", 1e-9))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``python -m tests.hard.table`` writes README.md beside it: every hard case with its test, every reading with its setting.
+"""``python -m tests.hard.table`` writes the pages docs/hard-cases.md and docs/readings.md.
 
-The rows and their owners stand in ``rows.tsv``, the readings in ``readings.tsv``; the tests are asked from pytest, where a test carries
-a row when the row's id is part of its pytest id or name. ``--check`` writes nothing and fails when the file is out of date.
+The rows and their owners stand in ``rows.tsv``, the readings in ``readings.tsv``. A test holds a row when the row's id
+is part of its pytest id or name. ``--check`` writes nothing and fails when a page is out of date.
 """
 
 from __future__ import annotations
@@ -12,25 +12,62 @@ import re
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-README = HERE / "README.md"
+HARD_CASES, READINGS = ROOT / "docs/hard-cases.md", ROOT / "docs/readings.md"
 PACKAGE = ROOT / "workflow" / "studiorecon"
 # How many rows each letter of the design's table has.
-ROW_COUNTS = {"C": 12, "R": 21, "T": 16, "S": 7, "D": 7, "A": 15, "M": 7, "F": 9, "L": 8, "G": 16, "I": 14, "O": 8, "E": 14, "V": 7}
+ROW_COUNTS = {
+    "C": 12,
+    "R": 21,
+    "T": 16,
+    "S": 7,
+    "D": 7,
+    "A": 15,
+    "M": 7,
+    "F": 9,
+    "L": 8,
+    "G": 16,
+    "I": 14,
+    "O": 8,
+    "E": 14,
+    "V": 7,
+}
 READING_COUNT = 60
 
 _ROW_ID = re.compile(r"(?<![A-Za-z0-9])([CRTSDAMFLGIOEVcrtsdamflgioev]\d\d)(?![0-9])")
 
-HEAD = """# Hard cases and readings
+GROUPS = {
+    "C": "Cameras and conventions",
+    "R": "Rotations",
+    "T": "Triangulation",
+    "S": "Scale",
+    "D": "Depth alignment",
+    "A": "Association of people across cameras",
+    "M": "Body fit",
+    "F": "Filters over time",
+    "L": "Linear blend skinning",
+    "G": "Gaussians and their rasterisation",
+    "I": "Images, losses and measures",
+    "O": "Optimisers",
+    "E": "Enhancement",
+    "V": "Evaluation",
+}
+MADE = "Made by `python -m tests.hard.table`; do not edit by hand."
+CASES_HEAD = f"""# Hard cases
 
-Made by `python -m tests.hard.table`; do not edit by hand. The first table holds every case in which the method's arithmetic is known to
-break, with the test that holds it and the module that owns it. The second lists every place where the paper leaves room, the reading that
-is taken, the setting that chooses it, and the setting of the paper's letter where that can be run.
+{MADE} Every case in which the method's arithmetic is known to break, and the module that owns it.
+Comments in the code name them by their ids. Each is held by at least one test that carries the id:
+`uv run --group test pytest -m "" -k t13` runs those of T13.
+"""
+READINGS_HEAD = f"""# Readings
+
+{MADE} Every place where the paper leaves room, the reading that is taken, the setting that chooses it,
+and the setting of the paper's letter where that can be run. Comments in the code name them by their numbers.
 """
 
 
@@ -97,7 +134,8 @@ def collected() -> list[str]:
 
 
 def rows_of(test: str) -> set[str]:
-    """The row ids in a pytest id: ``tests/hard/test_a.py::test_d01_x[E03-1]`` carries D01 and E03; the file's name does not count."""
+    """The row ids in a pytest id: ``tests/hard/test_a.py::test_d01_x[E03-1]`` carries D01 and E03; the file's name does
+    not count."""
     return {match.upper() for match in _ROW_ID.findall(test.partition("::")[2].replace("_", " "))}
 
 
@@ -110,35 +148,37 @@ def tests_by_row(tests: Sequence[str]) -> dict[str, Counter[str]]:
     return found
 
 
-def state(row: Row, tests: Mapping[str, Counter[str]]) -> str:
-    """``held``, or what the row waits for."""
-    if row.id in tests:
-        return "held"
-    path = module_path(row.module)
-    return "missing: no test carries its id" if path.is_file() else f"missing: waits for {path.relative_to(PACKAGE)}"
+def hard_cases() -> str:
+    """The text of docs/hard-cases.md."""
+    lines = [CASES_HEAD]
+    for letter, title in GROUPS.items():
+        lines += [f"## {letter}: {title}\n", "| id | what | module |", "|---|---|---|"]
+        lines += [f"| {row.id} | {row.what} | `{row.module}` |" for row in rows() if row.id[0] == letter]
+        lines.append("")
+    return "\n".join(lines)
 
 
-def written(tests: Mapping[str, Counter[str]]) -> str:
-    """The text of README.md."""
-    listed = rows()
-    held = sum(state(row, tests) == "held" for row in listed)
-    lines = [HEAD, f"## Hard cases ({held} of {len(listed)} held)\n", "| id | what | test | module | state |", "|---|---|---|---|---|"]
-    for row in listed:
-        named = "<br>".join(f"`{test}`" + (f" ×{count}" if count > 1 else "") for test, count in sorted(tests.get(row.id, {}).items()))
-        lines.append(f"| {row.id} | {row.what} | {named} | `{row.module}` | {state(row, tests)} |")
-    lines += ["", "## Readings\n", "| id | reading | setting (default) | the paper's letter | module |"]
-    lines.append("|---|---|---|---|---|")
+def reading_table() -> str:
+    """The text of docs/readings.md."""
+    lines = [
+        READINGS_HEAD,
+        "| id | reading | setting (default) | the paper's letter | module |",
+        "|---|---|---|---|---|",
+    ]
     for reading in readings():
-        keys, letter = ("<br>".join(f"`{one}`" for one in pairs(text)) or "–" for text in (reading.settings, reading.literal))
+        keys, letter = (
+            "<br>".join(f"`{one}`" for one in pairs(text)) or "–" for text in (reading.settings, reading.literal)
+        )
         lines.append(f"| {reading.id} | {reading.reading} | {keys} | {letter} | `{reading.module}` |")
     return "\n".join(lines) + "\n"
 
 
 def main(arguments: Sequence[str]) -> int:
-    text = written(tests_by_row(collected()))
+    pages = {HARD_CASES: hard_cases(), READINGS: reading_table()}
     if "--check" in arguments:
-        return int(README.read_text(encoding="utf-8") != text)
-    README.write_text(text, encoding="utf-8")
+        return int(any(page.read_text(encoding="utf-8") != text for page, text in pages.items()))
+    for page, text in pages.items():
+        page.write_text(text, encoding="utf-8")
     return 0
 
 

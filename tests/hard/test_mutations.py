@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small wrong edits of the arithmetic, each of which some test must notice: a sign, a transpose, a missing √w, half a pixel, an index.
+"""Small wrong edits of the arithmetic, each of which some test must notice: a sign, a transpose, a missing √w, half a
+pixel, an index.
 
-The edits stand in ``mutations.tsv``. Each is made in a copy of the package, and the tests that should notice run against the copy.
-Nightly (``slow``): about ten seconds each. ``python -m tests.hard.test_mutations`` lists the edits that nobody notices.
+The edits stand in ``mutations.tsv``. Each is made in a copy of the package, and the tests that should notice run
+against the copy. Nightly (``slow``): about ten seconds each. ``python -m tests.hard.test_mutations`` lists the edits
+that nobody notices.
 """
 
 from __future__ import annotations
@@ -58,14 +60,18 @@ def copied(folder: Path) -> Path:
 def run(copy: Path, tests: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests.split()]
     environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+    )
 
 
 def noticed(copy: Path, mutation: Mutation) -> tuple[bool, str]:
     """Whether a test fails under the edit, and what pytest said; the copy is as before afterwards."""
     path = copy / "studiorecon" / mutation.file
     source, times = path.read_text(encoding="utf-8"), (path.stat().st_atime_ns, path.stat().st_mtime_ns)
-    assert source.count(mutation.before) == 1, f"{mutation.name}: {mutation.file} has changed; the edit needs its new text"
+    assert source.count(mutation.before) == 1, (
+        f"{mutation.name}: {mutation.file} has changed; the edit needs its new text"
+    )
     path.write_text(source.replace(mutation.before, mutation.after), encoding="utf-8")
     try:
         done = run(copy, mutation.tests)
@@ -106,7 +112,9 @@ def test_without_an_edit_all_of_these_tests_pass(copy: Path) -> None:
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda m: m.name)
 def test_a_wrong_edit_is_noticed(copy: Path, mutation: Mutation) -> None:
     seen, said = noticed(copy, mutation)
-    assert seen, f"no test of {mutation.tests} notices {mutation.before!r} → {mutation.after!r} in {mutation.file}:\n{said}"
+    assert seen, (
+        f"no test of {mutation.tests} notices {mutation.before!r} → {mutation.after!r} in {mutation.file}:\n{said}"
+    )
 
 
 if __name__ == "__main__":

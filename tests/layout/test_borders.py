@@ -32,7 +32,9 @@ def raises(function: Function, private: dict[str, Function]) -> bool:
             return True
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             name = node.func.id
-            if name == "require" or (name in private and raises(private[name], {k: v for k, v in private.items() if k != name})):
+            if name == "require" or (
+                name in private and raises(private[name], {k: v for k, v in private.items() if k != name})
+            ):
                 return True
     return False
 
@@ -46,7 +48,9 @@ def test_a_public_function_that_can_raise_says_so(path: Path) -> None:
     found = functions(path)
     private = {name: node for name, node in found.items() if name.startswith("_")}
     silent = [
-        name for name, node in found.items() if public(name) and raises(node, private) and not STATED.search(ast.get_docstring(node) or "")
+        name
+        for name, node in found.items()
+        if public(name) and raises(node, private) and not STATED.search(ast.get_docstring(node) or "")
     ]
     assert not silent, f"{path.name}: {', '.join(silent)} can raise and does not say what"
 
@@ -57,5 +61,5 @@ def test_a_statement_is_not_empty(path: Path) -> None:
     for name, node in functions(path).items():
         for sentence in re.split(r"\.\s", ast.get_docstring(node) or "") if public(name) else []:
             if re.search(r"\b[Rr]aises\b", sentence):
-                named = re.search(r"Error|Refusal|``\w|\bas it does\b", sentence)
+                named = re.search(r"Error|UserError|``\w|\bas it does\b", sentence)
                 assert named, f"{path.name}: {name} says “{sentence.strip()}” without the error's name"

@@ -20,7 +20,9 @@ def needed(kind: type) -> set[str]:
 
 
 def test_the_schema_knows_every_kind() -> None:
-    assert set(SCHEMA["properties"]["render"]["properties"]["shots"]["additionalProperties"]["properties"]["kind"]["enum"]) == set(KINDS)
+    assert set(
+        SCHEMA["properties"]["render"]["properties"]["shots"]["additionalProperties"]["properties"]["kind"]["enum"]
+    ) == set(KINDS)
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -35,7 +37,9 @@ def test_the_schema_of_a_kind_is_its_dataclass(name: str) -> None:
 def test_the_schema_of_a_key_is_its_dataclass() -> None:
     key = SCHEMA["$defs"]["spline"]["properties"]["keys"]["items"]
     assert set(key["properties"]) == {field.name for kind in (CameraKey, FreeKey) for field in dataclasses.fields(kind)}
-    assert {*key["required"], *(name for option in key["oneOf"] for name in option["required"])} == needed(CameraKey) | needed(FreeKey)
+    assert {*key["required"], *(name for option in key["oneOf"] for name in option["required"])} == needed(
+        CameraKey
+    ) | needed(FreeKey)
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if name != "heldout"])
@@ -46,4 +50,6 @@ def test_the_prose_has_every_default(name: str) -> None:
             continue
         default = list(field.default) if isinstance(field.default, tuple) else field.default
         written = '""' if default == "" else default
-        assert f"`{field.name}: {written}`" in row, f"config/README.md does not say that {field.name} of {name} is {written}"
+        assert f"`{field.name}: {written}`" in row, (
+            f"config/README.md does not say that {field.name} of {name} is {written}"
+        )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is imported is declared: the plain environment holds what steps import, an extra what some of them load on the way."""
+"""What is imported is declared: the plain environment holds what steps import, an extra what some of them load on the
+way."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from packaging.version import Version
 from studiorecon import code
 from studiorecon.libraries import EXTRAS
 
-from .test_layout import ON_REQUEST
+from tests.made.layout import ON_REQUEST
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow/studiorecon"
@@ -24,7 +25,7 @@ CONSTRAINTS = ROOT / "envs/constraints.txt"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # What a package is called on the registry, where that is not what it is imported as; llvmlite is a part of numba's.
 CALLED = {"cv2": "opencv-contrib-python-headless", "yaml": "pyyaml", "skimage": "scikit-image", "llvmlite": "numba"}
-OWN = {*sys.stdlib_module_names, "studiorecon", "tests"}
+OWN = {*sys.stdlib_module_names, "studiorecon", "snakemake_logger_plugin_studiorecon", "tests"}
 
 
 def names(requirements: list) -> set[str]:
@@ -52,14 +53,21 @@ def outside_functions(tree: ast.Module) -> ast.Module:
     return ast.Module([node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)], [])
 
 
+class Executed(ast.NodeTransformer):
+    """Takes out what only a type checker sees."""
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        return None if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
+
+
 def test_what_the_package_imports_is_declared() -> None:
     for path in MODULES:
-        assert imports(ast.parse(path.read_text())) <= PLAIN.union(*OPTIONAL.values()), path
+        assert imports(Executed().visit(ast.parse(path.read_text()))) <= PLAIN.union(*OPTIONAL.values()), path
 
 
 def test_what_steps_import_at_once_is_in_the_plain_environment() -> None:
     rules = "".join(path.read_text() for path in sorted((ROOT / "workflow/rules").glob("*.smk")))
-    steps = set(re.findall(r"python -m studiorecon (\w+\.\w+)", rules))
+    steps = set(re.findall(r"command\(\"(\w+\.\w+)\"\)", rules))
     assert len(steps) > 30
     for path in code.reached(steps, without=ON_REQUEST).values():
         assert imports(outside_functions(ast.parse(path.read_text()))) <= PLAIN, path
@@ -100,22 +108,41 @@ def test_the_tested_versions_are_within_what_is_declared() -> None:
     tested = [Requirement(line.partition("#")[0]) for line in text.splitlines() if line.partition("#")[0].strip()]
     held = {canonicalize_name(r.name) for r in tested}
     project = PROJECT["project"]
-    declared = [*project["dependencies"], *project["optional-dependencies"]["run"], *(r for r in GROUPS["test"] if isinstance(r, str))]
+    declared = [
+        *project["dependencies"],
+        *project["optional-dependencies"]["run"],
+        *(r for r in GROUPS["test"] if isinstance(r, str)),
+    ]
     for wanted in map(Requirement, declared):
-        assert canonicalize_name(wanted.name) in held, f"{wanted.name} has no tested version (the head of constraints.txt says how)"
+        assert canonicalize_name(wanted.name) in held, (
+            f"{wanted.name} has no tested version (the head of constraints.txt says how)"
+        )
         for pin in tested:
             if canonicalize_name(pin.name) == canonicalize_name(wanted.name):
-                assert Version(next(iter(pin.specifier)).version) in wanted.specifier, f"{pin} is not what pyproject.toml asks for"
+                assert Version(next(iter(pin.specifier)).version) in wanted.specifier, (
+                    f"{pin} is not what pyproject.toml asks for"
+                )
 
 
 def test_the_core_image_has_the_tested_versions() -> None:
-    tested = [Requirement(line.partition("#")[0]) for line in CONSTRAINTS.read_text().splitlines() if line.partition("#")[0].strip()]
-    there = {"python_full_version": "3.11.9", "python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
+    tested = [
+        Requirement(line.partition("#")[0])
+        for line in CONSTRAINTS.read_text().splitlines()
+        if line.partition("#")[0].strip()
+    ]
+    there = {
+        "python_full_version": "3.11.9",
+        "python_version": "3.11",
+        "sys_platform": "linux",
+        "platform_machine": "x86_64",
+    }
     held = {canonicalize_name(r.name): r.specifier for r in tested if r.marker is None or r.marker.evaluate(there)}
     for line in (ROOT / "envs/core/requirements.txt").read_text().splitlines():
         if line and not line.startswith("#"):
             pin = Requirement(line)
-            assert held[canonicalize_name(pin.name)] == pin.specifier, f"envs/core pins {pin}, and constraints.txt another"
+            assert held[canonicalize_name(pin.name)] == pin.specifier, (
+                f"envs/core pins {pin}, and constraints.txt another"
+            )
 
 
 def test_steps_that_share_work_among_threads_call_no_kernel_that_does_so_itself() -> None:
@@ -124,4 +151,6 @@ def test_steps_that_share_work_among_threads_call_no_kernel_that_does_so_itself(
         if "ThreadPoolExecutor" in path.read_text():
             step = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
             for module, reached in code.reached([step]).items():
-                assert "parallel=True" not in reached.read_text(), f"{step} runs threads and reaches the parallel kernels of {module}"
+                assert "parallel=True" not in reached.read_text(), (
+                    f"{step} runs threads and reaches the parallel kernels of {module}"
+                )

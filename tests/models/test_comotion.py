@@ -3,37 +3,25 @@
 
 from __future__ import annotations
 
+import pickle
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.models.comotion import JOINTS, UNSEEN, Comotion, estimated, post, pre
+from studiorecon.errors import UserError
+from studiorecon.models.adapters import comotion
+from studiorecon.models.adapters.comotion import CARD, JOINTS, UNSEEN, estimated, postprocess, preprocess
+from studiorecon.models.loading import load
 
-from tests.models.planted import room_views
-
-
-def slots(ids: list[int], seed: int = 0) -> dict[str, np.ndarray]:
-    """Track slots with people two metres apart in a camera's frame, seen by the first camera of the made room."""
-    camera = room_views((192, 108))[0][0]
-    rng = np.random.default_rng(seed)
-    count = len(ids)
-    joints = rng.normal(0, 0.25, (count, JOINTS, 3)) + np.array([0, 0, 5.0]) + 2.0 * np.arange(count)[:, None, None] * np.array([1, 0, 0])
-    pixels = joints @ camera.intrinsics.T
-    return {
-        "id": np.array(ids, np.float32),
-        "pose": rng.normal(0, 0.2, (count, 72)).astype(np.float32),
-        "betas": rng.normal(0, 1, (count, 10)).astype(np.float32),
-        "trans": rng.normal(0, 1, (count, 3)).astype(np.float32),
-        "pred_3d": joints.astype(np.float32),
-        "pred_2d": (pixels[..., :2] / pixels[..., 2:]).astype(np.float32),
-    }
+from tests.made.comotion import slots
+from tests.made.networks import room_views
 
 
 def test_planted_bodies_come_out_and_empty_slots_do_not() -> None:
     planted = slots([3, 0, 1])
-    found = post(planted, np.empty((0, JOINTS, 2)), np.empty(0))
+    found = postprocess(planted, np.empty((0, JOINTS, 2)), np.empty(0))
     assert found.tracks.tolist() == [2, 0], "upstream counts from 1, 0 is an empty slot"
     np.testing.assert_allclose(found.poses_rad[:, 0], planted["pose"][[0, 2], :3], atol=1e-6)
     np.testing.assert_allclose(found.poses_rad[1].ravel(), planted["pose"][2], atol=1e-6)
@@ -46,24 +34,28 @@ def test_planted_bodies_come_out_and_empty_slots_do_not() -> None:
 def test_a_body_is_as_sure_as_the_detection_it_lies_on() -> None:
     planted = slots([1, 2])
     seen = planted["pred_2d"][[1]] + 1.0
-    found = post(planted, seen, np.array([2.0]))
+    found = postprocess(planted, seen, np.array([2.0]))
     # Naive: the logit itself, or the same for somebody who is only carried on behind a pillar.
     np.testing.assert_allclose(found.confidences, [UNSEEN, 1 / (1 + np.exp(-2.0))], atol=1e-6)
-    assert post(slots([0, 0]), seen, np.array([2.0])).tracks.size == 0
+    assert postprocess(slots([0, 0]), seen, np.array([2.0])).tracks.size == 0
 
 
 def test_what_upstream_gets_wrong_is_a_sentence(tmp_path: Path) -> None:
     planted = slots([1])
-    with pytest.raises(Refusal, match="as pose, expected"):
-        post({**planted, "pose": planted["pose"].reshape(1, 24, 3)}, np.empty((0, JOINTS, 2)), np.empty(0))
-    with pytest.raises(Refusal, match="hold nothing as trans"):
-        post({k: v for k, v in planted.items() if k != "trans"}, np.empty((0, JOINTS, 2)), np.empty(0))
-    with pytest.raises(Refusal, match="1 values of betas that are no numbers"):
-        post({**planted, "betas": np.where(np.arange(10) == 3, np.nan, planted["betas"])}, np.empty((0, JOINTS, 2)), np.empty(0))
-    with pytest.raises(Refusal, match="comotion_detection_checkpoint"):
-        Comotion(tmp_path, "cpu")
+    with pytest.raises(UserError, match="as pose, expected"):
+        postprocess({**planted, "pose": planted["pose"].reshape(1, 24, 3)}, np.empty((0, JOINTS, 2)), np.empty(0))
+    with pytest.raises(UserError, match="hold nothing as trans"):
+        postprocess({k: v for k, v in planted.items() if k != "trans"}, np.empty((0, JOINTS, 2)), np.empty(0))
+    with pytest.raises(UserError, match="1 values of betas that are no numbers"):
+        postprocess(
+            {**planted, "betas": np.where(np.arange(10) == 3, np.nan, planted["betas"])},
+            np.empty((0, JOINTS, 2)),
+            np.empty(0),
+        )
+    with pytest.raises(UserError, match="comotion_detection_checkpoint"):
+        load("body estimator", "comotion", tmp_path, "cpu")
     with pytest.raises(ValueError, match="expected uint8"):
-        pre(np.zeros((4, 5, 3)), np.eye(3))
+        preprocess(np.zeros((4, 5, 3)), np.eye(3))
 
 
 def test_the_network_is_given_the_cameras_own_intrinsics() -> None:
@@ -79,10 +71,34 @@ def test_the_network_is_given_the_cameras_own_intrinsics() -> None:
         detections = {"pred_2d": torch.from_numpy(planted["pred_2d"][:1])[None], "conf": torch.full((1, 1, 1), 3.0)}
         return detections, SimpleNamespace(**state)
 
-    found = post(*estimated(network, *pre(np.zeros((108, 192, 3), np.uint8), camera.intrinsics)))
+    found = postprocess(*estimated(network, *preprocess(np.zeros((108, 192, 3), np.uint8), camera.intrinsics)))
     shape, kind, intrinsics = asked[0]
     assert shape == (3, 108, 192)
     assert kind == torch.uint8
     # Naive, as upstream's command line: a focal length of twice the longer side, and every depth with it.
     np.testing.assert_allclose(intrinsics, camera.intrinsics[:2], rtol=1e-6)
     assert found.confidences[0] == pytest.approx(0.9526, abs=1e-3)
+
+
+def test_smpls_file_that_upstream_misses_at_import_is_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for file in CARD.weights:
+        (tmp_path / "weights" / file.path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "weights" / file.path).write_bytes(b"x")
+    package = tmp_path / "comotion_demo/models"
+    package.mkdir(parents=True)
+    for folder in (package, package.parent):
+        (folder / "__init__.py").touch()
+    (package / "comotion.py").write_text("assert False, 'Please download the neutral SMPL body model'\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UserError, match=r"neutral SMPL body model\); link .*SMPL_NEUTRAL\.pkl to comotion_demo/data"):
+        load("body estimator", "comotion", tmp_path / "weights", "cpu")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "comotion_demo"]:
+        monkeypatch.delitem(sys.modules, name)
+
+
+def test_smpls_file_is_read_without_running_what_it_names(tmp_path: Path) -> None:
+    (tmp_path / "evil.pkl").write_bytes(pickle.dumps({"v_template": Path("x")}))
+    with open(tmp_path / "evil.pkl", "rb") as stream, pytest.raises(UserError, match="asks for pathlib"):
+        comotion._Arrays(tmp_path / "evil.pkl").load(stream, encoding="latin1")

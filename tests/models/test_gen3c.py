@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GEN3C without its network: what it is asked, that a wrong request is caught before a GPU is, and what is made of its chunks."""
+"""GEN3C without its network: what it is asked, that a wrong request is caught before a GPU is, and what is made of its
+chunks."""
 
 from __future__ import annotations
 
@@ -11,14 +12,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry.path import between
-from studiorecon.models import gen3c
-from studiorecon.models.gen3c import CHUNK, KeyFrame, chunks, depth_scale, order, post, pre
-from studiorecon.models.gen3c_request import check_evidence, check_form, evidence, read_request, splat
+from studiorecon.models.adapters import gen3c
+from studiorecon.models.adapters.gen3c import chunks, depth_scale, order, postprocess, preprocess
+from studiorecon.models.adapters.gen3c_request import CHUNK, check_evidence, check_form, evidence, splat
+from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
+from studiorecon.views.generate import read_request
 
-from tests.models.planted import room_views, upstream_sources
+from tests.made.networks import room_views, upstream_sources
 
 HW = (88, 160)
 
@@ -29,18 +32,21 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def key_frames(depth_factor: float = 1.0) -> list[KeyFrame]:
-    return [KeyFrame(c, rgb, (depth * depth_factor).astype(np.float32), depth > 0) for c, rgb, depth in room_views((HW[1], HW[0]))]
+    return [
+        KeyFrame(c, rgb, (depth * depth_factor).astype(np.float32), depth > 0)
+        for c, rgb, depth in room_views((HW[1], HW[0]))
+    ]
 
 
 def way(frames: list[KeyFrame], length: int = CHUNK) -> list[Camera]:
-    views, _ = between(frames[0].camera, frames[1].camera, length, np.zeros(3), centres="arc", rotations="look_at", clearance=0.6)
+    views, _ = between(frames[0].camera, frames[1].camera, length, np.zeros(3), rotations="look_at", clearance=1.0)
     return [frames[0].camera, *views[1:]]
 
 
 @pytest.fixture
 def request_of_room(small: None) -> dict[str, np.ndarray]:
     frames = key_frames()
-    return pre(frames, way(frames))
+    return preprocess(frames, way(frames))
 
 
 def test_conventions_of_a_request(request_of_room: dict[str, np.ndarray]) -> None:
@@ -57,10 +63,14 @@ def test_conventions_of_a_request(request_of_room: dict[str, np.ndarray]) -> Non
     check_form(first)
 
 
-@pytest.mark.parametrize(("factor", "median"), [(0.01, 1.0), (1.0, None), (200.0, 10.0)], ids=["tiny scene", "room", "field"])
-def test_scale_brings_depth_where_the_network_expects_it_and_moves_poses_with_it(small: None, factor: float, median: float | None) -> None:
+@pytest.mark.parametrize(
+    ("factor", "median"), [(0.01, 1.0), (1.0, None), (200.0, 10.0)], ids=["tiny scene", "room", "field"]
+)
+def test_scale_brings_depth_where_the_network_expects_it_and_moves_poses_with_it(
+    small: None, factor: float, median: float | None
+) -> None:
     frames = [replace(k, camera=_scaled(k.camera, factor)) for k in key_frames(factor)]
-    made = pre(frames, [frames[0].camera] * CHUNK)
+    made = preprocess(frames, [frames[0].camera] * CHUNK)
     known = made["depth_key_frames"][made["mask_key_frames"] > 0]
     assert 1 - 1e-5 <= np.median(known) <= 10 + 1e-5
     assert known.max() <= 100
@@ -80,7 +90,7 @@ def test_a_far_wall_never_reaches_the_cut_at_100() -> None:
     depth = np.full((10, 10), 5.0)
     depth[0, 0] = 400.0
     assert depth_scale([depth]) * 400 == pytest.approx(100)
-    with pytest.raises(Refusal, match="no key frame has a pixel with known depth"):
+    with pytest.raises(UserError, match="no key frame has a pixel with known depth"):
         depth_scale([np.zeros((3, 3)), np.full((3, 3), np.inf)])
 
 
@@ -91,7 +101,7 @@ def test_infinite_and_masked_depth_become_zero_with_mask_zero(small: None) -> No
     usable = frames[0].usable.copy()
     usable[20:30] = False
     frames[0] = replace(frames[0], depth_m=depth, usable=usable)
-    made = pre(frames, way(frames))
+    made = preprocess(frames, way(frames))
     # Naive: upstream turns NaN and +inf into a wall at 100.
     assert not made["depth_key_frames"][0, 0, :30].any()
     assert not made["mask_key_frames"][0, 0, :30].any()
@@ -102,17 +112,17 @@ def test_the_key_frame_the_path_starts_at_comes_first(small: None) -> None:
     frames = key_frames()
     turned = [frames[2], frames[1], frames[0], frames[3]]
     assert order(turned, frames[0].camera) == [2, 0, 1, 3]
-    made = pre(turned, way(frames))
+    made = preprocess(turned, way(frames))
     np.testing.assert_array_equal(made["w2cs_all"][0], made["w2cs_key_frames"][0])
-    with pytest.raises(Refusal, match=r"starts .* off the nearest key frame"):
-        pre(frames, [*way(frames)[1:], frames[1].camera])
+    with pytest.raises(UserError, match=r"starts .* off the nearest key frame"):
+        preprocess(frames, [*way(frames)[1:], frames[1].camera])
 
 
 @pytest.mark.parametrize("length", [1, 120, 122, 240])
 def test_only_120_n_plus_1_frames_are_asked_for(small: None, length: int) -> None:
     frames = key_frames()
-    with pytest.raises(Refusal, match="121, 241, 361"):
-        pre(frames, [frames[0].camera] * length)
+    with pytest.raises(UserError, match="121, 241, 361"):
+        preprocess(frames, [frames[0].camera] * length)
 
 
 def test_a_sound_request_reproduces_its_key_frames_and_fills_its_path(request_of_room: dict[str, np.ndarray]) -> None:
@@ -137,9 +147,11 @@ def spoil_one_camera(made: dict[str, np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize("spoil", [spoil_poses, spoil_depth, spoil_one_camera])
-def test_contradictions_between_depth_and_poses_are_caught(request_of_room: dict[str, np.ndarray], spoil: Callable) -> None:
+def test_contradictions_between_depth_and_poses_are_caught(
+    request_of_room: dict[str, np.ndarray], spoil: Callable
+) -> None:
     spoil(request_of_room)
-    with pytest.raises(Refusal, match=r"disagree about depth|of the path the key frames show"):
+    with pytest.raises(UserError, match=r"disagree about depth|of the path the key frames show"):
         check_evidence(evidence(request_of_room, samples=3))
 
 
@@ -148,7 +160,7 @@ def test_a_path_into_the_unseen_is_caught(request_of_room: dict[str, np.ndarray]
     away[60:, :3, :3] = np.diag([-1.0, 1.0, -1.0]) @ away[60:, :3, :3]
     away[60:, :3, 3] = 50
     request_of_room["w2cs_all"] = away.astype(np.float32)
-    with pytest.raises(Refusal, match=r"at frame (60|120) of the path the key frames show 0 %"):
+    with pytest.raises(UserError, match=r"at frame (60|120) of the path the key frames show 0 %"):
         check_evidence(evidence(request_of_room, samples=3))
 
 
@@ -174,23 +186,25 @@ def test_a_malformed_request_is_one_sentence(
         del request_of_room[field]
     else:
         request_of_room[field] = change(request_of_room[field])
-    with pytest.raises(Refusal, match=sentence):
+    with pytest.raises(UserError, match=sentence):
         check_form(request_of_room)
 
 
-def test_requests_survive_the_disk_and_broken_files_are_named(request_of_room: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_requests_survive_the_disk_and_broken_files_are_named(
+    request_of_room: dict[str, np.ndarray], tmp_path: Path
+) -> None:
     np.savez(tmp_path / "00.npz", **request_of_room)
     again = read_request(tmp_path / "00.npz")
     assert set(again) == set(request_of_room)
     (tmp_path / "01.npz").write_bytes(b"PK no")
-    with pytest.raises(Refusal, match=r"01\.npz is not a readable GEN3C request"):
+    with pytest.raises(UserError, match=r"01\.npz is not a readable request"):
         read_request(tmp_path / "01.npz")
 
 
 def test_chunks_share_a_frame_and_each_starts_with_the_last_of_the_one_before(small: None) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     frames = key_frames()
-    made = pre(frames, [*way(frames), *way(frames, 240)[1:][:120]])
+    made = preprocess(frames, [*way(frames), *way(frames, 240)[1:][:120]])
     assert len(made["w2cs_all"]) == 241
     seeds, targets = [], []
 
@@ -214,16 +228,18 @@ def test_chunks_share_a_frame_and_each_starts_with_the_last_of_the_one_before(sm
 
 def test_a_film_without_content_or_of_another_size_is_refused(small: None) -> None:
     film = np.random.default_rng(0).integers(0, 256, (3, *HW, 3), dtype=np.uint8)
-    assert post(film, 3) is film
+    assert postprocess(film, 3) is film
     film[1] = 7
-    with pytest.raises(Refusal, match="one colour at frame 1"):
-        post(film, 3)
-    with pytest.raises(Refusal, match="use upstream at db2ffe1"):
-        post(film[..., :2], 3)
+    with pytest.raises(UserError, match="one colour at frame 1"):
+        postprocess(film, 3)
+    with pytest.raises(UserError, match="use upstream at db2ffe1"):
+        postprocess(film[..., :2], 3)
 
 
 @pytest.mark.weights
-def test_upstreams_own_cache_renders_our_request_as_our_check_does(small: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_upstreams_own_cache_renders_our_request_as_our_check_does(
+    small: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     pytest.importorskip("einops", reason="einops is not installed")
     upstream_sources("nv-tlabs+GEN3C")
@@ -232,7 +248,7 @@ def test_upstreams_own_cache_renders_our_request_as_our_check_does(small: None, 
     from cosmos_predict1.diffusion.inference.cache_3d import Cache3D_BufferSelector
 
     frames = key_frames()
-    made = pre(frames, way(frames))
+    made = preprocess(frames, way(frames))
     cache = gen3c.warp_cache(Cache3D_BufferSelector, made, "cpu", 1.0)
     targets = torch.from_numpy(made["w2cs_all"][[0, 40]])[None], torch.from_numpy(made["Ks_all"][[0, 40]])[None]
     pixels, masks = cache.render_cache(*targets)

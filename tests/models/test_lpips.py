@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.images import perceptual as measured
-from studiorecon.models.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
-from studiorecon.splatting.perceptual import PerceptualSettings, perceptual
+from studiorecon.errors import UserError
+from studiorecon.models.adapters.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
+from studiorecon.splatting.train.perceptual import PerceptualSettings, perceptual
 
-from tests.foundations.splatting_vgg import random_weights
+from tests.made.vgg import random_weights
 
 VGG = TRUNKS["vgg"]
-SETTINGS = PerceptualSettings(weight=0.1, every=4, crop_px=0, weights="")
+SETTINGS = PerceptualSettings(weight=0.1, every=4, crop_px=0)
 
 
 def pictures(hw: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -45,11 +44,14 @@ def test_the_gradient_agrees_with_finite_differences() -> None:
     for _ in range(4):
         direction = torch.tensor(rng.normal(size=x.shape))
         step = 1e-6
-        slope = (network.distance(x + step * direction, y) - network.distance(x - step * direction, y)).item() / (2 * step)
+        slope = (network.distance(x + step * direction, y) - network.distance(x - step * direction, y)).item() / (
+            2 * step
+        )
         assert (gradient.transpose(2, 0, 1)[None] * direction.numpy()).sum() == pytest.approx(slope, rel=1e-4)
 
 
-# Naive, epsilon outside the root: a dead position gives 0/0 in the slope, NaN; float16 squares of 50 over 512 channels are infinite.
+# Naive, epsilon outside the root: a dead position gives 0/0 in the slope, NaN; float16 squares of 50 over 512 channels
+# are infinite.
 @pytest.mark.parametrize("level", [1e-25, 1e-4, 50.0, 0.0, 1e12], ids=lambda level: f"I06 features {level:g}")
 def test_normalised_features_and_their_slope_are_finite(level: float) -> None:
     import torch
@@ -86,11 +88,14 @@ def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:
 
     network = Lpips(*random_weights(torch.float32))
     rendered, target = pictures((48, 64))
-    loss, gradient = perceptual(network, replace(SETTINGS, crop_px=24), rendered, target, None, np.random.default_rng(3))
+    loss, gradient = perceptual(
+        network, replace(SETTINGS, crop_px=24), rendered, target, None, np.random.default_rng(3)
+    )
     rows, columns = (np.flatnonzero(gradient.any(axis=(2, axis))) for axis in (1, 0))
     assert np.ptp(rows) == np.ptp(columns) == 23
     alone, _ = network(
-        rendered[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], target[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        rendered[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
+        target[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
     )
     assert loss == pytest.approx(0.1 * 4 * alone, rel=1e-5)
     small = perceptual(network, SETTINGS, *pictures((12, 40)), None, np.random.default_rng(0))
@@ -103,10 +108,12 @@ def test_what_is_measured_is_what_is_trained_with(net: Net) -> None:
 
     network = Lpips(*random_weights(torch.float32, net=net), net)
     rendered, target = (np.rint(255 * p).astype(np.uint8) for p in pictures((64, 70)))
-    value = measured.lpips(rendered, target, network.layers, network.weights)
+    value = network.measured(rendered, target)
     assert value == pytest.approx(network(rendered / np.float32(255), target / np.float32(255))[0], rel=1e-5)
-    assert measured.lpips(target, target, network.layers, network.weights) == 0
-    assert measured.lpips(rendered[:63], target[:63], network.layers, network.weights) is None
+    assert network.measured(target, target) == 0
+    assert network.measured(rendered[:63], target[:63]) is None
+    with pytest.raises(ValueError, match="truth has shape"):
+        network.measured(rendered, target[:, 1:])
 
 
 def test_alexnet_is_cut_where_torchvisions_layers_end() -> None:
@@ -116,10 +123,20 @@ def test_alexnet_is_cut_where_torchvisions_layers_end() -> None:
 
     features, heads = random_weights(torch.float32, net="alex")
     alexnet = nn.Sequential(
-        nn.Conv2d(3, 64, 11, 4, 2), nn.ReLU(), nn.MaxPool2d(3, 2), nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2),
-        nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(), nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(), nn.Conv2d(256, 256, 3, padding=1),
-        nn.ReLU(), nn.MaxPool2d(3, 2),
-    )  # fmt: skip
+        nn.Conv2d(3, 64, 11, 4, 2),
+        nn.ReLU(),
+        nn.MaxPool2d(3, 2),
+        nn.Conv2d(64, 192, 5, padding=2),
+        nn.ReLU(),
+        nn.MaxPool2d(3, 2),
+        nn.Conv2d(192, 384, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(384, 256, 3, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(256, 256, 3, padding=1),
+        nn.ReLU(),
+        nn.MaxPool2d(3, 2),
+    )
     alexnet.load_state_dict({name.removeprefix("features."): value for name, value in features.items()})
     picture = 2 * pictures((65, 79))[0].transpose(2, 0, 1) - 1
     shift, scale = (torch.tensor(v)[:, None, None] for v in ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]))
@@ -130,7 +147,8 @@ def test_alexnet_is_cut_where_torchvisions_layers_end() -> None:
             x = layer(x[None])[0]
             if index in (1, 4, 7, 9, 11):
                 expected.append(x.numpy().copy())
-    layers = Lpips(features, heads, "alex").layers(picture)
+    taken = Lpips(features, heads, "alex")._features(torch.from_numpy(picture)[None])
+    layers = [layer[0].numpy() for layer in taken]
     assert [layer.shape for layer in layers] == [layer.shape for layer in expected]
     for ours, theirs in zip(layers, expected):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
@@ -140,23 +158,26 @@ def test_files_are_read_and_wrong_ones_are_named(tmp_path: Path) -> None:
     import torch
 
     features, heads = random_weights(torch.float32)
-    with pytest.raises(Refusal, match=r"needs .*vgg16\.pth, which is missing"):
+    with pytest.raises(UserError, match=r"needs .*vgg16\.pth, which is missing"):
         read_lpips(tmp_path, 1)
     torch.save(features, tmp_path / VGG.features_file)
-    with pytest.raises(Refusal, match=r"needs .*lpips_vgg\.pth, which is missing"):
+    with pytest.raises(UserError, match=r"needs .*lpips_vgg\.pth, which is missing"):
         read_lpips(tmp_path, 1)
     (tmp_path / VGG.heads_file).write_bytes(b"not a state dict")
-    with pytest.raises(Refusal, match=r"lpips_vgg\.pth is not a readable state dict"):
+    with pytest.raises(UserError, match=r"lpips_vgg\.pth is not a readable state dict"):
         read_lpips(tmp_path, 1)
     torch.save({**heads, "lin2.model.1.weight": torch.zeros(1, 7, 1, 1)}, tmp_path / VGG.heads_file)
-    with pytest.raises(Refusal, match=r"lin2\.model\.1\.weight has shape"):
+    with pytest.raises(UserError, match=r"lin2\.model\.1\.weight has shape"):
         read_lpips(tmp_path, 1)
     torch.save(heads, tmp_path / VGG.heads_file)
     pair = pictures((20, 24))
     assert read_lpips(tmp_path, 1)(*pair)[0] == Lpips(features, heads)(*pair)[0]
-    with pytest.raises(Refusal, match=r"needs .*alexnet\.pth, which is missing; put it there or leave it out"):
+    with pytest.raises(UserError, match=r"needs .*alexnet\.pth, which is missing; put it there or leave it out"):
         read_lpips(tmp_path, 1, "alex", "leave it out")
     for name, values in zip((TRUNKS["alex"].features_file, TRUNKS["alex"].heads_file), (features, heads)):
         torch.save(values, tmp_path / name)
-    with pytest.raises(Refusal, match=r"alexnet\.pth and .* are not what LPIPS v0\.1 \(alex\) is made of: features\.0\.weight has shape"):
+    with pytest.raises(
+        UserError,
+        match=r"alexnet\.pth and .* are not what LPIPS v0\.1 \(alex\) is made of: features\.0\.weight has shape",
+    ):
         read_lpips(tmp_path, 1, "alex")

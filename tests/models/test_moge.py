@@ -7,32 +7,37 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.models.moge import Moge, fov_deg, inferred, post, pre
+from studiorecon.errors import UserError
+from studiorecon.models.adapters.moge import fov_deg, inferred, postprocess, preprocess
+from studiorecon.models.loading import load
 
-from tests.models.planted import upstream_sources
+from tests.made.networks import upstream_sources
 
 
 def test_infinite_depth_becomes_unknown() -> None:
     depth = np.array([[1.0, np.inf, 3.0], [-2.0, 0.0, 5.0]], np.float32)
     mask = np.array([[True, True, False], [True, True, True]])
     # Naive: +inf goes on and becomes a wall at GEN3C's cut of 100, or a median that is infinite.
-    np.testing.assert_array_equal(post(depth, mask), [[1, 0, 0], [0, 0, 5]])
+    np.testing.assert_array_equal(postprocess(depth, mask), [[1, 0, 0], [0, 0, 5]])
 
 
 @pytest.mark.parametrize(
     ("depth", "sentence"),
-    [(np.full((3, 4), np.inf), "sees no surface"), (np.full((3, 4), np.nan), "12 depths that are no numbers"), (np.ones((1, 3, 4)), "pin")],
+    [
+        (np.full((3, 4), np.inf), "sees no surface"),
+        (np.full((3, 4), np.nan), "12 depths that are no numbers"),
+        (np.ones((1, 3, 4)), "pin"),
+    ],
 )
 def test_nothing_or_nonsense_is_a_sentence(depth: np.ndarray, sentence: str) -> None:
-    with pytest.raises(Refusal, match=sentence):
-        post(depth.astype(np.float32), np.ones((3, 4), bool))
+    with pytest.raises(UserError, match=sentence):
+        postprocess(depth.astype(np.float32), np.ones((3, 4), bool))
 
 
 def test_picture_and_field_of_view_are_what_upstream_reads() -> None:
     picture = np.zeros((6, 8, 3), np.uint8)
     picture[..., 0] = 255
-    tensor = pre(picture)
+    tensor = preprocess(picture)
     assert tensor.shape == (3, 6, 8)
     assert tensor.dtype == np.float32
     assert (tensor[0] == 1).all()
@@ -42,8 +47,11 @@ def test_picture_and_field_of_view_are_what_upstream_reads() -> None:
 
 
 def test_missing_weights_name_the_file(tmp_path: Path) -> None:
-    with pytest.raises(Refusal, match=r"moge-2-vitl-normal\.pt, which is missing: get it from Hugging Face Ruicheng/moge-2-vitl-normal"):
-        Moge("moge", tmp_path, "cpu")
+    with pytest.raises(
+        UserError,
+        match=r"moge-2-vitl-normal\.pt, which is missing: get it from Hugging Face Ruicheng/moge-2-vitl-normal",
+    ):
+        load("monocular depth", "moge", tmp_path, "cpu")
 
 
 @pytest.mark.weights
@@ -66,10 +74,12 @@ def test_upstreams_network_with_random_weights(tmp_path: Path) -> None:
         "remap_output": "exp",
     }
     (tmp_path / "moge").mkdir()
-    torch.save({"model_config": settings, "model": MoGeModel(**settings).state_dict()}, tmp_path / "moge/moge-2-vitl-normal.pt")
-    network = Moge("moge", tmp_path, "cpu")._network
+    torch.save(
+        {"model_config": settings, "model": MoGeModel(**settings).state_dict()}, tmp_path / "moge/moge-2-vitl-normal.pt"
+    )
+    network = load("monocular depth", "moge", tmp_path, "cpu")._network
     picture = np.random.default_rng(0).random((70, 98, 3), dtype=np.float32)
-    depth, mask = inferred(network, pre(picture), 60.0, "cpu", num_tokens=48)
+    depth, mask = inferred(network, preprocess(picture), 60.0, "cpu", num_tokens=48)
     assert depth.shape == mask.shape == (70, 98)
     assert np.isinf(depth[~mask]).all()
     assert np.isfinite(depth[mask]).all()

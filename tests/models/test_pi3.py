@@ -1,17 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pi3 and MapAnything: planted rooms come back through their conventions; logits, squashed pictures, edges and gauges do no harm."""
+"""Pi3 and MapAnything: planted rooms come back through their conventions; logits, squashed pictures, edges and gauges
+do no harm."""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.models.pi3 import MULTIPLE_PX, edges, focal, inferred, post, pre, probability
+from studiorecon.errors import UserError
+from studiorecon.models.adapters import pi3
+from studiorecon.models.adapters.pi3 import (
+    MULTIPLE_PX,
+    Inset,
+    edges,
+    focal,
+    inferred,
+    postprocess,
+    preprocess,
+    probability,
+)
+from studiorecon.models.loading import load
 from studiorecon.scene.camera import Camera
 
-from tests.models.planted import room_views, upstream_sources
+from tests.made.networks import room_views, upstream_sources
 
 WH = (168, 98)
 
@@ -35,13 +49,25 @@ def planted(scale: float, seed: int) -> tuple[list[Camera], list[np.ndarray], np
         pose[:3, 3] *= scale
         poses.append(gauge @ pose)
     points = np.stack([points_of(c, d * scale) for c, _, d in views])
-    return [c for c, _, _ in views], [d for _, _, d in views], points.astype(np.float32), np.stack(poses).astype(np.float32)
+    return (
+        [c for c, _, _ in views],
+        [d for _, _, d in views],
+        points.astype(np.float32),
+        np.stack(poses).astype(np.float32),
+    )
 
 
 @pytest.mark.parametrize("scale", [0.03, 1.0, 40.0])
 def test_cameras_depth_and_focal_lengths_come_back_up_to_one_scale(scale: float) -> None:
     cameras, depths, points, poses = planted(scale, 3)
-    found = post(points, np.full(points.shape[:3], 0.9, np.float32), poses, [(WH[1], WH[0])] * 4, [c.name for c in cameras], False)
+    found = postprocess(
+        points,
+        np.full(points.shape[:3], 0.9, np.float32),
+        poses,
+        [Inset(0, 0, WH[1], WH[0])] * 4,
+        [c.name for c in cameras],
+        False,
+    )
     np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
     for true, own, depth, seen, residual in zip(cameras, found.cameras, depths, found.depths, found.focal_residuals_px):
         relative = true.camera_from_world @ cameras[0].world_from_camera
@@ -77,15 +103,35 @@ def test_pictures_keep_their_shape_at_multiples_of_14(hws: list[tuple[int, int]]
     pictures = [np.zeros((*hw, 3), np.uint8) for hw in hws]
     for picture in pictures:
         picture[-1], picture[:, -1] = 255, 255
-    tensor, taken = pre(pictures)
+    tensor, taken = preprocess(pictures)
     assert tensor.shape[0] == len(hws)
     assert tensor.shape[2] % MULTIPLE_PX == tensor.shape[3] % MULTIPLE_PX == 0
     assert tensor.shape[2] * tensor.shape[3] <= 255_000
-    for hw, size in zip(hws, taken):
+    for hw, inset, seen in zip(hws, taken, tensor):
         # Naive: every picture is squashed to the first one's shape, and its intrinsics with it.
-        assert abs(np.log((size[0] / size[1]) / (hw[0] / hw[1]))) < 0.02
-        assert size[0] <= tensor.shape[2]
-        assert size[1] <= tensor.shape[3]
+        assert abs(np.log((inset.height / inset.width) / (hw[0] / hw[1]))) < 0.02
+        # Naive, the rest of the frame at the right and below alone: the network's principal point, in the middle of the
+        # frame, then lies far off the picture's, and the focal length is wrong by a third.
+        for before, own, side in zip((inset.top, inset.left), (inset.height, inset.width), seen.shape[1:]):
+            assert abs(before + own / 2 - side / 2) <= 0.5
+        corner = seen[:, inset.top + inset.height - 1, inset.left + inset.width - 1]
+        assert (corner > 0.2).all(), "the picture's white last row and column end where it is said to end"
+
+
+def test_portrait_beside_landscape_keeps_both_focal_lengths() -> None:
+    """What a network says that believes in a principal point in the middle of its frame."""
+    rng, true_px = np.random.default_rng(0), 450.0
+    tensor, taken = preprocess([np.zeros((640, 480, 3), np.uint8), np.zeros((480, 640, 3), np.uint8)])
+    height, width = tensor.shape[2:]
+    v, u = np.mgrid[:height, :width] + 0.5
+    rays = np.stack([(u - width / 2) / true_px, (v - height / 2) / true_px, np.ones((height, width))], axis=-1)
+    smooth = 3 + 0.2 * np.sin(u / 40 + rng.random()) * np.cos(v / 50)
+    points = np.repeat((rays * smooth[..., None])[None], 2, axis=0).astype(np.float32)
+    poses, sure = np.repeat(np.eye(4)[None], 2, axis=0), np.full((2, height, width), 0.9, np.float32)
+    found = postprocess(points, sure, poses, taken, ["a", "b"], False)
+    for camera, residual_px in zip(found.cameras, found.focal_residuals_px):
+        assert camera.focal_px[0] == pytest.approx(true_px, rel=0.01)
+        assert residual_px < 1
 
 
 def test_focal_length_is_that_of_the_confident_points() -> None:
@@ -99,18 +145,22 @@ def test_focal_length_is_that_of_the_confident_points() -> None:
 
 def test_what_cannot_be_is_refused() -> None:
     cameras, _, points, poses = planted(1.0, 0)
-    sure, names, taken = np.full(points.shape[:3], 0.9, np.float32), [c.name for c in cameras], [(WH[1], WH[0])] * 4
+    sure, names, taken = (
+        np.full(points.shape[:3], 0.9, np.float32),
+        [c.name for c in cameras],
+        [Inset(0, 0, WH[1], WH[0])] * 4,
+    )
     mirrored = poses.copy()
     mirrored[2, :3, 0] *= -1
-    with pytest.raises(Refusal, match="no rotation"):
-        post(points, sure, mirrored, taken, names, False)
+    with pytest.raises(UserError, match="no rotation"):
+        postprocess(points, sure, mirrored, taken, names, False)
     doubtful = sure.copy()
     doubtful[1] = 0.05
-    with pytest.raises(Refusal, match=r"sure of 0 pixels of camera cam2.*train: \["):
-        post(points, doubtful, poses, taken, names, False)
+    with pytest.raises(UserError, match=r"sure of 0 pixels of camera cam2.*train: \["):
+        postprocess(points, doubtful, poses, taken, names, False)
     behind = points * np.array([1, 1, -1], np.float32)
-    with pytest.raises(Refusal, match="sure of 0 pixels of camera cam1"):
-        post(behind, sure, poses, taken, names, False)
+    with pytest.raises(UserError, match="sure of 0 pixels of camera cam1"):
+        postprocess(behind, sure, poses, taken, names, False)
 
 
 def test_the_call_hands_on_points_probabilities_and_poses() -> None:
@@ -167,5 +217,37 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(monkeypatch: p
     assert sure.max() <= 1
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1, atol=1e-4)
     # A network that has learnt nothing sees edges everywhere, and is not believed.
-    with pytest.raises(Refusal, match="the network is sure of"):
-        post(points, np.ones_like(sure), poses, [(56, 70)] * 3, ["a", "b", "c"], False)
+    with pytest.raises(UserError, match="the network is sure of"):
+        postprocess(points, np.ones_like(sure), poses, [(56, 70)] * 3, ["a", "b", "c"], False)
+
+
+@pytest.mark.parametrize("lacks", ["", "decoder.weight"])
+def test_pi3x_needs_every_entry_but_those_of_what_is_not_given(
+    lacks: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+
+    class Pi3X(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.decoder, self.ray_embed = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+
+        def disable_multimodal(self) -> None:
+            del self.ray_embed
+
+    stored = {name: value for name, value in Pi3X().state_dict().items() if name != lacks}
+    for name, module in (
+        ("pi3.models.pi3x", SimpleNamespace(Pi3X=Pi3X, __name__="pi3.models.pi3x")),
+        ("safetensors.torch", SimpleNamespace(load_file=lambda _: stored, __name__="safetensors.torch")),
+    ):
+        for part in (name.split(".")[0], name.rpartition(".")[0], name):
+            monkeypatch.setitem(sys.modules, part, module)
+    monkeypatch.setattr(pi3, "staged", lambda _, folder: folder)  # this file is not what is published
+    (tmp_path / "pi3x").mkdir()
+    (tmp_path / "pi3x/model.safetensors").touch()
+    if not lacks:
+        assert not hasattr(load("pose and depth", "pi3x", tmp_path, "cpu")._network, "ray_embed")
+        return
+    # Naive, strict=False: a file of another network loads, and the rest stays random.
+    with pytest.raises(UserError, match=r"pi3x/model\.safetensors does not fit Pi3X"):
+        load("pose and depth", "pi3x", tmp_path, "cpu")

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.models.raft import Raft, estimated, post, pre
+from studiorecon.errors import UserError
+from studiorecon.models.adapters.raft import estimated, postprocess, preprocess
+from studiorecon.models.loading import load
 
 
 def test_missing_weights_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(Refusal, match=r"RAFT large \(torchvision\) needs .*raft_large_C_T_SKHT_V2\.pth, which is missing"):
-        Raft(tmp_path)
+    with pytest.raises(
+        UserError, match=r"RAFT large \(torchvision\) needs .*raft_large_C_T_SKHT_V2\.pth, which is missing"
+    ):
+        load("flow", "raft", tmp_path, "cpu")
 
 
 @pytest.mark.parametrize("hw", [(128, 160), (90, 161)])
@@ -24,12 +27,15 @@ def test_a_network_that_knows_the_flow_gives_it_back_at_the_pictures_size(hw: tu
         assert num_flow_updates == 12
         assert first.min() >= -1
         assert first.max() > 0.9
-        return [torch.zeros(1), torch.stack([torch.full(first.shape[2:], 4.0), torch.full(first.shape[2:], -2.0)])[None]]
+        return [
+            torch.zeros(1),
+            torch.stack([torch.full(first.shape[2:], 4.0), torch.full(first.shape[2:], -2.0)])[None],
+        ]
 
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 256, (2, *hw, 3), dtype=np.uint8)
-    pair, fitted = pre(*frames)
-    flow = post(estimated(network, pair, "cpu"), fitted)
+    pair, fitted = preprocess(*frames)
+    flow = postprocess(estimated(network, pair, "cpu"), fitted)
     assert flow.shape == (*hw, 2)
     np.testing.assert_allclose(flow, np.broadcast_to(np.array([4.0, -2.0]) / fitted.enlarged, flow.shape), atol=1e-6)
 
@@ -42,12 +48,12 @@ def test_torchvisions_network_with_random_weights_runs_from_a_file(tmp_path: Pat
     (tmp_path / "raft").mkdir()
     file = tmp_path / "raft/raft_large_C_T_SKHT_V2.pth"
     file.write_bytes(b"no weights")
-    with pytest.raises(Refusal, match="is not RAFT's state dict"):
-        Raft(tmp_path)
+    with pytest.raises(UserError, match="is not RAFT's state dict"):
+        load("flow", "raft", tmp_path, "cpu")
     torch.save(flows.raft_large(weights=None, progress=False).state_dict(), file)
     rng = np.random.default_rng(0)
     first = rng.integers(0, 256, (132, 150, 3), dtype=np.uint8)
-    network = Raft(tmp_path)
+    network = load("flow", "raft", tmp_path, "cpu")
     flow = network.flow(first, np.roll(first, 3, axis=1))
     assert flow.shape == (132, 150, 2)
     assert np.isfinite(flow).all()

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SAM 3's ends: overlapping masks, chunks of a clip, people who keep their number, and upstream's own network, tiny and random."""
+"""SAM 3's ends: overlapping masks, chunks of a clip, people who keep their number, and upstream's own network, tiny and
+random."""
 
 from __future__ import annotations
 
 import itertools
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from studiorecon.errors import Refusal
-from studiorecon.models.sam3 import joined, labelled, linked, post, pre
+from studiorecon.errors import UserError
+from studiorecon.models.adapters import sam3
+from studiorecon.models.adapters.sam3 import CARD, joined, labelled, linked, postprocess, preprocess
+from studiorecon.models.loading import load
 
 HW = (12, 20)
 
@@ -24,7 +29,7 @@ def person(column: int) -> np.ndarray:
 @pytest.mark.parametrize("chunk", [1, 2, 4, 100])
 def test_chunks_share_one_frame_and_lose_none(count: int, chunk: int) -> None:
     frames = [np.full((*HW, 3), t, np.uint8) for t in range(count)]
-    parts = [[int(f[0, 0, 0]) for f in part] for part in pre(iter(frames), chunk)]
+    parts = [[int(f[0, 0, 0]) for f in part] for part in preprocess(iter(frames), chunk)]
     assert all(len(part) <= chunk + 1 for part in parts)
     for before, after in itertools.pairwise(parts):
         assert before[-1] == after[0]
@@ -33,20 +38,20 @@ def test_chunks_share_one_frame_and_lose_none(count: int, chunk: int) -> None:
 
 def test_frames_of_another_kind_are_refused() -> None:
     with pytest.raises(ValueError, match="expected uint8"):
-        list(pre([np.zeros((*HW, 3), np.float32)], 4))
+        list(preprocess([np.zeros((*HW, 3), np.float32)], 4))
     with pytest.raises(ValueError, match="chunk is 0"):
-        list(pre([], 0))
+        list(preprocess([], 0))
 
 
 def test_where_masks_overlap_the_surer_one_is_in_front() -> None:
     masks = np.stack([person(3), person(5)])
     # Ids count from 0: naive, the first person becomes background.
-    labels = post(np.array([0, 4]), np.array([0.9, 0.6]), masks, HW)
+    labels = postprocess(np.array([0, 4]), np.array([0.9, 0.6]), masks, HW)
     assert labels[5, 3] == labels[5, 6] == 1
     assert labels[5, 8] == 5
-    assert post(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, *HW), bool), HW).max() == 0
-    with pytest.raises(Refusal, match="SAM 3 returned masks"):
-        post(np.array([0]), np.array([1.0]), np.zeros((1, 5, 5), bool), HW)
+    assert postprocess(np.zeros(0, np.int64), np.zeros(0), np.zeros((0, *HW), bool), HW).max() == 0
+    with pytest.raises(UserError, match="SAM 3 returned masks"):
+        postprocess(np.array([0]), np.array([1.0]), np.zeros((1, 5, 5), bool), HW)
 
 
 def labels_of(**columns: int) -> np.ndarray:
@@ -110,3 +115,24 @@ def test_upstreams_video_network_with_random_weights_keeps_its_contract() -> Non
     numbers = list(joined([maps]))
     assert len(numbers) == 4
     assert all(n.dtype == np.uint16 for n in numbers)
+
+
+def test_what_upstream_leaves_out_without_its_kernels_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+
+    class Upstream:
+        @staticmethod
+        def from_pretrained(folder: str, **options: object) -> torch.nn.Module:
+            assert options["local_files_only"]
+            return torch.nn.Identity()
+
+    planted = SimpleNamespace(Sam3VideoModel=Upstream, Sam3VideoProcessor=Upstream, __name__="transformers")
+    monkeypatch.setitem(sys.modules, "transformers", planted)
+    monkeypatch.setattr(sam3, "staged", lambda _, folder: folder)  # these files are not what is published
+    for file in CARD.weights:
+        (tmp_path / file.path).parent.mkdir(exist_ok=True)
+        (tmp_path / file.path).touch()
+    load("person segmenter", "sam3", tmp_path, "cpu", chunk=200, prompt="person")
+    assert "SAM 3 runs without removing doubles and holes" in capsys.readouterr().out

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.models import smpl
 
 PARENTS = [2**32 - 1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
@@ -55,7 +55,9 @@ def entries(wrap: type | None = None) -> dict:
     }
 
 
-def test_an_official_pickle_becomes_a_body_of_ours(tmp_path: Path, chumpy: type, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_official_pickle_becomes_a_body_of_ours(
+    tmp_path: Path, chumpy: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
     given = entries(chumpy)
     (tmp_path / "SMPL_NEUTRAL.pkl").write_bytes(pickle.dumps(given, protocol=2))
     monkeypatch.setitem(sys.modules, "chumpy", None)
@@ -81,7 +83,7 @@ class Evil:
 def test_a_pickle_cannot_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("evil.pkl").write_bytes(pickle.dumps({**entries(), "v_template": Evil()}))
-    with pytest.raises(Refusal, match=r"not a pickle of plain or chumpy arrays .*asks for posix\.mkdir|nt\.mkdir"):
+    with pytest.raises(UserError, match=r"not a pickle of plain or chumpy arrays .*asks for posix\.mkdir|nt\.mkdir"):
         smpl.run(Path("evil.pkl"), Path("body.npz"))
     assert not Path("owned").exists()
 
@@ -96,15 +98,15 @@ def test_a_pickle_cannot_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 )
 def test_another_body_is_named(tmp_path: Path, change: dict, sentence: str) -> None:
     given = {k: v for k, v in {**entries(), **change}.items() if v is not None}
-    with pytest.raises(Refusal, match=sentence):
-        smpl.post(given, tmp_path / "x.pkl")
+    with pytest.raises(UserError, match=sentence):
+        smpl.postprocess(given, tmp_path / "x.pkl")
 
 
 def test_missing_and_broken_files_are_sentences(tmp_path: Path) -> None:
-    with pytest.raises(Refusal, match="is missing; SMPL is to be had by registration"):
+    with pytest.raises(UserError, match="is missing; SMPL is to be had by registration"):
         smpl.read_pickle(tmp_path / "none.pkl")
     (tmp_path / "x.pkl").write_bytes(b"\x80\x02}q")
-    with pytest.raises(Refusal, match="not a pickle"):
+    with pytest.raises(UserError, match="not a pickle"):
         smpl.read_pickle(tmp_path / "x.pkl")
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constants are fixed points: of every filter, of warping and resizing, of the enhancement blend, and of every measure of change."""
+"""Constants are fixed points: of every filter, of warping and resizing, of the enhancement blend, and of every measure
+of change."""
 
 from __future__ import annotations
 
@@ -12,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from studiorecon import settings as settings_module
 from studiorecon.enhance.injection import Injection, confidence, inject
+from studiorecon.footage.stills import shrink
 from studiorecon.geometry.lens import working_view, working_wh
 from studiorecon.images import metrics
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.plate import temporal_modes
-from studiorecon.images.stills import shrink
 from studiorecon.images.warp import warp
 from studiorecon.masks.segment import along_edges
 from studiorecon.scene.camera import Lens
@@ -44,15 +45,27 @@ def test_a_warp_keeps_constants_even_where_it_leaves_the_picture(level: float, s
 
 @FEW
 @given(LEVELS, st.integers(0, 1000), st.integers(0, 8), st.sampled_from([(23, 17), (46, 34), (11, 9)]))
-def test_what_resizes_straightens_or_smooths_along_edges_keeps_constants(level: float, seed: int, radius: int, wh: tuple[int, int]) -> None:
+def test_what_resizes_straightens_or_smooths_along_edges_keeps_constants(
+    level: float, seed: int, radius: int, wh: tuple[int, int]
+) -> None:
     rng = np.random.default_rng(seed)
     flat, measured = np.full((17, 23, 3), level, np.float32), rng.random((17, 23)) < 0.8
     smaller, known = shrink(np.where(measured[..., None], flat, 9), measured, wh)
     np.testing.assert_allclose(smaller[known], level, atol=1e-5)
     smooth = along_edges(flat[..., 0], rng.integers(0, 255, (17, 23, 3), dtype=np.uint8), radius)
     np.testing.assert_allclose(smooth, level, atol=1e-4)
-    lens = Lens("c", (46, 34), np.array([[40.0, 0, 23], [0, 40, 17], [0, 0, 1]]), "opencv", rng.normal(0, 0.02, 5), np.eye(4), np.eye(2, 3))
-    picture = working_view(lens, (46, 34), working_wh((46, 34), wh[0])).picture(np.full((34, 46, 3), round(255 * level), np.uint8))
+    lens = Lens(
+        "c",
+        (46, 34),
+        np.array([[40.0, 0, 23], [0, 40, 17], [0, 0, 1]]),
+        "opencv",
+        rng.normal(0, 0.02, 5),
+        np.eye(4),
+        np.eye(2, 3),
+    )
+    picture = working_view(lens, (46, 34), working_wh((46, 34), wh[0])).picture(
+        np.full((34, 46, 3), round(255 * level), np.uint8)
+    )
     np.testing.assert_array_equal(picture, round(255 * level))
 
 
@@ -82,8 +95,16 @@ def test_the_plate_of_a_film_that_never_changes_is_its_picture(colour: tuple, co
 
 
 @FEW
-@given(LEVELS, st.integers(0, 1000), st.integers(0, 3), st.sampled_from(["mean", "norm", "sum"]), st.sampled_from(["confidence", "error"]))
-def test_injection_keeps_constants_whatever_the_confidence(level: float, seed: int, existing: int, error: str, blurred: str) -> None:
+@given(
+    LEVELS,
+    st.integers(0, 1000),
+    st.integers(0, 3),
+    st.sampled_from(["mean", "norm", "sum"]),
+    st.sampled_from(["confidence", "error"]),
+)
+def test_injection_keeps_constants_whatever_the_confidence(
+    level: float, seed: int, existing: int, error: str, blurred: str
+) -> None:
     rng = np.random.default_rng(seed)
     render = np.full((17, 23, 3), level, np.float32)
     shares = [rng.random((17, 23)).astype(np.float32) for _ in range(existing)]

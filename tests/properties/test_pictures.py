@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from studiorecon.enhance.enhancer import Unchanged
-from studiorecon.enhance.residual import ResidualTransfer
+from studiorecon.enhance.backends import ResidualTransfer, Unchanged
 from studiorecon.geometry.rotations import to_quaternion
 from studiorecon.geometry.surface import points_and_normals
 from studiorecon.images.exposure import Overlap, solve_gains
@@ -21,13 +20,12 @@ from studiorecon.images.transfer import Transfer, source
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.shell import Shell
-from studiorecon.splatting.rasterise import rasterise
-from studiorecon.splatting.targets import scene_extent
+from studiorecon.scene.room import RoomBox
+from studiorecon.splatting.train.targets import scene_extent
 from studiorecon.views import forward
 
-from tests.foundations.camera_ring import ring
-from tests.foundations.splatting_scenes import camera, room
+from tests.made.cameras import ring
+from tests.made.gaussians import camera, rasterise, room
 from tests.properties.moved_worlds import FEW, MANY, World, level_worlds, rigid_worlds, worlds
 
 TRANSFER = Transfer(depth_tolerance=0.03, angle_power=4.0, feather_px=4.0, smooth_px=1.0)
@@ -48,7 +46,9 @@ def test_the_plate_does_not_depend_on_the_order_of_frames(seed: int, order: list
 
 @FEW
 @given(st.integers(0, 1000), st.permutations(range(3)))
-def test_the_residual_transfer_leaves_a_render_that_is_right_and_knows_no_order_of_cameras(seed: int, order: list[int]) -> None:
+def test_the_residual_transfer_leaves_a_render_that_is_right_and_knows_no_order_of_cameras(
+    seed: int, order: list[int]
+) -> None:
     rng = np.random.default_rng(seed)
     cameras = [c.resized((40, 22)) for c in ring(4)]
     depth = np.full((22, 40), 3.0, np.float32)
@@ -56,7 +56,9 @@ def test_the_residual_transfer_leaves_a_render_that_is_right_and_knows_no_order_
     image = rng.random((22, 40, 3)).astype(np.float32)
     moment = Moment(cameras[3], 0.0, depth, np.zeros((22, 40), np.float32))
     right = [source(c, p, p, depth, TRANSFER) for c, p in zip(cameras, photos)]
-    np.testing.assert_array_equal(ResidualTransfer(lambda frame: right, 1.0, TRANSFER).enhance(image, photos[0], moment), image)
+    np.testing.assert_array_equal(
+        ResidualTransfer(lambda frame: right, 1.0, TRANSFER).enhance(image, photos[0], moment), image
+    )
     wrong = [source(c, p, p[::-1], depth, TRANSFER) for c, p in zip(cameras, photos)]
     one = ResidualTransfer(lambda frame: wrong, 1.0, TRANSFER).enhance(image, photos[0], moment)
     other = ResidualTransfer(lambda frame: [wrong[i] for i in order], 1.0, TRANSFER).enhance(image, photos[0], moment)
@@ -129,7 +131,9 @@ def test_a_rendered_picture_does_not_depend_on_where_its_world_stands(world: Wor
 def test_a_rendered_picture_does_not_depend_on_the_order_of_gaussians(seed: int, shuffle: object) -> None:
     gaussians, view = room(400, seed), camera(64, 40)
     order = np.array(shuffle.sample(range(gaussians.count), gaussians.count))
-    mixed = Gaussians(*(getattr(gaussians, name)[order] for name in ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")))
+    mixed = Gaussians(
+        *(getattr(gaussians, name)[order] for name in ("means_m", "quaternions", "log_scales", "logit_opacities", "sh"))
+    )
     one, other = rasterise(gaussians, view, near_m=0.1), rasterise(mixed, view, near_m=0.1)
     np.testing.assert_allclose(one.rgb, other.rgb, atol=1e-5)
     np.testing.assert_allclose(one.alpha, other.alpha, atol=1e-5)
@@ -146,7 +150,7 @@ def test_o08_the_extent_that_scales_step_sizes_grows_with_the_scene(world: World
 @given(level_worlds())
 def test_depth_to_the_room_s_shell_turns_with_the_room(world: World) -> None:
     yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
-    plain = Shell(0.2, np.array([-5.0, -6.0, 0.0]), np.array([5.5, 6.5, 3.0]), np.ones(6, bool), np.ones(6))
+    plain = RoomBox(0.2, np.array([-5.0, -6.0, 0.0]), np.array([5.5, 6.5, 3.0]), np.ones(6, bool), np.ones(6))
     shift = np.array([*(world.shift @ replace(plain, yaw_rad=0.2 + yaw).axes.T)[:2], 0.0])
     turned = replace(plain, yaw_rad=0.2 + yaw, low_m=plain.low_m + shift, high_m=plain.high_m + shift)
     view = ring(4)[0].resized((64, 36))
@@ -156,11 +160,13 @@ def test_depth_to_the_room_s_shell_turns_with_the_room(world: World) -> None:
     np.testing.assert_array_equal(face, other_face)
 
 
-def made_source(seed: int, world: World | None = None) -> forward.Source:
+def made_source(seed: int, world: World | None = None) -> forward.WarpSource:
     rng = np.random.default_rng(seed)
     view = ring(4)[0].resized((64, 36))
     depth = (4.5 + 0.3 * np.sin(np.arange(64) / 9.0)[None] + np.zeros((36, 1))) * (world.scale if world else 1)
-    return forward.source(world.camera(view) if world else view, rng.random((36, 64, 3)), np.ones((36, 64), bool), depth, 0.04)
+    return forward.source(
+        world.camera(view) if world else view, rng.random((36, 64, 3)), np.ones((36, 64), bool), depth, 0.04
+    )
 
 
 @FEW
@@ -168,7 +174,9 @@ def made_source(seed: int, world: World | None = None) -> forward.Source:
 def test_a_carried_photo_does_not_depend_on_where_the_world_stands(world: World, seed: int) -> None:
     target = ring(12)[1].resized((64, 36))
     rgb, support, depth = forward.blend(target, [made_source(seed)], 3, 0.02, 0.3)
-    moved_rgb, moved_support, moved_depth = forward.blend(world.camera(target), [made_source(seed, world)], 3, 0.02, 0.3)
+    moved_rgb, moved_support, moved_depth = forward.blend(
+        world.camera(target), [made_source(seed, world)], 3, 0.02, 0.3
+    )
     # A sample on the border of two pixels may fall to either.
     same = (np.abs(moved_rgb - rgb).max(axis=-1) < 1e-5) & (np.abs(moved_support - support) < 1e-6)
     assert same.mean() > 0.99

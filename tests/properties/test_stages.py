@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for any people and any room: fits and groups move with the world, and know no order and no empty view."""
+"""What must hold for any people and any room: fits and groups move with the world, and know no order and no empty
+view."""
 
 from __future__ import annotations
 
@@ -12,24 +13,25 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from studiorecon import settings as settings_module
-from studiorecon.body import fitting, prior
-from studiorecon.body.layouts import LAYOUTS
+from studiorecon.body.fitting import fit as fitting
+from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel, upright_global_orientation
-from studiorecon.depth import shell as room_step
-from studiorecon.depth.pictures import Picture
-from studiorecon.depth.planes import hypotheses, rig_centre
-from studiorecon.depth.room import Votes
+from studiorecon.depth import room as room_step
+from studiorecon.depth.layout.box import Votes
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.planes import hypotheses, rig_centre
 from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.associate import Settings as Association
-from studiorecon.people.grouping import Group, group_tracks
+from studiorecon.people.association.grouping import Group, group_tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-from tests.foundations.camera_ring import detect, look_at, ring, walk
-from tests.hard.test_body_fitting import SETTINGS
+from tests.made import room as made_room
+from tests.made.cameras import detect, look_at, ring, walk
+from tests.made.fitting_limits import SETTINGS
 from tests.properties.moved_worlds import World, level_worlds, numbers, rigid_worlds
-from tests.stages import made_room
 
 # A fit or a grouping takes a tenth of a second or more: three examples, and none is looked for that is smaller.
 RARE = settings(max_examples=3, deadline=None, derandomize=True, phases=[Phase.generate])
@@ -50,11 +52,15 @@ def measured(body: BodyModel, seed: int) -> np.ndarray:
     spread[0] = 0
     local = prior.middle() @ rotations.exp(np.clip(rng.normal(size=(3, 24, 3)) * spread, *prior.limits()))
     local[:, 0] = [rotations.exp(upright_global_orientation(h)) for h in rng.uniform(-3, 3, 3)]
-    points = body.keypoints(NAMES, rotations.log(local).reshape(3, 72), rng.normal(0, 0.5, 10), rng.normal(0, 1, (3, 3)))
+    points = body.keypoints(
+        NAMES, rotations.log(local).reshape(3, 72), rng.normal(0, 0.5, 10), rng.normal(0, 1, (3, 3))
+    )
     return points + rng.normal(0, 0.01, points.shape)
 
 
-def fitted(body: BodyModel, points: np.ndarray, options: fitting.FitSettings = PATIENT, names: list[str] = NAMES) -> fitting.Fit:
+def fitted(
+    body: BodyModel, points: np.ndarray, options: fitting.FitSettings = PATIENT, names: list[str] = NAMES
+) -> fitting.Fit:
     return fitting.fit(body, names, points, np.where(np.isfinite(points).all(-1), 0.0, np.inf), options, None)
 
 
@@ -71,9 +77,13 @@ def test_a_fitted_body_moves_with_its_world(body: BodyModel, world: World, seed:
 @RARE
 @given(numbers(0.4, 2.5), st.integers(0, 50))
 def test_a_body_in_another_unit_is_the_same_body_at_another_scale(body: BodyModel, scale: float, seed: int) -> None:
-    """Up to the prior on the scale's logarithm, one unit wide, which keeps scale and shape from running off against each other."""
+    """Up to the prior on the scale's logarithm, one unit wide, which keeps scale and shape from running off against
+    each other."""
     points, free = measured(body, seed), replace(PATIENT, free_scale=True)
-    here, there = fitted(body, points, free), fitted(body, scale * points, replace(free, point_sigma_m=scale * free.point_sigma_m))
+    here, there = (
+        fitted(body, points, free),
+        fitted(body, scale * points, replace(free, point_sigma_m=scale * free.point_sigma_m)),
+    )
     assert there.scale == pytest.approx(scale * here.scale, rel=0.01)
     assert np.median(np.linalg.norm(there.joints_m / scale - here.joints_m, axis=-1)) < 0.005
 
@@ -121,7 +131,10 @@ def grouped(found: list[Detections], cameras: list[Camera], options: Association
 def three_people(seed: int, cameras: list[Camera]) -> list[Detections]:
     rng = np.random.default_rng(seed)
     starts = np.array([[-0.8, -0.6, 0], [0.7, 0.6, 0], [0.6, -0.9, 0]]) + rng.uniform(-0.1, 0.1, (3, 3)) * [1, 1, 0]
-    people = [walk(start, 0.02 * rng.normal(size=3) * [1, 1, 0], FRAMES, turn) for start, turn in zip(starts, rng.uniform(0, 6, 3))]
+    people = [
+        walk(start, 0.02 * rng.normal(size=3) * [1, 1, 0], FRAMES, turn)
+        for start, turn in zip(starts, rng.uniform(0, 6, 3))
+    ]
     return detect(cameras, people, 1.0, rng)
 
 
@@ -144,12 +157,15 @@ def test_people_are_grouped_alike_in_any_order_of_cameras_and_tracks(
     moved = [world.camera(cameras[i]) for i in order]
     there = grouped([renamed[i] for i in order], moved, options)
     assert {frozenset(g.members) for g in here} == {
-        frozenset((order[v], next(t for t in range(3) if names[order[v], t][1] == track)) for v, track in g.members) for g in there
+        frozenset((order[v], next(t for t in range(3) if names[order[v], t][1] == track)) for v, track in g.members)
+        for g in there
     }
     assert len(here) == 3
     by_members = {frozenset((order.index(v), names[v, t][1]) for v, t in g.members): g for g in here}
     for group in there:
-        np.testing.assert_allclose(group.points_m, world.points(by_members[frozenset(group.members)].points_m), atol=2e-6)
+        np.testing.assert_allclose(
+            group.points_m, world.points(by_members[frozenset(group.members)].points_m), atol=2e-6
+        )
 
 
 @RARE
@@ -187,13 +203,21 @@ def test_the_fitted_room_turns_with_its_world(default_settings: Callable[..., di
     np.testing.assert_allclose(moved.high_m - along, here.high_m, atol=1e-5)
 
 
-def fitted_room(cameras: list[Camera], shots: list[tuple[np.ndarray, np.ndarray]], yaw_rad: float, options: room_step.Settings):
+def fitted_room(
+    cameras: list[Camera], shots: list[tuple[np.ndarray, np.ndarray]], yaw_rad: float, options: room_step.Settings
+):
     """The shell from votes that say for every pixel which plane of the catalogue is nearest to its true depth."""
     pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, _) in zip(cameras, shots)]
     planes = hypotheses(
-        rig_centre(cameras), yaw_rad, 0.0,
-        horizontal_step_m=0.1, wall_step_m=0.1, furniture_m=0.5, ceiling_m=(2.4, 3.4), reach_m=5.0,
-    )  # fmt: skip
+        rig_centre(cameras),
+        yaw_rad,
+        0.0,
+        horizontal_step_m=0.1,
+        wall_step_m=0.1,
+        furniture_m=0.5,
+        ceiling_m=(2.4, 3.4),
+        reach_m=5.0,
+    )
     chosen = []
     for picture, (_, depth_m) in zip(pictures, shots):
         off = np.stack([np.abs(picture.depth(plane, 0.3, 14.0) - depth_m) for plane in planes], axis=-1)

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which rules of a finished scene would run again, for many changed settings: ``python changed_settings.py DATASET OVERLAY.yaml ...``
+"""Which rules of a finished scene would run again, for many changed settings: ``python changed_settings.py DATASET
+OVERLAY.yaml ...``
 
-Prints a line of JSON per overlay, the rules whose own parameters differ from what Snakemake remembers of the run; null where the plan is
-refused. Snakemake is imported once
-and forked per overlay. Rules are compared one by one (rerun by time only): what follows from a change is not mixed with what it changes.
+Prints a line of JSON per overlay, the rules whose own parameters differ from what Snakemake remembers of the run; null
+where the plan is refused. Snakemake is imported once
+and forked per overlay. Rules are compared one by one (rerun by time only): what follows from a change is not mixed with
+what it changes.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ ParamsChange.__iter__ = lambda self: iter(self.files if self else ())
 
 
 def printed(*arguments: str) -> list[str]:
-    """Lines that one call of Snakemake prints, made in a fork of this process; raises RuntimeError with its messages when it fails."""
+    """Lines that one call of Snakemake prints, made in a fork of this process; raises RuntimeError with its messages
+    when it fails."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as messages:
         child = os.fork()
         if child == 0:

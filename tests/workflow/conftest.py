@@ -32,7 +32,8 @@ class House:
 
     folder: Path
     dataset: str
-    # Where every Python process of a run here leaves what it loaded and whom it asked (witness/sitecustomize.py), if anywhere.
+    # Where every Python process of a run here leaves what it loaded and whom it asked (witness/sitecustomize.py), if
+    # anywhere.
     witness: Path | None = None
 
     def snakemake(self, *arguments: str, check: bool = True, path: Path | None = None) -> subprocess.CompletedProcess:
@@ -61,7 +62,11 @@ class House:
         if "Nothing to be done" in text:
             return {}
         table = text.partition("Job stats:")[2].partition("total")[0]
-        return {m.group(1): int(m.group(2)) for m in re.finditer(r"^(\w+) +(\d+)$", table, re.MULTILINE) if m.group(1) != "all"}
+        return {
+            m.group(1): int(m.group(2))
+            for m in re.finditer(r"^(\w+) +(\d+)$", table, re.MULTILINE)
+            if m.group(1) != "all"
+        }
 
     def overlay(self, **sections: dict) -> str:
         """A configuration overlay file; returns its path."""
@@ -75,18 +80,24 @@ class House:
         folder.mkdir(exist_ok=True)
         tests = " && ".join(f'[[ " $* " == *" {w} "* ]]' for w in words)
         script = folder / "python"
-        script.write_text(f'#!/usr/bin/env bash\nif {tests}; then echo "planted failure" >&2; exit 1; fi\nexec {sys.executable} "$@"\n')
+        script.write_text(
+            f'#!/usr/bin/env bash\nif {tests}; then echo "planted failure" >&2; exit '
+            f'1; fi\nexec {sys.executable} "$@"\n'
+        )
         script.chmod(script.stat().st_mode | stat.S_IXUSR)
         return folder
 
 
 def over(below: dict, above: dict) -> dict:
     """``below`` with the entries of ``above``, section by section."""
-    return below | {name: over(below[name], value) if isinstance(value, dict) else value for name, value in above.items()}
+    return below | {
+        name: over(below[name], value) if isinstance(value, dict) else value for name, value in above.items()
+    }
 
 
 def make_house(folder: Path, dataset: str) -> House:
-    """A house with a copy of everything; compiled kernels come along, because copies keep the times that their cache goes by."""
+    """A house with a copy of everything; compiled kernels come along, because copies keep the times that their cache
+    goes by."""
     folder.mkdir(parents=True, exist_ok=True)
     for part in PARTS:
         source = ROOT / part
@@ -107,7 +118,8 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> House:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> House:
     """A house in which the smallest studio ran to its end."""
     made = replace(
-        make_house(tmp_path_factory.mktemp("finished"), "resources/studio/tiny.yaml"), witness=tmp_path_factory.mktemp("witness")
+        make_house(tmp_path_factory.mktemp("finished"), "resources/studio/tiny.yaml"),
+        witness=tmp_path_factory.mktemp("witness"),
     )
     settings = made.folder / "config" / "config.yaml"
     settings.write_text(yaml.safe_dump(over(yaml.safe_load(settings.read_text()), QUICK), sort_keys=False))

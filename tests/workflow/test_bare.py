@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import House
+from tests.workflow.conftest import House
 
 # The C and C++ runtime and the loader: what every wheel may count on (manylinux).
-RUNTIME = re.compile(r"(ld-linux-[\w-]+|libc|libm|libmvec|libdl|librt|libutil|libpthread|libgcc_s|libstdc\+\+)(-[\d.]+)?\.so(\.\d+)*")
+RUNTIME = re.compile(
+    r"(ld-linux-[\w-]+|libc|libm|libmvec|libdl|librt|libutil|libpthread|libgcc_s|libstdc\+\+)(-[\d.]+)?\.so(\.\d+)*"
+)
 # Everything that Python's own modules load, without any installed package.
 PYTHONS_OWN = """
 import importlib, pkgutil, sys
@@ -28,7 +30,9 @@ for name in sorted(sys.builtin_module_names + tuple(p.name.partition(".")[0] for
 print(open("/proc/self/maps").read())
 """
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="the system does not tell what a process has loaded")
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/maps").exists(), reason="the system does not tell what a process has loaded"
+)
 
 
 def processes(finished: House) -> list[dict]:
@@ -40,16 +44,28 @@ def pythons_own() -> set[str]:
     """File names of the shared objects that the bare interpreter and its standard library load."""
     modules = next(p for p in sys.path if p.endswith("lib-dynload"))
     # -S: without the environment's packages; its exit status does not matter once the objects are told.
-    maps = subprocess.run([sys.executable, "-I", "-S", "-c", PYTHONS_OWN, modules], text=True, capture_output=True, check=False).stdout
+    maps = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", PYTHONS_OWN, modules], text=True, capture_output=True, check=False
+    ).stdout
     return {Path(line.split(maxsplit=5)[5]).name for line in maps.splitlines() if ".so" in line}
 
 
 def test_nothing_is_loaded_that_the_wheels_and_python_do_not_bring(finished: House) -> None:
     told = processes(finished)
     steps = {entry["command"][1] for entry in told if entry["command"][0].endswith("studiorecon/__main__.py")}
-    assert steps >= {"studio.capture", "capture.frames", "people.fit", "depth.sweep", "humans.train", "render.shot", "report.page"}
+    assert steps >= {
+        "studio.capture",
+        "capture.frames",
+        "people.fit",
+        "depth.sweep",
+        "humans.train",
+        "render.shot",
+        "report.page",
+    }
     inside = tuple(
-        str(Path(folder).resolve()) + os.sep for folder in (sys.prefix, sys.base_prefix, sys.base_exec_prefix) if folder != "/usr"
+        str(Path(folder).resolve()) + os.sep
+        for folder in (sys.prefix, sys.base_prefix, sys.base_exec_prefix)
+        if folder != "/usr"
     )
     own = pythons_own()
     strangers: dict[str, set[str]] = {}

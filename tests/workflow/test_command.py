@@ -18,11 +18,11 @@ import pytest
 import yaml
 from studiorecon import command, home
 from studiorecon.catalogue import films_of, settings_of
-from studiorecon.errors import Refusal
-from studiorecon.images.video import write_watchable
+from studiorecon.errors import UserError
+from studiorecon.footage.video import write_watchable
 from studiorecon.render.kinds import KINDS
 
-from .conftest import ROOT
+from tests.workflow.conftest import ROOT
 
 PARTS = ("Snakefile", "workflow/", "config/", "envs/", "profiles/", "resources/")
 LEFT_OUT = {"resources/overview.jpg"}
@@ -45,13 +45,27 @@ def test_a_word_is_one_call_of_the_snakefile() -> None:
 
 
 def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
-    rest = ["--dry-run", "--config", "scene=x", "people={desk: {height_px: 160}}", "-n", "--configfile", "mine.yaml", "--quiet"]
+    rest = [
+        "--dry-run",
+        "--config",
+        "scene=x",
+        "people={review: {height_px: 160}}",
+        "-n",
+        "--configfile",
+        "mine.yaml",
+        "--quiet",
+    ]
     made = command.snakemake_command("", "DIR", "all", "standard", rest)
     assert made.count("--config") == made.count("--configfile") == 1, "Snakemake would only take the last"
     assert made[made.index("--configfile") :] == [
-        "--configfile", str(home.PRESETS / "standard.yaml"), "mine.yaml",
-        "--config", "dataset=DIR", "scene=x", "people={desk: {height_px: 160}}",
-    ]  # fmt: skip
+        "--configfile",
+        str(home.PRESETS / "standard.yaml"),
+        "mine.yaml",
+        "--config",
+        "dataset=DIR",
+        "scene=x",
+        "people={review: {height_px: 160}}",
+    ]
     assert {"--dry-run", "-n", "--quiet"} <= set(made)
 
 
@@ -63,7 +77,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         (["run", ".", "--preset", "papper"], "there is no preset papper; did you mean paper?"),
         (["view"], "no finished scene of demo in results/ of this folder; make it with: studiorecon demo"),
         (["view", "takes/one"], "make it with: studiorecon run takes/one"),
-        (["settings", "people.dsk"], "there is no setting people.dsk; did you mean people.desk?"),
+        (["settings", "people.reveiw"], "there is no setting people.reveiw; did you mean people.review?"),
     ],
 )
 def test_bad_input_is_a_sentence(
@@ -90,7 +104,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("folder", ["take", "somewhere/take", "results/take", "take.yaml"])
 def test_a_scene_is_found_by_its_capture_its_name_or_its_results(scene: Path, folder: str) -> None:
     assert command.finished_scene(folder).resolve() == scene
-    with pytest.raises(Refusal, match="finished here: take"):
+    with pytest.raises(UserError, match="finished here: take"):
         command.finished_scene("other")
 
 
@@ -113,7 +127,7 @@ def test_a_page_is_served_from_this_machine_alone_and_nothing_above_it(address: 
         missing.value.close()
         assert missing.value.code == 404
     port = int(address.rpartition(":")[2])
-    with pytest.raises(Refusal, match=f"port {port} of 127.0.0.1 cannot be had .*--port 0"):
+    with pytest.raises(UserError, match=f"port {port} of 127.0.0.1 cannot be had .*--port 0"):
         command.serve(Path("."), port)
 
 
@@ -121,9 +135,8 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
     schema = yaml.safe_load(home.SCHEMA.read_text())
     config = yaml.safe_load(home.CONFIGURATION.read_text())
     found = {setting.name: setting for setting in settings_of(home.CONFIGURATION, schema)}
-    assert found["people.desk.height_px"].default == "150"
+    assert found["people.review.height_px"].default == "150"
     assert "paper: 1280×704" in found["capture.width"].meaning, "the comment above it"
-    assert found["people.fit.tolerance"].meaning == "relative gain of a step below which it has converged", "the comment beside it"
     assert "commercial" in found["licences"].choices
     for name, setting in found.items():
         assert setting.meaning, f"{name} has no meaning"
@@ -138,9 +151,9 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
 
 
 def test_settings_are_printed_by_section(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["settings", "people.desk"]) == 0
+    assert command.main(["settings", "people.review"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "people.desk.height_px = 150" in lines
+    assert "people.review.height_px = 150" in lines
     assert not [line for line in lines if line.startswith("people.keypoint")]
 
 
@@ -157,17 +170,27 @@ def test_the_wheel_holds_the_workflow_whole(wheel: Path) -> None:
     if listing.returncode:
         pytest.skip("not a repository: nobody knows which files belong to it")
     wanted = {
-        name.replace("workflow/studiorecon/", "studiorecon/")
-        if name.startswith("workflow/studiorecon/")
+        name.removeprefix("workflow/")
+        if name.startswith(("workflow/studiorecon/", "workflow/snakemake_logger_plugin_studiorecon/"))
         else f"studiorecon/_workflow/{name}"
         for name in listing.stdout.splitlines()
-        if name.startswith(PARTS) and name not in LEFT_OUT and not name.startswith("resources/bake_") and (ROOT / name).exists()
+        if name.startswith(PARTS)
+        and name not in LEFT_OUT
+        and not name.startswith("resources/bake_")
+        and (ROOT / name).exists()
     }
     with zipfile.ZipFile(wheel) as packed:
         names = set(packed.namelist())
-        assert "studiorecon = studiorecon.command:main" in packed.read(next(n for n in names if n.endswith("entry_points.txt"))).decode()
+        assert (
+            "studiorecon = studiorecon.command:main"
+            in packed.read(next(n for n in names if n.endswith("entry_points.txt"))).decode()
+        )
     assert wanted <= names, sorted(wanted - names)[:5]
-    assert not [name for name in names if "__pycache__" in name or ("resources/weights/" in name and not name.endswith("README.md"))]
+    assert not [
+        name
+        for name in names
+        if "__pycache__" in name or ("resources/weights/" in name and not name.endswith("README.md"))
+    ]
 
 
 def installed(wheel: Path, folder: Path, *words: str) -> subprocess.CompletedProcess:
@@ -178,8 +201,12 @@ def installed(wheel: Path, folder: Path, *words: str) -> subprocess.CompletedPro
     environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "PATH": "/usr/bin:/bin"}
     return subprocess.run(
         [sys.executable, "-m", "studiorecon.command", *words],
-        cwd=folder / "empty", env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    )  # fmt: skip
+        cwd=folder / "empty",
+        env=environment,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
 
 
 def test_the_demo_is_planned_from_an_installed_wheel_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
@@ -192,7 +219,9 @@ def test_the_demo_is_planned_from_an_installed_wheel_in_an_empty_folder(wheel: P
 
 @pytest.mark.slow
 def test_a_studio_is_reconstructed_from_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
-    done = installed(wheel, tmp_path, "run", "resources/studio/tiny.yaml", "--cores", "2", "--", "--config", "depth={solids: 0}")
+    done = installed(
+        wheel, tmp_path, "run", "resources/studio/tiny.yaml", "--cores", "2", "--", "--config", "depth={solids: 0}"
+    )
     assert done.returncode == 0, done.stdout[-6000:]
     assert (tmp_path / "empty/results/tiny/enhance/orbit.mp4").stat().st_size > 0
     assert "results/tiny/report/index.html is there" in done.stdout
@@ -204,7 +233,12 @@ def test_the_doctor_s_first_words_need_no_run(tmp_path: Path) -> None:
         write_watchable(tmp_path / f"videos/{name}.mp4", [np.full((48, 64, 3), grey, np.uint8)] * 3, 30.0)
     told = list(command.first_findings(tmp_path))
     assert told[0] == "calibration: none, so cameras are found from the people"
-    assert any(t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector looks for people" in t for t in told)
+    assert any(
+        t.startswith("camera a: 64×48, 30 fps, 3 frames, mean grey 0.7") and "the detector looks for people" in t
+        for t in told
+    )
     assert any("the exposures differ" in t for t in told)
     (tmp_path / "videos/b.mp4").write_bytes(b"no video")
-    assert any(t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.first_findings(tmp_path))
+    assert any(
+        t.startswith("camera b: ") and "cannot be read as a video" in t for t in command.first_findings(tmp_path)
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every setting, changed alone on a finished scene, re-runs the rules whose steps read it, and what follows from them; nothing else."""
+"""Every setting, changed alone on a finished scene, re-runs the rules whose steps read it, and what follows from them;
+nothing else."""
 
 from __future__ import annotations
 
@@ -15,25 +16,27 @@ from typing import Any
 import pytest
 import yaml
 from studiorecon.schema import mistakes
-from studiorecon.step_settings import read_by
+from studiorecon.step_settings import read_by, sections_of
 
-from .conftest import QUICK, ROOT, House, over
+from tests.workflow.conftest import QUICK, ROOT, House, over
 
-# Read when the run is planned, not by a step: the rules whose parameters (or list of inputs) they change. "" = another scene or image.
+# Read when the run is planned, not by a step: the rules whose parameters (or list of inputs) they change. "" = another
+# scene or image.
 PLANNED: dict[str, set[str] | None] = {
     "dataset": None,
     "scene": None,
     "capture_yaml": None,
     "images": set(),
     "body": None,
-    "device": {"background_train", "humans_train", "render_shot", "survey_trained"},
+    "device": {"background_train", "humans_train", "render_shot", "report_audit"},
     "sweep": set(),
     "sweep_minutes": set(),
     "weights": set(),
     "licences": set(),
+    "survey.earlier": None,
     "views.closed": {"views_path"},
-    "capture.picture_fps": {"people_detect", "people_second_look", "people_sightings"},
-    "enhance.injection.history": {"enhance_shot", "survey_trained"},
+    "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
+    "enhance.injection.history": {"enhance_shot", "report_audit"},
 }
 # The page prints the settings that a result may depend on.
 SHOWN = "report_page"
@@ -82,7 +85,7 @@ def others(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
             for other in others(item, {}):
                 yield [*value[:index], other, *value[index + 1 :]]
     elif isinstance(value, dict):
-        yield from ({"exposure": "on"}, {"cam1": 0.01})
+        yield from ({"exposure": "on"}, {"exposure": 0.5, "enhancement": 0.5}, {"cam1": 0.01})
     elif value is None:
         yield from (1, 0.5, "x")
 
@@ -107,15 +110,20 @@ def settings() -> dict[str, Any]:
 def steps() -> dict[str, str]:
     """Rule → its step."""
     text = "\n".join(path.read_text() for path in sorted((ROOT / "workflow/rules").glob("*.smk")))
-    blocks = re.split(r"\n(?= *(?:rule|checkpoint) )", text)
-    told = ((re.search(r"(?:rule|checkpoint) (\w+):", block), re.search(r"-m studiorecon (\w+\.\w+)", block)) for block in blocks)
-    return {rule.group(1): step.group(1) for rule, step in told if rule and step}
+    blocks = re.split(r"\n(?= *(?:(?:use )?rule|checkpoint) )", text)
+    told = (
+        (re.search(r"(?:rule|checkpoint) (\w+):", block), re.search(r"command\(\"(\w+\.\w+)\"\)", block))
+        for block in blocks
+    )
+    found = {rule.group(1): step.group(1) for rule, step in told if rule and step}
+    again = re.findall(r"use rule (\w+) as (\w+) with:", text)
+    return found | {rule: found[same] for same, rule in again}
 
 
 def reads(step: str, path: str) -> bool:
     """Whether the step's settings hold the one at ``path``."""
     stage, *names = path.split(".")
-    fields: Any = read_by(step) if step.split(".")[0] == stage else {}
+    fields: Any = read_by(step) if stage in sections_of(step) else {}
     for name in names:
         if fields is None:
             return True
@@ -126,7 +134,8 @@ def reads(step: str, path: str) -> bool:
 
 
 def changed_rules(house: House, values: Mapping[str, Any]) -> dict[str, set[str] | None]:
-    """Setting → rules whose parameters Snakemake says have changed, each setting changed alone; None where it refuses the plan."""
+    """Setting → rules whose parameters Snakemake says have changed, each setting changed alone; None where it refuses
+    the plan."""
     files = []
     for number, (path, value) in enumerate(values.items()):
         tree: Any = value
@@ -137,10 +146,19 @@ def changed_rules(house: House, values: Mapping[str, Any]) -> dict[str, set[str]
     script = Path(__file__).with_name("changed_settings.py")
     done = subprocess.run(
         [sys.executable, str(script), house.dataset, *map(str, files)],
-        cwd=house.folder, env=house.environment(), text=True, capture_output=True,
-    )  # fmt: skip
+        cwd=house.folder,
+        env=house.environment(),
+        text=True,
+        capture_output=True,
+    )
     assert done.returncode == 0, done.stderr[-4000:]
-    return dict(zip(values, (None if line == "null" else set(json.loads(line)) for line in done.stdout.splitlines()), strict=True))
+    return dict(
+        zip(
+            values,
+            (None if line == "null" else set(json.loads(line)) for line in done.stdout.splitlines()),
+            strict=True,
+        )
+    )
 
 
 def expected(path: str, rules: Mapping[str, str], present: set[str]) -> set[str]:
@@ -160,10 +178,10 @@ def wrong_of(house: House, values: Mapping[str, Any]) -> list[str]:
 
 
 SOME = (
-    "people.desk.height_px",
-    "people.triangulation.min_confidence",
-    "survey.thresholds.enhancement",
-    "report.least_measured",
+    "people.review.height_px",
+    "people.triangulation.solver",
+    "survey.thresholds",
+    "report.lpips",
     "render.width",
     "enhance.injection.history",
     "capture.width",

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from .conftest import House
+from tests.workflow.conftest import House
 
-RESULTS = tuple(f"results/tiny/people/{name}" for name in ("desk.html", "p0.npz", "p1.npz"))
+RESULTS = tuple(f"results/tiny/people/{name}" for name in ("review.html", "p0.npz", "p1.npz"))
 
 
 @pytest.fixture(scope="module")
@@ -42,21 +42,24 @@ def corrected(house: House, person: str) -> tuple[str, str]:
 
 def test_one_changed_line_fits_one_person_again(fitted: House) -> None:
     before = {p: (people(fitted) / f"{p}.npz").stat().st_mtime_ns for p in ("p0", "p1")}
-    detected = (people(fitted) / "detections/cam1.npz").stat().st_mtime_ns
+    detected = (people(fitted).parent / "tracks/cam1.npz").stat().st_mtime_ns
     options = corrected(fitted, "p1")
     done = fitted.snakemake(*RESULTS, "--cores", "2", *options)
     after = {p: (people(fitted) / f"{p}.npz").stat().st_mtime_ns for p in ("p0", "p1")}
     assert after["p0"] == before["p0"], done.stdout[-4000:]
     assert after["p1"] > before["p1"], "the corrected person was fitted again"
-    assert (people(fitted) / "detections/cam1.npz").stat().st_mtime_ns == detected, "the file's name is no setting of the detections"
-    assert "corrected by hand" in (people(fitted) / "desk.html").read_text()
+    assert (people(fitted).parent / "tracks/cam1.npz").stat().st_mtime_ns == detected, (
+        "the file's name is no setting of the detections"
+    )
+    assert "corrected by hand" in (people(fitted) / "review.html").read_text()
     assert "corrected" in (people(fitted) / "people.tsv").read_text()
     assert fitted.plan(*RESULTS, *options) == {}
 
 
 @pytest.mark.slow
 def test_masks_made_again_train_nobody_again_whom_they_show_unchanged(fitted: House) -> None:
-    """Masks show everybody, so a correction makes them all again; whose own crops are the same stays as trained, to the bit."""
+    """Masks show everybody, so a correction makes them all again; whose own crops are the same stays as trained, to the
+    bit."""
     avatars = [f"results/tiny/humans/p0.{kind}" for kind in ("ply", "npz")]
     quick = fitted.folder / "quick.yaml"
     quick.write_text(yaml.safe_dump({"humans": {"iterations": 5, "gaussians": 500}}))

@@ -9,20 +9,23 @@ from pathlib import Path
 import pytest
 import yaml
 
-from .conftest import QUICK, House, make_house, over
+from tests.workflow.conftest import QUICK, House, make_house, over
 
 # Looks at whatever other jobs have written so far about themselves.
 READS_LOGS = {"report_page"}
 
 
 def alone(house: House) -> int:
-    """Have every rule of a house run in a folder that holds links to its inputs and nothing else; returns how many do."""
+    """Have every rule of a house run in a folder that holds links to its inputs and nothing else; returns how many
+    do."""
     count = 0
     for path in sorted((house.folder / "workflow/rules").glob("*.smk")):
         blocks = re.split(r"(\n *(?:rule|checkpoint) \w+:)", path.read_text())
         for index in range(2, len(blocks), 2):
             if blocks[index - 1].split()[-1].rstrip(":") not in READS_LOGS:
-                blocks[index], made = re.subn(r"^( +)resources:$", r'\1shadow:\n\1    "minimal"\n\1resources:', blocks[index], flags=re.M)
+                blocks[index], made = re.subn(
+                    r"^( +)resources:$", r'\1shadow:\n\1    "minimal"\n\1resources:', blocks[index], flags=re.M
+                )
                 count += made
         path.write_text("".join(blocks))
     return count

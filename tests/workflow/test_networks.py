@@ -7,40 +7,58 @@ import re
 from pathlib import Path
 
 import yaml
-from studiorecon.models.selection import selected
+from studiorecon.models.catalogue.selection import selected
 
-from .conftest import ROOT, House
-from .test_plan import dataset, on
+from tests.made.plan import dataset, on
+from tests.workflow.conftest import ROOT, House
 
 __all__ = ["dataset"]
 
 
 def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: Path) -> None:
     sections = {
-        "cameras": {"source": "pi3x"},
-        "people": {"source": "comotion"},
+        "calibration": {"source": "pi3x"},
+        "detect": {"source": "comotion"},
         "depth": {"source": "moge"},
         "views": {"synthesizer": "gen3c"},
         "survey": {"force": {"view_synthesis": "on"}},
     }
     plan = on(house, dataset).plan("--configfile", house.overlay(**sections))
-    assert {"cameras_network": 1, "cameras_calibration": 1, "people_sightings": 3, "people_bodies": 3}.items() <= plan.items()
+    assert {
+        "calibration_network": 1,
+        "calibration_files": 1,
+        "detect_keypoints": 3,
+        "tracks_bodies": 3,
+    }.items() <= plan.items()
     assert {"depth_network": 1, "depth_refine": 3, "depth_aligned": 3}.items() <= plan.items()
     assert {"views_request": 3, "views_generate": 3, "views_fitted": 3}.items() <= plan.items()
-    assert not {"people_detections", "views_synthesize"} & set(plan)
+    assert not {"tracks_keypoints", "views_synthesize"} & set(plan)
 
 
 def test_the_papers_networks_are_one_preset() -> None:
     preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
-    assert [name for _, name in selected(preset)] == ["comotion", "sam3", "moge", "gen3c", "difix", "raft", "lpips", "lpips", "lpips_alex"]
+    assert [name for _, name in selected(preset)] == [
+        "pi3",
+        "comotion",
+        "sam3",
+        "moge",
+        "gen3c",
+        "difix",
+        "raft",
+        "lpips",
+        "lpips",
+        "lpips_alex",
+    ]
 
 
-def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(house: House, dataset: Path, tmp_path: Path) -> None:
+def test_what_may_not_be_used_or_is_not_there_is_named_before_anything_runs(
+    house: House, dataset: Path, tmp_path: Path
+) -> None:
     capture = on(house, dataset)
-    overlay = house.overlay(licences="commercial", people={"source": "comotion"})
+    overlay = house.overlay(licences="commercial", detect={"source": "comotion"})
     refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
     assert refused.returncode != 0
-    assert "people.source is comotion, and CoMotion may not be used commercially" in refused.stdout
+    assert "detect.source is comotion, and CoMotion may not be used commercially" in refused.stdout
     overlay = house.overlay(depth={"source": "precomputed", "precomputed": str(tmp_path)})
     refused = capture.snakemake("--dry-run", "--configfile", overlay, check=False)
     assert refused.returncode != 0

@@ -8,24 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import ROOT, House, make_house
-
-
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The skeleton of a user's dataset: enough to plan with."""
-    folder = tmp_path_factory.mktemp("capture")
-    (folder / "videos").mkdir()
-    for camera in ("left", "right", "back"):
-        (folder / "videos" / f"{camera}.mp4").touch()
-        (folder / "keypoints" / camera).mkdir(parents=True)
-    for name in ("intri.yml", "extri.yml"):
-        (folder / name).touch()
-    return folder
-
-
-def on(house: House, dataset: Path) -> House:
-    return House(house.folder, str(dataset))
+from tests.made.plan import dataset, on  # noqa: F401
+from tests.workflow.conftest import ROOT, House, make_house
 
 
 def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset: Path) -> None:
@@ -40,9 +24,12 @@ def test_a_users_dataset_is_planned_per_camera_and_segment(house: House, dataset
 def test_a_camera_that_was_started_early_is_read_from_its_own_frame_on(house: House, dataset: Path) -> None:
     (dataset / "capture.yaml").write_text("starts: {right: 13}\nframes: {first: 4, count: 20}\n")
     there, films = on(house, dataset), [f"results/{dataset.name}/capture/{c}.mkv" for c in ("left", "right")]
-    told = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *films, f"results/{dataset.name}/cameras/doctor.html").stdout
+    told = there.snakemake(
+        "--dry-run", "--printshellcmds", "--cores", "1", *films, f"results/{dataset.name}/calibration/doctor.html"
+    ).stdout
     (dataset / "capture.yaml").unlink()
-    assert """--starts '{"back": 0.0, "left": 0.0, "right": 13.0}' --first 4 --count 20""" in told
+    for words in ("""--starts '{"back": 0.0, "left": 0.0, "right": 13.0}'""", "--first-frame 4", "--frame-count 20"):
+        assert words in told
 
 
 def test_an_empty_room_has_no_people_mask_or_human_job(house: House, dataset: Path) -> None:
@@ -60,20 +47,20 @@ def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> Non
     (dataset / "no calibration").rename(dataset / "intri.yml")
     plan, doctor = on(house, dataset).plan(), on(house, dataset).plan("doctor")
     (dataset / "hidden").rename(dataset / "keypoints")
-    assert plan["people_detect"] == videos_alone["people_detect"] == doctor["people_detect"] == 3
-    assert plan["people_sightings"] == 3, "when was each camera started?"
-    assert videos_alone["people_sightings"] == doctor["people_sightings"] == 3
-    assert videos_alone["cameras_uncalibrated"] == 1
-    assert "people_detect" not in on(house, dataset).plan(), "keypoint files come first"
+    assert plan["detect_people"] == videos_alone["detect_people"] == doctor["detect_people"] == 3
+    assert plan["detect_keypoints"] == 3, "when was each camera started?"
+    assert videos_alone["detect_keypoints"] == doctor["detect_keypoints"] == 3
+    assert videos_alone["calibration_from_people"] == 1
+    assert "detect_people" not in on(house, dataset).plan(), "keypoint files come first"
 
 
 def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset: Path) -> None:
     (dataset / "keypoints/back").rename(dataset / "hidden")
     plan = on(house, dataset).plan()
-    always = on(house, dataset).plan("--configfile", on(house, dataset).overlay(people={"source": "detector"}))
+    always = on(house, dataset).plan("--configfile", on(house, dataset).overlay(detect={"source": "detector"}))
     (dataset / "hidden").rename(dataset / "keypoints/back")
-    assert plan["people_detect"] == 1
-    assert always["people_detect"] == 3
+    assert plan["detect_people"] == 1
+    assert always["detect_people"] == 3
 
 
 def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path) -> None:
@@ -82,23 +69,23 @@ def test_plates_alone_are_enough_to_look_for_people(house: House, dataset: Path)
     for camera in ("left", "right", "back"):
         (dataset / "plates" / f"{camera}.png").touch()
     films = [f"results/{dataset.name}/people/overlay/{c}.mp4" for c in ("left", "right", "back")]
-    plan = on(house, dataset).plan(*films, "--configfile", on(house, dataset).overlay(people={"source": "keypoints"}))
+    plan = on(house, dataset).plan(*films, "--configfile", on(house, dataset).overlay(detect={"source": "keypoints"}))
     shutil.rmtree(dataset / "plates")
     (dataset / "hidden").rename(dataset / "keypoints")
-    assert plan["people_associate"] == 1
+    assert plan["people_associate"] == plan["people_without_keypoints"] == 1
     assert plan["people_overlay"] == 3
-    assert "people_detections" not in plan
+    assert "tracks_keypoints" not in plan
 
 
 def test_without_a_calibration_the_cameras_are_found_from_the_people(house: House, dataset: Path) -> None:
     (dataset / "intri.yml").rename(dataset / "hidden")
     plan = on(house, dataset).plan()
-    files = ("--configfile", house.overlay(cameras={"source": "files"}))
+    files = ("--configfile", house.overlay(calibration={"source": "files"}))
     files_only = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files, check=False)
     (dataset / "hidden").rename(dataset / "intri.yml")
-    assert plan["people_sightings"] == 3
-    assert plan["cameras_uncalibrated"] == 1
-    assert "cameras_calibration" not in plan
+    assert plan["detect_keypoints"] == 3
+    assert plan["calibration_from_people"] == 1
+    assert "calibration_files" not in plan
     assert "has no calibration" in files_only.stdout
 
 
@@ -112,7 +99,7 @@ def test_without_a_calibration_the_cameras_are_found_from_the_people(house: Hous
 )
 def test_what_is_missing_is_named_before_anything_runs(house: House, dataset: Path, remove: str, words: str) -> None:
     (dataset / remove).rename(dataset / "hidden")
-    files_only = "--configfile", on(house, dataset).overlay(people={"source": "keypoints"})
+    files_only = "--configfile", on(house, dataset).overlay(detect={"source": "keypoints"})
     done = on(house, dataset).snakemake("--dry-run", "--cores", "1", *files_only, check=False)
     (dataset / "hidden").rename(dataset / remove)
     assert done.returncode != 0
@@ -135,17 +122,21 @@ def test_a_misspelt_setting_is_refused(house: House, dataset: Path) -> None:
 
 def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset: Path) -> None:
     """A film of which only the kind is said, a number within a section, and an unquoted off in a file."""
-    wanted = [f"results/{dataset.name}/{name}" for name in ("render/extra.mkv", "people/detections/left.npz")]
+    wanted = [f"results/{dataset.name}/{name}" for name in ("render/extra.mkv", "tracks/left.npz")]
     overlay = house.folder / "unquoted.yaml"
-    overlay.write_text("survey: {force: {view_synthesis: off, exposure: off, view_dependent_colour: off, moving_shadows: off}}\n")
-    said = [f"dataset={dataset}", "people={detection_keypoints: 7}", "render={shots: {extra: {kind: orbit}}}"]
+    overlay.write_text(
+        "survey: {force: {view_synthesis: off, exposure: off, view_dependent_colour: off, moving_shadows: off}}\n"
+    )
+    said = [f"dataset={dataset}", "detect={min_confidence: 0.2}", "render={shots: {extra: {kind: orbit}}}"]
     told = (
         House(house.folder, "")
-        .snakemake("--dry-run", "--cores", "1", "--printshellcmds", *wanted, "--configfile", str(overlay), "--config", *said)
+        .snakemake(
+            "--dry-run", "--cores", "1", "--printshellcmds", *wanted, "--configfile", str(overlay), "--config", *said
+        )
         .stdout
     )
     assert "--shot extra" in told
-    assert '"detection_keypoints": 7' in told
+    assert '"min_confidence": 0.2' in told
     assert "views_synthesize" not in told
 
 
@@ -160,7 +151,9 @@ def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: Ho
     target = f"results/{dataset.name}/background/scene.ply"
     plans = {
         verdict: there.plan(
-            target, "--configfile", there.overlay(survey={"force": known | ({"view_synthesis": verdict} if verdict else {})})
+            target,
+            "--configfile",
+            there.overlay(survey={"force": known | ({"view_synthesis": verdict} if verdict else {})}),
         )
         for verdict in ("", "on", "off")
     }
@@ -186,13 +179,15 @@ def test_loose_things_are_looked_for_only_when_the_survey_or_the_user_says_so(ho
     (dataset / "capture.yaml").write_text("people: 0\n")
     films = {
         verdict: there.plan(
-            f"results/{dataset.name}/render/orbit.mkv", "--configfile", there.overlay(survey={"force": {"dynamic_objects": verdict}})
+            f"results/{dataset.name}/render/orbit.mkv",
+            "--configfile",
+            there.overlay(survey={"force": {"dynamic_objects": verdict}}),
         )
         for verdict in ("on", "off")
     }
     (dataset / "capture.yaml").unlink()
-    assert films["on"]["humans_objects"] == 1, "a room without people may have a ball in it"
-    assert "humans_objects" not in films["off"]
+    assert films["on"]["objects_find"] == 1, "a room without people may have a ball in it"
+    assert "objects_find" not in films["off"]
 
 
 def test_people_who_are_forced_away_cost_nothing(house: House, dataset: Path) -> None:

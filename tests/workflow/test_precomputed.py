@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every network that can be asked elsewhere, brought as files: the whole workflow on folders of bodies, masks, depth, views and films."""
+"""Every network that can be asked elsewhere, brought as files: the whole workflow on folders of bodies, masks, depth,
+views and films."""
 
 from __future__ import annotations
 
@@ -10,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.video import read_stack
 from studiorecon.geometry import rotations
-from studiorecon.images.exr import read_depth
-from studiorecon.images.video import read_stack
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.people import Person, read_people, read_person
+from studiorecon.scene.people import Person, read_people
 
-from .conftest import QUICK, ROOT, House
+from tests.workflow.conftest import QUICK, ROOT, House
 
 FOLDERS = {"people": "bodies", "masks": "masks", "depth": "depth", "views": "views", "enhance": "films"}
 
@@ -36,7 +38,10 @@ def rows_of(camera: Camera, people: list[Person], body: BodyModel) -> dict[str, 
             pixels, _ = camera.project(joints_m)
             rows.append((track, frame, pose, betas, seen_m[0], pixels, seen_m))
     names = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
-    return {name: np.array(values, np.float32 if k > 1 else np.int64) for k, (name, values) in enumerate(zip(names, zip(*rows)))}
+    return {
+        name: np.array(values, np.float32 if k > 1 else np.int64)
+        for k, (name, values) in enumerate(zip(names, zip(*rows)))
+    }
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,9 @@ def brought(finished: House, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     for film in (*done.glob("views/??.mkv"), *done.glob("render/*.mkv")):
         if "." not in film.stem:
             shutil.copy(film, elsewhere["views" if film.parent.name == "views" else "enhance"])
-    shutil.copytree(finished.folder, folder / "house", ignore=shutil.ignore_patterns("results", ".snakemake", "logs", "benchmarks"))
+    shutil.copytree(
+        finished.folder, folder / "house", ignore=shutil.ignore_patterns("results", ".snakemake", "logs", "benchmarks")
+    )
     house = House(folder / "house", finished.dataset)
     sections = {section: {"source": "precomputed", "precomputed": str(path)} for section, path in elsewhere.items()}
     sections["views"] = {"synthesizer": "precomputed", "precomputed": str(elsewhere["views"])}

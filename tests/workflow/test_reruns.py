@@ -12,9 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import House, make_house
+from tests.workflow.conftest import House, make_house
 
-AFTER_HUMANS = {"render_shot", "enhance_shot", "enhance_comparison", "survey_trained", "report_evaluate", "report_page", "deliver_export"}
+AFTER_HUMANS = {
+    "render_shot",
+    "enhance_shot",
+    "enhance_comparison",
+    "report_audit",
+    "report_evaluate",
+    "report_page",
+    "deliver_export",
+    "deliver_player",
+}
 
 
 def results(house: House) -> Path:
@@ -27,7 +36,13 @@ def filmed(house: House) -> Path:
 
 
 def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
-    for name in ("enhance/orbit.mp4", "report/index.html", "report/metrics.json", "background/scene.ply", "people/people.tsv"):
+    for name in (
+        "enhance/orbit.mp4",
+        "report/index.html",
+        "report/metrics.json",
+        "background/scene.ply",
+        "people/people.tsv",
+    ):
         assert (results(finished) / name).stat().st_size > 0
     assert len((results(finished) / "people/people.tsv").read_text().splitlines()) == 3, "two people and the header"
 
@@ -70,7 +85,9 @@ def test_a_changed_line_of_one_step_runs_that_step_and_what_follows(finished: Ho
 
 def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts_as_finished(finished: House) -> None:
     overlay = ("--configfile", finished.overlay(humans={"iterations": 20}))
-    broken = finished.snakemake("--cores", "2", *overlay, check=False, path=finished.failing_python("humans.train", "p1"))
+    broken = finished.snakemake(
+        "--cores", "2", *overlay, check=False, path=finished.failing_python("humans.train", "p1")
+    )
     assert broken.returncode != 0
     assert (results(finished) / "humans/p0.ply").is_file()
     assert (results(finished) / "background/scene.ply").is_file()
@@ -98,7 +115,8 @@ def test_a_killed_run_is_resumed(finished: House, tmp_path: Path) -> None:
         time.sleep(0.1)
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
-    # What a power cut leaves behind: Snakemake's lock, which its own message says how to take away, and half-made files.
+    # What a power cut leaves behind: Snakemake's lock, which its own message says how to take away, and half-made
+    # files.
     house.snakemake("--unlock")
     house.snakemake("--cores", "2", "--until", "capture_manifest")
     assert (results(house) / "capture/manifest.json").is_file()

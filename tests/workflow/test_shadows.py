@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from .conftest import House
+from tests.workflow.conftest import House
 
 
 def test_light_is_estimated_when_shadows_move_and_not_otherwise(finished: House) -> None:

@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``snakemake sweep``: asked for by name only; its runs share what their settings leave alone; a run that fails is a record."""
+"""``snakemake sweep``: asked for by name only; its runs share what their settings leave alone; a run that fails is a
+record."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from studiorecon.report.records import FAILED, OK, read_records
+from studiorecon.sweep.records import FAILED, OK, read_records
 
-from .conftest import House, make_house
+from tests.workflow.conftest import House, make_house
 
-TABLE = """name\tknob\tpreset\tsettings
-base\t\t\tdepth.solids=0 ; background.training.iterations=60 ; humans.iterations=40 ; humans.gaussians=1000 ; render.shots.orbit.frames=2
+TABLE = """name\tparameter\tpreset\tsettings
+base\t\t\tdepth.solids=0 ; \
+background.training.iterations=60 ; humans.iterations=40 ; humans.gaussians=1000 ; render.shots.orbit.frames=2
 plain\tenhancement\t\tenhance.enhancer=none
-refused\tlimits\t\tpeople.fit.worst_beta=0.0001
+refused\tlimits\t\tpeople.fit.max_beta=0.0001
 room\tbackground steps\t\tbackground.training.iterations=120
 """
 
 
 def test_a_sweep_is_two_jobs_of_this_workflow_and_everything_else_of_its_own(house: House) -> None:
     plan = house.plan("sweep")
-    assert {rule: count for rule, count in plan.items() if rule.startswith("sweep")} == {"sweep": 1, "sweep_run": 1, "sweep_page": 1}
+    assert {rule: count for rule, count in plan.items() if rule.startswith("sweep")} == {
+        "sweep": 1,
+        "sweep_run": 1,
+        "sweep_page": 1,
+    }
     assert set(plan) == {"sweep", "sweep_run", "sweep_page"}
 
 

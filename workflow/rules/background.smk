@@ -1,25 +1,48 @@
 # Static Gaussians of the room.
 
 
+# What trainings of room and people would each compile by themselves, compiled once, while cameras are looked at and a core is idle.
+# Nothing but the time depends on it: hence ancient, here and where it is waited for.
+rule background_kernels:
+    input:
+        manifest=ancient("results/{scene}/capture/manifest.json"),
+    output:
+        kernels="results/{scene}/background/kernels.txt",
+    log:
+        "logs/{scene}/background/kernels.log",
+    benchmark:
+        "benchmarks/{scene}/background/kernels.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        code=code("background.kernels"),
+    shell:
+        command("background.kernels")
+
+
 rule background_train:
     input:
         model=MODEL,
         plates=collect(
-            "results/{scene}/capture/{camera}.plate.png",
-            camera=TRAINING,
+            "results/{scene}/plates/{camera}.png",
+            camera=PLAN.training,
             allow_missing=True,
         ),
         depth=collect(
             "results/{scene}/depth/{camera}.exr",
-            camera=TRAINING,
+            camera=PLAN.training,
             allow_missing=True,
         ),
-        shell="results/{scene}/depth/shell.json",
-        exposure=gains,
-        gloss=gloss,
+        shell="results/{scene}/depth/room.json",
+        exposure=files.gains,
+        gloss=files.specularity,
         path="results/{scene}/views/path.json",
-        views=synthesized("mkv"),
-        supports=synthesized("mask.mkv"),
+        views=files.views,
+        supports=files.view_masks,
+        kernels=ancient("results/{scene}/background/kernels.txt"),
     output:
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
@@ -28,18 +51,18 @@ rule background_train:
     benchmark:
         "benchmarks/{scene}/background/train.tsv"
     container:
-        image(DRAWN_BY)
+        image(PLAN.networks.drawn_by)
     threads: 2
     resources:
         mem_mb=3000,
-        gpu=DRAWING_GPUS,
+        gpu=PLAN.networks.drawing_gpus,
     params:
         settings=settings("background.train"),
         code=code("background.train"),
         device=config["device"],
+        working="logs/{scene}/background/train",
+        lpips=PLAN.networks.lpips("background"),
+    message:
+        "The room of {wildcards.scene} as Gaussians; pictures of how it goes in {params.working}"
     shell:
-        "python -m studiorecon background.train --settings {params.settings:q} --log {log} --device {params.device}"
-        " --model {input.model[0]:q} --plates {input.plates:q} --depth {input.depth:q} --shell {input.shell}"
-        " --path {input.path} --views {input.views:q} --supports {input.supports:q}"
-        " --threads {threads} --background {output.background} --provenance {output.provenance}"
-        " --exposure {input.exposure:q} --gloss {input.gloss:q} --previews logs/{wildcards.scene}/background/train"
+        command("background.train")

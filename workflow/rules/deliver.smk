@@ -6,13 +6,13 @@ rule deliver_export:
         manifest="results/{scene}/capture/manifest.json",
         model=[*MODEL, "results/{scene}/cameras/points3D.txt"],
         background="results/{scene}/background/scene.ply",
-        gaussians=human_gaussians,
-        avatars=human_avatars,
-        fits=fits,
-        body=BODY,
-        detections=detections,
-        identities=branch(DATASET.people, then="results/{scene}/people/identities.tsv"),
-        films=collect("results/{scene}/enhance/{shot}.mp4", shot=FILMS, allow_missing=True),
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        fits=files.fits,
+        body=files.body,
+        detections=files.detections,
+        identities=files.identities,
+        films=collect("results/{scene}/enhance/{shot}.mp4", shot=PLAN.films, allow_missing=True),
     output:
         contents="results/{scene}/deliver/manifest.json",
     log:
@@ -28,10 +28,43 @@ rule deliver_export:
         settings=settings("deliver.export"),
         code=code("deliver.export"),
     shell:
-        "python -m studiorecon deliver.export --settings {params.settings:q} --log {log}"
-        " --scene {wildcards.scene} --manifest {input.manifest} --model {input.model[0]:q} --background {input.background}"
-        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --fits {input.fits:q} --body {input.body}"
-        " --films {input.films:q} --detections {input.detections:q} --identities {input.identities:q} --contents {output.contents}"
+        command("deliver.export")
+
+
+# One page to move through the scene and its time, from disk and without a network.
+rule deliver_player:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model=MODEL,
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
+        objects=files.loose_objects,
+        paths=collect("results/{scene}/render/{shot}.json", shot=PLAN.films, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        exposure=files.exposure,
+        shade=files.room_shade,
+        parts=files.player,
+    output:
+        page="results/{scene}/deliver/player.html",
+        poster="results/{scene}/deliver/player.jpg",
+    log:
+        "logs/{scene}/deliver/player.log",
+    benchmark:
+        "benchmarks/{scene}/deliver/player.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        code=code("deliver.player"),
+    message:
+        "The scene to move through: {output.page}"
+    shell:
+        command("deliver.player")
 
 
 rule deliver_mesh:
@@ -39,7 +72,7 @@ rule deliver_mesh:
         model=MODEL,
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
-        room="results/{scene}/depth/shell.json",
+        room="results/{scene}/depth/room.json",
         path="results/{scene}/views/path.json",
     output:
         mesh="results/{scene}/deliver/room.glb",
@@ -55,12 +88,11 @@ rule deliver_mesh:
     params:
         code=code("deliver.mesh"),
     shell:
-        "python -m studiorecon deliver.mesh --log {log:q} --model {input.model[0]:q} --background {input.background:q}"
-        " --provenance {input.provenance:q} --room {input.room:q} --path {input.path:q} --mesh {output.mesh:q}"
+        command("deliver.mesh")
 
 
 # On request: the extra mesh is 400 MB, and most never open a mesh.
 rule room_mesh:
     input:
-        f"results/{SCENE}/deliver/room.glb",
+        f"results/{PLAN.scene}/deliver/room.glb",
     localrule: True

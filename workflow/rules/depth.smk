@@ -1,13 +1,11 @@
 # Depth of the static scene: every camera looks for planes, the room is fitted to what they found, every camera looks again.
 # A depth map the user brought takes the place of the last look; a network's (depth.source) is put to the scale of that look.
 
-import re
-
 
 ruleorder: depth_given > depth_refine
 
 
-if DEPTH_NETWORK:
+if PLAN.networks.depth:
 
     ruleorder: depth_given > depth_aligned
 
@@ -16,8 +14,8 @@ rule depth_sweep:
     input:
         model=MODEL,
         plates=collect(
-            "results/{scene}/capture/{other}.plate.png",
-            other=TRAINING,
+            "results/{scene}/plates/{other}.png",
+            other=PLAN.training,
             allow_missing=True,
         ),
     output:
@@ -35,63 +33,63 @@ rule depth_sweep:
         settings=settings("depth.sweep"),
         code=code("depth.sweep"),
     shell:
-        "python -m studiorecon depth.sweep --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model[0]:q} --plates {input.plates:q} --sweep {output.sweep:q}"
+        command("depth.sweep")
 
 
-rule depth_shell:
+rule depth_room:
     input:
         model=MODEL,
         plates=collect(
-            "results/{scene}/capture/{other}.plate.png",
-            other=TRAINING,
+            "results/{scene}/plates/{other}.png",
+            other=PLAN.training,
             allow_missing=True,
         ),
         sweeps=collect(
             "results/{scene}/depth/{other}.sweep.npz",
-            other=TRAINING,
+            other=PLAN.training,
             allow_missing=True,
         ),
-        people=walkers,
-        detections=sightings,
-        identities=sighted,
+        people=files.walkers,
+        detections=files.sightings,
+        identities=files.sighted,
     output:
-        shell="results/{scene}/depth/shell.json",
-        solids="results/{scene}/depth/solids.json",
-        picture="results/{scene}/depth/solids.png",
+        shell="results/{scene}/depth/room.json",
+        solids="results/{scene}/depth/primitives.json",
+        picture="results/{scene}/depth/primitives.png",
         passes="results/{scene}/depth/passes.npz",
     log:
-        "logs/{scene}/depth/shell.log",
+        "logs/{scene}/depth/room.log",
     benchmark:
-        "benchmarks/{scene}/depth/shell.tsv"
+        "benchmarks/{scene}/depth/room.tsv"
     container:
         image("core")
     threads: 2
     resources:
         mem_mb=2500,
     params:
-        settings=settings("depth.shell"),
-        code=code("depth.shell"),
+        settings=settings("depth.room"),
+        code=code("depth.room"),
     shell:
-        "python -m studiorecon depth.shell --settings {params.settings:q} --log {log}"
-        " --model {input.model[0]:q} --plates {input.plates:q} --sweeps {input.sweeps:q} --people {input.people:q}"
-        " --detections {input.detections:q} --identities {input.identities:q} --shell {output.shell}"
-        " --solids {output.solids} --picture {output.picture} --passes {output.passes}"
+        command("depth.room")
 
 
 rule depth_refine:
     input:
         model=MODEL,
         plates=collect(
-            "results/{scene}/capture/{other}.plate.png",
-            other=TRAINING,
+            "results/{scene}/plates/{other}.png",
+            other=PLAN.training,
             allow_missing=True,
         ),
-        shell="results/{scene}/depth/shell.json",
-        solids="results/{scene}/depth/solids.json",
+        shell="results/{scene}/depth/room.json",
+        solids="results/{scene}/depth/primitives.json",
         passes="results/{scene}/depth/passes.npz",
     output:
-        depth="results/{scene}/depth/{camera}.planes.exr" if DEPTH_NETWORK else "results/{scene}/depth/{camera}.exr",
+        depth=(
+            "results/{scene}/depth/{camera}.planes.exr"
+            if PLAN.networks.depth
+            else "results/{scene}/depth/{camera}.exr"
+        ),
     log:
         "logs/{scene}/depth/refine/{camera}.log",
     benchmark:
@@ -105,15 +103,13 @@ rule depth_refine:
         settings=settings("depth.refine"),
         code=code("depth.refine"),
     shell:
-        "python -m studiorecon depth.refine --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model[0]:q} --plates {input.plates:q} --passes {input.passes}"
-        " --shell {input.shell} --solids {input.solids} --depth {output.depth:q}"
+        command("depth.refine")
 
 
 rule depth_given:
     input:
         model=MODEL,
-        source=given_depth,
+        source=files.given_depth,
     output:
         depth="results/{scene}/depth/{camera}.exr",
     log:
@@ -121,7 +117,7 @@ rule depth_given:
     benchmark:
         "benchmarks/{scene}/depth/given/{camera}.tsv"
     wildcard_constraints:
-        camera="|".join(map(re.escape, DATASET.depth)) or "(?!)",
+        camera=one_of(PLAN.dataset.depth),
     container:
         image("core")
     threads: 1
@@ -131,45 +127,42 @@ rule depth_given:
         settings=settings("depth.given"),
         code=code("depth.given"),
     shell:
-        "python -m studiorecon depth.given --settings {params.settings:q} --log {log}"
-        " --camera {wildcards.camera:q} --model {input.model[0]:q} --source {input.source:q} --depth {output.depth:q}"
+        command("depth.given")
 
 
-if DEPTH_NETWORK in MODELS:
+if PLAN.networks.depth not in ("", "precomputed"):
 
     rule depth_network:
         input:
             model=MODEL,
-            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
+            plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
         output:
-            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=TRAINING, allow_missing=True),
+            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=PLAN.training, allow_missing=True),
         log:
             "logs/{scene}/depth/network.log",
         benchmark:
             "benchmarks/{scene}/depth/network.tsv"
         container:
-            model_image(DEPTH_NETWORK)
+            model_image(PLAN.networks.depth)
         threads: 1
         resources:
             mem_mb=16000,
-            gpu=gpus(DEPTH_NETWORK),
+            gpu=gpus(PLAN.networks.depth),
         params:
             settings=settings("depth.network"),
             code=code("depth.network"),
-            weights=WEIGHTS,
+            weights=PLAN.networks.weights,
             device=config["device"],
         shell:
-            "python -m studiorecon depth.network --settings {params.settings:q} --log {log}"
-            " --model {input.model[0]:q} --plates {input.plates:q} --weights {params.weights:q} --device {params.device}"
-            " --depths {output.depths:q}"
+            command("depth.network")
 
 
-if DEPTH_NETWORK:
+if PLAN.networks.depth:
 
     rule depth_aligned:
         input:
             model=MODEL,
-            estimate=estimated_depth,
+            estimate=files.estimated_depth,
             planes="results/{scene}/depth/{camera}.planes.exr",
         output:
             depth="results/{scene}/depth/{camera}.exr",
@@ -186,6 +179,4 @@ if DEPTH_NETWORK:
             settings=settings("depth.aligned"),
             code=code("depth.aligned"),
         shell:
-            "python -m studiorecon depth.aligned --settings {params.settings:q} --log {log}"
-            " --camera {wildcards.camera:q} --model {input.model[0]:q} --estimate {input.estimate:q} --planes {input.planes:q}"
-            " --depth {output.depth:q}"
+            command("depth.aligned")

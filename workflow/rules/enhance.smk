@@ -11,12 +11,11 @@ rule enhance_shot:
         train_depth="results/{scene}/render/train.depth.mkv",
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
-        truth=truth_of_replaced,
-        edited=edited_reference,
-        made=film_of_elsewhere,
-        gains=gains,
-        light=lights_course,
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        truth=files.truth_of_replaced,
+        edited=files.edited_reference,
+        made=files.film_of_elsewhere,
+        exposure=files.exposure,
     output:
         video="results/{scene}/enhance/{shot}.mkv",
         film="results/{scene}/enhance/{shot}.mp4",
@@ -25,23 +24,20 @@ rule enhance_shot:
     benchmark:
         "benchmarks/{scene}/enhance/shot/{shot}.tsv"
     container:
-        model_image(ENHANCE_NETWORK) if ENHANCE_NETWORK else image("core")
+        model_image(PLAN.networks.enhance)
     threads: 2
     resources:
         mem_mb=1500,
-        gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
+        gpu=gpus(PLAN.networks.enhance),
     params:
         settings=settings("enhance.shot"),
         code=code("enhance.shot"),
-        weights=WEIGHTS if ENHANCE_NETWORK else "none",
-        device=config["device"] if ENHANCE_NETWORK else "cpu",
+        weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
+        device=config["device"] if PLAN.networks.enhance else "cpu",
+    message:
+        "Film {wildcards.shot}: every picture through the enhancer; {output.film}"
     shell:
-        "python -m studiorecon enhance.shot --settings {params.settings:q} --log {log}"
-        " --weights {params.weights:q} --device {params.device}"
-        " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --render-depth {input.render_depth}"
-        " --train {input.train} --train-path {input.train_path} --train-depth {input.train_depth}"
-        " --model {input.model[0]:q} --manifest {input.manifest} --videos {input.videos:q}"
-        " --truth {input.truth:q} --edited {input.edited:q} --made {input.made:q} --exposure {input.gains:q} {input.light:q} --video {output.video} --film {output.film}"
+        command("enhance.shot")
 
 
 # On request: snakemake results/SCENE/enhance/orbit.37.steps.png shows how picture 37 was made.
@@ -57,21 +53,18 @@ rule enhance_sheet:
     benchmark:
         "benchmarks/{scene}/enhance/sheet/{shot}.{picture}.tsv"
     container:
-        model_image(ENHANCE_NETWORK) if ENHANCE_NETWORK else image("core")
+        model_image(PLAN.networks.enhance)
     threads: 1
     resources:
         mem_mb=800,
-        gpu=gpus(ENHANCE_NETWORK) if ENHANCE_NETWORK else 0,
+        gpu=gpus(PLAN.networks.enhance),
     params:
         settings=settings("enhance.sheet"),
         code=code("enhance.sheet"),
-        weights=WEIGHTS if ENHANCE_NETWORK else "none",
-        device=config["device"] if ENHANCE_NETWORK else "cpu",
+        weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
+        device=config["device"] if PLAN.networks.enhance else "cpu",
     shell:
-        "python -m studiorecon enhance.sheet --settings {params.settings:q} --log {log}"
-        " --weights {params.weights:q} --device {params.device}"
-        " --shot {wildcards.shot} --picture {wildcards.picture} --render {input.render:q} --render-path {input.render_path:q}"
-        " --video {input.video:q} --image {output.image:q}"
+        command("enhance.sheet")
 
 
 rule enhance_comparison:
@@ -79,7 +72,7 @@ rule enhance_comparison:
         render="results/{scene}/render/{shot}.mkv",
         render_path="results/{scene}/render/{shot}.json",
         video="results/{scene}/enhance/{shot}.mkv",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=CAMERAS, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.cameras, allow_missing=True),
     output:
         beside="results/{scene}/enhance/{shot}.compare.mp4",
         wipe="results/{scene}/enhance/{shot}.wipe.mp4",
@@ -96,6 +89,4 @@ rule enhance_comparison:
         settings=settings("enhance.comparison"),
         code=code("enhance.comparison"),
     shell:
-        "python -m studiorecon enhance.comparison --settings {params.settings:q} --log {log}"
-        " --shot {wildcards.shot} --render {input.render:q} --render-path {input.render_path:q} --video {input.video:q}"
-        " --videos {input.videos:q} --beside {output.beside:q} --wipe {output.wipe:q}"
+        command("enhance.comparison")

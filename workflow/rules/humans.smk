@@ -8,18 +8,18 @@ rule humans_train:
         people="results/{scene}/people/people.tsv",
         videos=collect(
             "results/{scene}/capture/{camera}.mkv",
-            camera=TRAINING,
+            camera=PLAN.training,
             allow_missing=True,
         ),
         masks=collect(
             "results/{scene}/masks/{camera}.mkv",
-            camera=TRAINING,
+            camera=PLAN.training,
             allow_missing=True,
         ),
         fit="results/{scene}/people/{person}.npz",
-        body=BODY,
-        gains=gains,
-        light=lights_course,
+        body=files.body,
+        exposure=files.exposure,
+        kernels=ancient("results/{scene}/background/kernels.txt"),
     output:
         gaussians="results/{scene}/humans/{person}.ply",
         avatar="results/{scene}/humans/{person}.npz",
@@ -28,29 +28,29 @@ rule humans_train:
     benchmark:
         "benchmarks/{scene}/humans/train/{person}.tsv"
     container:
-        image(DRAWN_BY)
+        image(PLAN.networks.drawn_by)
     threads: 1
     resources:
         mem_mb=3000,
-        gpu=DRAWING_GPUS,
+        gpu=PLAN.networks.drawing_gpus,
     params:
         settings=settings("humans.train"),
         code=code("humans.train"),
         device=config["device"],
+        working="logs/{scene}/humans/train/{person}",
+        lpips=PLAN.networks.lpips("humans"),
+    message:
+        "Person {wildcards.person} as Gaussians; pictures of how it goes in {params.working}"
     shell:
-        "python -m studiorecon humans.train --settings {params.settings:q} --log {log} --device {params.device}"
-        " --person {wildcards.person} --model {input.model[0]:q} --manifest {input.manifest} --people {input.people}"
-        " --videos {input.videos:q} --masks {input.masks:q} --fit {input.fit} --body {input.body}"
-        " --threads {threads} --gaussians {output.gaussians} --avatar {output.avatar}"
-        " --exposure {input.gains:q} {input.light:q} --previews logs/{wildcards.scene}/humans/train/{wildcards.person}"
+        command("humans.train")
 
 
 # On request: snakemake results/SCENE/humans/p00.canonical.ply makes a rest-pose person with LHM, from the best photo of them.
 rule humans_canonical:
     input:
         people="results/{scene}/people/people.tsv",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
-        masks=collect("results/{scene}/masks/{camera}.mkv", camera=TRAINING, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        masks=collect("results/{scene}/masks/{camera}.mkv", camera=PLAN.training, allow_missing=True),
     output:
         gaussians="results/{scene}/humans/{person}.canonical.ply",
         photo="results/{scene}/humans/{person}.photo.png",
@@ -66,63 +66,52 @@ rule humans_canonical:
         gpu=1,
     params:
         code=code("humans.canonical"),
-        weights=WEIGHTS,
+        weights=PLAN.networks.weights,
     shell:
-        "python -m studiorecon humans.canonical --log {log} --person {wildcards.person} --people {input.people}"
-        " --videos {input.videos:q} --masks {input.masks:q} --weights {params.weights:q}"
-        " --gaussians {output.gaussians} --photo {output.photo}"
+        command("humans.canonical")
 
 
 # On request, or where a film's replace names it: the bare body of a person's build, chequered.
-rule humans_plain:
+rule humans_proxy:
     input:
         fit="results/{scene}/people/{person}.npz",
-        body=BODY,
+        body=files.body,
     output:
         gaussians="results/{scene}/humans/{person}.plain.ply",
     log:
-        "logs/{scene}/humans/plain/{person}.log",
+        "logs/{scene}/humans/proxy/{person}.log",
     benchmark:
-        "benchmarks/{scene}/humans/plain/{person}.tsv"
+        "benchmarks/{scene}/humans/proxy/{person}.tsv"
     container:
         image("core")
     threads: 1
     resources:
         mem_mb=500,
     params:
-        settings=settings("humans.plain"),
-        code=code("humans.plain"),
+        settings=settings("humans.proxy"),
+        code=code("humans.proxy"),
     shell:
-        "python -m studiorecon humans.plain --settings {params.settings:q} --log {log}"
-        " --body {input.body:q} --fit {input.fit:q} --gaussians {output.gaussians:q}"
+        command("humans.proxy")
 
 
-# Where the survey finds things that move: what they are and where they go, from what no body explains.
-rule humans_objects:
-    input:
-        model=MODEL,
-        manifest="results/{scene}/capture/manifest.json",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
-        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-        people=fits,
-        body=BODY,
-        gains=gains,
-        light=lights_course,
-    output:
-        objects="results/{scene}/humans/objects.npz",
-    log:
-        "logs/{scene}/humans/objects.log",
-    benchmark:
-        "benchmarks/{scene}/humans/objects.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=1500,
-    params:
-        settings=settings("humans.objects"),
-        code=code("humans.objects"),
-    shell:
-        "python -m studiorecon humans.objects --settings {params.settings:q} --log {log:q} --model {input.model[0]:q}"
-        " --manifest {input.manifest:q} --videos {input.videos:q} --plates {input.plates:q} --people {input.people:q}"
-        " --body {input.body:q} --gains {input.gains:q} --light {input.light:q} --threads {threads} --objects {output.objects:q}"
+# SMPL's own pickle as plain arrays, which every step reads.
+if files.body != files.given_body:
+
+    rule body_plain:
+        input:
+            pickle=files.given_body,
+        output:
+            body=files.body,
+        log:
+            "logs/body/plain.log",
+        benchmark:
+            "benchmarks/body/plain.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1000,
+        params:
+            code=code("models.smpl"),
+        shell:
+            command("models.smpl")

@@ -15,8 +15,8 @@ rule images:
         mem_mb=1000,
     params:
         code=code("models.containers"),
-        images=[f"{name}={IMAGES[name]['image']}:{IMAGES[name]['version']}" for name in IMAGES_USED],
-        root=workflow.basedir,
+        images=IMAGES.to_build(PLAN.networks.images),
+        root=str(HOME),
         folder=config["images"],
     shell:
-        "python -m studiorecon models.containers --log {log} --images {params.images:q} --root {params.root:q} --folder {params.folder:q}"
+        command("models.containers")

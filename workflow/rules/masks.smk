@@ -2,16 +2,16 @@ rule masks_segment:
     input:
         model=MODEL,
         video="results/{scene}/capture/{camera}.mkv",
-        plate="results/{scene}/capture/{camera}.plate.png",
+        plate="results/{scene}/plates/{camera}.png",
         footage="results/{scene}/capture/{camera}.json",
-        calibration="results/{scene}/cameras/calibration.json",
-        people=fits,
-        body=BODY,
-        given=given_masks,
-        tracks=tracked_masks,
-        objects=loose_objects,
-        light=lights_course,
-        seen=seen_people,
+        calibration="results/{scene}/calibration/calibration.json",
+        people=files.fits,
+        body=files.body,
+        given=files.given_masks,
+        tracks=files.tracked_masks,
+        objects=files.loose_objects,
+        light=files.brightness,
+        seen=files.seen_people,
     output:
         masks="results/{scene}/masks/{camera}.mkv",
     log:
@@ -27,14 +27,10 @@ rule masks_segment:
         settings=settings("masks.segment"),
         code=code("masks.segment"),
     shell:
-        "python -m studiorecon masks.segment --settings {params.settings:q} --log {log:q}"
-        " --camera {wildcards.camera:q} --model {input.model[0]:q} --video {input.video:q} --plate {input.plate:q}"
-        " --footage {input.footage:q} --calibration {input.calibration:q} --people {input.people:q} --body {input.body:q}"
-        " --given {input.given:q} --tracks {input.tracks:q} --objects {input.objects:q} --light {input.light:q} --seen {input.seen:q}"
-        " --masks {output.masks:q}"
+        command("masks.segment")
 
 
-if MASK_NETWORK:
+if PLAN.networks.masks:
 
     rule masks_network:
         input:
@@ -47,17 +43,15 @@ if MASK_NETWORK:
         benchmark:
             "benchmarks/{scene}/masks/network/{camera}.tsv"
         container:
-            model_image(MASK_NETWORK)
+            model_image(PLAN.networks.masks)
         threads: 2
         resources:
             mem_mb=16000,
-            gpu=gpus(MASK_NETWORK),
+            gpu=gpus(PLAN.networks.masks),
         params:
             settings=settings("masks.network"),
             code=code("masks.network"),
-            weights=WEIGHTS,
+            weights=PLAN.networks.weights,
             device=config["device"],
         shell:
-            "python -m studiorecon masks.network --settings {params.settings:q} --log {log:q}"
-            " --camera {wildcards.camera:q} --video {input.video:q} --footage {input.footage:q} --weights {params.weights:q}"
-            " --device {params.device} --tracks {output.tracks:q}"
+            command("masks.network")

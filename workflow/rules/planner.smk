@@ -4,7 +4,7 @@
 
 rule planner_advise:
     input:
-        model="results/{scene}/cameras/images.txt",
+        model=MODEL,
     output:
         picture="results/{scene}/planner/advice.svg",
         plan="results/{scene}/planner/advice.json",
@@ -20,10 +20,10 @@ rule planner_advise:
     params:
         code=code("planner.advise"),
     shell:
-        "python -m studiorecon planner.advise --log {log:q} --model {input.model:q} --picture {output.picture:q} --plan {output.plan:q}"
+        command("planner.advise")
 
 
 rule plan:
     input:
-        f"results/{SCENE}/planner/advice.svg",
+        f"results/{PLAN.scene}/planner/advice.svg",
     localrule: True

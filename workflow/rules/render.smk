@@ -5,13 +5,13 @@
 rule render_light:
     input:
         model=MODEL,
-        people=fits,
-        body=BODY,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=TRAINING, allow_missing=True),
-        masks=masks,
-        plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-        depths=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-        shell="results/{scene}/depth/shell.json",
+        people=files.fits,
+        body=files.body,
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        masks=files.masks,
+        plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+        shell="results/{scene}/depth/room.json",
     output:
         light="results/{scene}/render/room.light.json",
     log:
@@ -27,9 +27,7 @@ rule render_light:
         settings=settings("render.light"),
         code=code("render.light"),
     shell:
-        "python -m studiorecon render.light --settings {params.settings:q} --log {log:q} --model {input.model[0]:q}"
-        " --people {input.people:q} --body {input.body:q} --videos {input.videos:q} --masks {input.masks:q}"
-        " --plates {input.plates:q} --depths {input.depths:q} --shell {input.shell:q} --light {output.light:q}"
+        command("render.light")
 
 
 rule render_shot:
@@ -39,15 +37,15 @@ rule render_shot:
         manifest="results/{scene}/capture/manifest.json",
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
-        gaussians=human_gaussians,
-        avatars=human_avatars,
-        body=BODY,
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
         # Camera paths that shots follow: an edited path makes its film again.
-        followed=shot_path,
+        followed=files.shot_path,
         # Who stands in for whom: a new file of theirs makes the film again.
-        stand_ins=stand_ins,
-        light=room_light,
-        objects=loose_objects,
+        stand_ins=files.stand_ins,
+        light=files.room_light,
+        objects=files.loose_objects,
     output:
         video="results/{scene}/render/{shot}.mkv",
         truth="results/{scene}/render/{shot}.truth.mkv",
@@ -59,22 +57,19 @@ rule render_shot:
     benchmark:
         "benchmarks/{scene}/render/shot/{shot}.tsv"
     container:
-        image(DRAWN_BY)
+        image(PLAN.networks.drawn_by)
     threads: 2
     resources:
         mem_mb=2000,
-        gpu=DRAWING_GPUS,
+        gpu=PLAN.networks.drawing_gpus,
     params:
         settings=shot_settings("render.shot"),
         code=code("render.shot"),
         device=config["device"],
+    message:
+        "Film {wildcards.shot}: every picture of the 4D scene, rendered"
     shell:
-        "python -m studiorecon render.shot --settings {params.settings:q} --log {log} --device {params.device}"
-        " --shot {wildcards.shot} --model {input.model[0]:q} --heldout-model {input.heldout_model[0]:q} --manifest {input.manifest}"
-        " --background {input.background} --provenance {input.provenance} --gaussians {input.gaussians:q}"
-        " --avatars {input.avatars:q} --body {input.body} --light {input.light:q} --objects {input.objects:q}"
-        " --video {output.video} --truth {output.truth} --depth {output.depth} --path {output.path}"
-        " --ledger {output.ledger}"
+        command("render.shot")
 
 
 # With render.exr, or on request: snakemake results/SCENE/render/orbit.layers takes a film apart for compositing.
@@ -83,12 +78,12 @@ rule render_layers:
         path="results/{scene}/render/{shot}.json",
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
-        gaussians=human_gaussians,
-        avatars=human_avatars,
-        body=BODY,
-        stand_ins=stand_ins,
-        light=room_light,
-        objects=loose_objects,
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
+        stand_ins=files.stand_ins,
+        light=files.room_light,
+        objects=files.loose_objects,
     output:
         folder=directory("results/{scene}/render/{shot}.layers"),
     log:
@@ -96,17 +91,41 @@ rule render_layers:
     benchmark:
         "benchmarks/{scene}/render/layers/{shot}.tsv"
     container:
-        image(DRAWN_BY)
+        image(PLAN.networks.drawn_by)
     threads: 2
     resources:
         mem_mb=2000,
-        gpu=DRAWING_GPUS,
+        gpu=PLAN.networks.drawing_gpus,
     params:
         settings=shot_settings("render.layers", "replace"),
         code=code("render.layers"),
         device=config["device"],
     shell:
-        "python -m studiorecon render.layers --settings {params.settings:q} --log {log} --device {params.device}"
-        " --shot {wildcards.shot} --path {input.path:q} --background {input.background:q} --provenance {input.provenance:q}"
-        " --gaussians {input.gaussians:q} --avatars {input.avatars:q} --body {input.body:q} --light {input.light:q}"
-        " --objects {input.objects:q} --folder {output.folder:q}"
+        command("render.layers")
+
+
+# Where shadows are thrown: how much light they leave, for what is drawn elsewhere.
+rule render_shade:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        background="results/{scene}/background/scene.ply",
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
+        objects=files.loose_objects,
+        light="results/{scene}/render/room.light.json",
+    output:
+        shade="results/{scene}/render/room.shade.npz",
+    log:
+        "logs/{scene}/render/shade.log",
+    benchmark:
+        "benchmarks/{scene}/render/shade.tsv"
+    container:
+        image("core")
+    threads: 2
+    resources:
+        mem_mb=1500,
+    params:
+        code=code("render.shade"),
+    shell:
+        command("render.shade")

@@ -1,23 +1,23 @@
-# The made studio: only when the dataset is a description, which is then filmed first.
+# The synthetic studio: only when the dataset is a description, which is then filmed first.
 
-if STUDIO:
+if PLAN.studio:
 
     rule studio_capture:
         input:
-            description=DESCRIPTION,
-            defaults=local(str(Path(workflow.basedir) / "resources/studio/defaults.yaml")),
-            body=local(str(Path(workflow.basedir) / "resources/body.npz")),
+            description=local(PLAN.description),
+            defaults=files.bundled("resources/studio/defaults.yaml"),
+            body=files.bundled("resources/body.npz"),
         output:
-            videos=[str(f) for f in DATASET.footage.values()],
-            calibration=[str(f) for f in DATASET.calibration],
-            keypoints=[directory(str(f)) for f in DATASET.keypoints.values()],
-            plates=[str(f) for f in DATASET.plates.values()],
-            capture=f"results/studio/{STUDIO}/dataset/capture.yaml",
-            truth=directory(f"results/studio/{STUDIO}/truth"),
+            videos=[str(f) for f in PLAN.dataset.footage.values()],
+            calibration=[str(f) for f in PLAN.dataset.calibration],
+            keypoints=[directory(str(f)) for f in PLAN.dataset.keypoints.values()],
+            plates=[str(f) for f in PLAN.dataset.plates.values()],
+            capture=f"results/studio/{PLAN.studio}/dataset/capture.yaml",
+            truth=directory(f"results/studio/{PLAN.studio}/truth"),
         log:
-            f"logs/studio/{STUDIO}/capture.log",
+            f"logs/studio/{PLAN.studio}/capture.log",
         benchmark:
-            f"benchmarks/studio/{STUDIO}/capture.tsv"
+            f"benchmarks/studio/{PLAN.studio}/capture.tsv"
         container:
             image("core")
         threads: 2
@@ -27,6 +27,4 @@ if STUDIO:
             dataset=subpath(output.capture, parent=True),
             code=code("studio.capture"),
         shell:
-            "python -m studiorecon studio.capture --log {log}"
-            " --description {input.description:q} --body {input.body:q} --processes {threads}"
-            " --dataset {params.dataset} --truth {output.truth}"
+            command("studio.capture")

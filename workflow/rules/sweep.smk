@@ -4,7 +4,7 @@
 
 rule sweep_run:
     input:
-        table=beside_workflow(config["sweep"]),
+        table=local(beside(config["sweep"], HOME)),
     output:
         records="results/{scene}/sweep/{table}/records.jsonl",
     log:
@@ -23,20 +23,17 @@ rule sweep_run:
         code=code("sweep.run"),
         configuration=json.dumps(config, sort_keys=True),
         minutes=config["sweep_minutes"],
-        presets=Path(workflow.basedir) / "config/presets",
-        snakefile=Path(workflow.basedir) / "Snakefile",
-        work=subpath(output.records, parent=True),
+        presets=HOME / "config/presets",
+        snakefile=HOME / "Snakefile",
+        work="results/{scene}/sweep/{table}/runs",
     shell:
-        "python -m studiorecon sweep.run --log {log}"
-        " --configuration {params.configuration:q} --scene {wildcards.scene:q} --table {input.table:q} --presets {params.presets:q}"
-        " --snakefile {params.snakefile:q} --cores {threads} --minutes {params.minutes}"
-        " --records {output.records:q} --work {params.work:q}/runs"
+        command("sweep.run")
 
 
 rule sweep_page:
     input:
         records="results/{scene}/sweep/{table}/records.jsonl",
-        solvers=Path(workflow.basedir) / "resources/solvers.tsv",
+        solvers=HOME / "resources/solvers.tsv",
     output:
         page=report(
             "results/{scene}/sweep/{table}/index.html",
@@ -54,13 +51,12 @@ rule sweep_page:
     resources:
         mem_mb=500,
     params:
-        code=code("report.sweep"),
+        code=code("sweep.page"),
     shell:
-        "python -m studiorecon report.sweep --log {log}"
-        " --records {input.records:q} --solvers {input.solvers:q} --page {output.page:q} --table {output.table:q}"
+        command("sweep.page")
 
 
 rule sweep:
     input:
-        f"results/{SCENE}/sweep/{Path(config['sweep']).stem}/index.html",
+        f"results/{PLAN.scene}/sweep/{Path(config['sweep']).stem}/index.html",
     localrule: True

@@ -20,23 +20,22 @@ rule views_path:
         settings=settings("views.path"),
         code=code("views.path"),
     shell:
-        "python -m studiorecon views.path --settings {params.settings:q} --log {log}"
-        " --model {input.model[0]:q} --manifest {input.manifest} --path {output.path}"
+        command("views.path")
 
 
-if SYNTHESIZER == "warp":
+if PLAN.networks.views == "warp":
 
     rule views_synthesize:
         input:
             path="results/{scene}/views/path.json",
             model=MODEL,
             plates=collect(
-                "results/{scene}/capture/{camera}.plate.png",
-                camera=TRAINING,
+                "results/{scene}/plates/{camera}.png",
+                camera=PLAN.training,
                 allow_missing=True,
             ),
-            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            exposure=gains,
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+            exposure=files.gains,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",
@@ -53,20 +52,18 @@ if SYNTHESIZER == "warp":
             settings=settings("views.synthesize"),
             code=code("views.synthesize"),
         shell:
-            "python -m studiorecon views.synthesize --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
-            " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"
+            command("views.synthesize")
 
 
-if SYNTHESIZER == "gen3c":
+if PLAN.networks.views not in ("warp", "precomputed"):
 
     rule views_request:
         input:
             path="results/{scene}/views/path.json",
             model=MODEL,
-            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            exposure=gains,
+            plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+            exposure=files.gains,
         output:
             request="results/{scene}/views/{segment}.request.npz",
         log:
@@ -82,22 +79,20 @@ if SYNTHESIZER == "gen3c":
             settings=settings("views.request"),
             code=code("views.request"),
         shell:
-            "python -m studiorecon views.request --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
-            " --depth {input.depth:q} --exposure {input.exposure:q} --request {output.request}"
+            command("views.request")
 
     # One segment, one job, one GPU: on a cluster they run side by side, and a finished one stays.
     rule views_generate:
         input:
-            request="results/{scene}/views/{segment}.request.npz",
+            requests="results/{scene}/views/{segment}.request.npz",
         output:
-            film="results/{scene}/views/{segment}.film.mkv",
+            films="results/{scene}/views/{segment}.film.mkv",
         log:
             "logs/{scene}/views/generate/{segment}.log",
         benchmark:
             "benchmarks/{scene}/views/generate/{segment}.tsv"
         container:
-            model_image("gen3c")
+            model_image(PLAN.networks.views)
         threads: 4
         resources:
             mem_mb=64000,
@@ -105,22 +100,21 @@ if SYNTHESIZER == "gen3c":
         params:
             settings=settings("views.generate"),
             code=code("views.generate"),
-            weights=WEIGHTS,
+            weights=PLAN.networks.weights,
         shell:
-            "python -m studiorecon views.generate --settings {params.settings:q} --log {log}"
-            " --requests {input.request} --films {output.film} --weights {params.weights:q}"
+            command("views.generate")
 
 
-if SYNTHESIZER != "warp":
+if PLAN.networks.views != "warp":
 
     rule views_fitted:
         input:
-            film=generated_film,
+            film=files.generated_film,
             path="results/{scene}/views/path.json",
             model=MODEL,
-            plates=collect("results/{scene}/capture/{camera}.plate.png", camera=TRAINING, allow_missing=True),
-            depth=collect("results/{scene}/depth/{camera}.exr", camera=TRAINING, allow_missing=True),
-            exposure=gains,
+            plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
+            depth=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+            exposure=files.gains,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",
@@ -137,6 +131,4 @@ if SYNTHESIZER != "warp":
             settings=settings("views.fitted"),
             code=code("views.fitted"),
         shell:
-            "python -m studiorecon views.fitted --settings {params.settings:q} --log {log}"
-            " --segment {wildcards.segment} --film {input.film:q} --path {input.path} --model {input.model[0]:q} --plates {input.plates:q}"
-            " --depth {input.depth:q} --exposure {input.exposure:q} --views {output.views} --support {output.support}"
+            command("views.fitted")

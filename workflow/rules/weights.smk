@@ -15,10 +15,11 @@ rule weights_list:
         mem_mb=500,
     params:
         code=code("models.weights"),
-        models=SELECTED,
-        weights=WEIGHTS,
+        models=PLAN.networks.selected,
+        weights=PLAN.networks.weights,
+        fetching="no",
     shell:
-        "python -m studiorecon models.weights --log {log} --models {params.models:q} --weights {params.weights:q} --fetching no"
+        command("models.weights")
 
 
 rule weights:
@@ -28,35 +29,14 @@ rule weights:
         "benchmarks/weights/fetch.tsv"
     localrule: True
     container:
-        image("core")
+        image("vision")
     threads: 1
     resources:
         mem_mb=500,
     params:
         code=code("models.weights"),
-        models=SELECTED,
-        weights=WEIGHTS,
+        models=PLAN.networks.selected,
+        weights=PLAN.networks.weights,
+        fetching="yes",
     shell:
-        "python -m studiorecon models.weights --log {log} --models {params.models:q} --weights {params.weights:q} --fetching yes"
-
-
-if BODY != GIVEN_BODY:
-
-    rule body_plain:
-        input:
-            pickle=GIVEN_BODY,
-        output:
-            body=BODY,
-        log:
-            "logs/body/plain.log",
-        benchmark:
-            "benchmarks/body/plain.tsv"
-        container:
-            image("core")
-        threads: 1
-        resources:
-            mem_mb=1000,
-        params:
-            code=code("models.smpl"),
-        shell:
-            "python -m studiorecon models.smpl --log {log} --pickle {input.pickle:q} --body {output.body:q}"
+        command("models.weights")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``python -m studiorecon STAGE.STEP --settings JSON [--log FILE] --NAME VALUE ...``
 
-Imports only ``studiorecon.STAGE.STEP`` and calls its ``run(settings, ...)``. Every keyword of ``run`` is an option of the
-same name (underscores become dashes); its annotation says how the text is read: ``Path``, ``str``, ``int``, ``float``, or a
-list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out. By hand ``--settings config/config.yaml`` will do.
+Imports only ``studiorecon.STAGE.STEP`` and calls its ``run(settings, ...)``. Every keyword of ``run`` is an option of
+the same name (underscores become dashes); its annotation says how the text is read: ``Path``, ``str``, ``int``,
+``float``, or a list of one of them. ``list[Path]`` may be empty, ``Path | None`` may be left out. By hand ``--settings
+config/config.yaml`` will do.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ import typing
 from pathlib import Path
 
 from studiorecon import settings as settings_module
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.libraries import remedy, unloaded
-from studiorecon.models.offline import stay_offline
-from studiorecon.progress import VOICE
+from studiorecon.models.catalogue.confined import confine
+from studiorecon.progress import fail, logged
+from studiorecon.step_settings import section_of
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -36,67 +38,66 @@ def main(argv: list[str] | None = None) -> int:
     step = argv[0]
     _keep_to_the_threads_given()
     _keep_byte_code()
-    stay_offline()
+    confine()
     try:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
     except (ImportError, OSError, AttributeError) as error:
         if unloaded(error) is not None:
             return _cannot_load(step, error, argv)
-        if not isinstance(error, AttributeError) and not f"studiorecon.{step}".startswith(str(getattr(error, "name", None))):
+        if not isinstance(error, AttributeError) and not f"studiorecon.{step}".startswith(
+            str(getattr(error, "name", None))
+        ):
             raise
         print(f"studiorecon: there is no step {step!r}; the rules in workflow/rules name them all", file=sys.stderr)
         return 2
     options = _parse(step, run, argv[1:])
-    VOICE.step = step
-    log_path = options.pop("log")
-    if log_path is None:
+    with logged(step, options.pop("log")):
         return _run(module, step, options)
-    log_path.parent.mkdir(parents=True, exist_ok=True)
-    with open(log_path, "w", encoding="utf-8") as VOICE.log:
-        try:
-            return _run(module, step, options)
-        finally:
-            VOICE.log = None
 
 
 def _keep_to_the_threads_given() -> None:
-    # The workflow engine announces a job's share of the cores as OMP_NUM_THREADS; numba only reads its own variable, and jobs
-    # that each take every core slow one another down many times over. Must be set before numba is first imported: it refuses later.
+    # The workflow engine announces a job's share of the cores as OMP_NUM_THREADS; numba only reads its own variable,
+    # and jobs that each take every core slow one another down many times over. Must be set before numba is first
+    # imported: it refuses later.
     given = os.environ.get("OMP_NUM_THREADS", "")
     if "numba" not in sys.modules and given.isdigit() and 0 < int(given) <= (os.cpu_count() or 1):
         os.environ.setdefault("NUMBA_NUM_THREADS", given)
-    # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and which wait for one
-    # another in busy loops: several times slower as soon as two jobs share the cores.
+    # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and
+    # which wait for one another in busy loops: several times slower as soon as two jobs share the cores.
     os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
 
 
 def _keep_byte_code() -> None:
-    # Where byte code is not to lie beside the sources (PYTHONDONTWRITEBYTECODE, as in many images), each of a film's hundred short
-    # processes would compile every module it imports, up to two seconds of it: the run keeps it among its own working files instead.
+    # Where byte code is not to lie beside the sources (PYTHONDONTWRITEBYTECODE, as in many images), each of a film's
+    # hundred short processes would compile every module it imports, up to two seconds of it: the run keeps it among its
+    # own working files instead.
     if sys.dont_write_bytecode and Path(".snakemake").is_dir():
         sys.pycache_prefix, sys.dont_write_bytecode = str(Path(".snakemake/bytecode").resolve()), False
 
 
 def _run(module: types.ModuleType, step: str, options: dict) -> int:
     try:
-        values = _section(options.pop("settings"), step.split(".")[0])
+        values = _section(options.pop("settings"), step)
         settings_type = module.Settings if dataclasses.is_dataclass(getattr(module, "Settings", None)) else None
         if settings_type is not None:
             options["settings"] = settings_module.load(settings_type, values, step.split(".")[0])
         module.run(**options)
-    except Refusal as refusal:
-        _fail(f"{step}: {refusal}")
+    except UserError as refusal:
+        fail(f"{step}: {refusal}")
         return 1
     except Exception as error:
-        _fail(f"{step}: {_sentence(error)}" if unloaded(error) is not None else traceback.format_exc())
+        fail(f"{step}: {_sentence(error)}" if unloaded(error) is not None else traceback.format_exc())
         return 1
     return 0
 
 
 def _sentence(error: Exception) -> str:
-    library = unloaded(error)
-    return f"the library {library} cannot be loaded ({next(iter(str(error).splitlines()), 'no reason given')}); {remedy(library)}"
+    library = unloaded(error) or ""
+    return (
+        f"the library {library} cannot be loaded "
+        f"({next(iter(str(error).splitlines()), 'no reason given')}); {remedy(library)}"
+    )
 
 
 def _cannot_load(step: str, error: Exception, argv: list[str]) -> int:
@@ -111,31 +112,28 @@ def _cannot_load(step: str, error: Exception, argv: list[str]) -> int:
     return 1
 
 
-def _section(given: str, stage: str) -> dict:
-    """A stage's settings, given as JSON or as a configuration file that has a section for it."""
+def _section(given: str, step: str) -> dict:
+    """A step's settings, given as JSON or as a configuration file that has a section for its stage."""
     if not given.endswith((".yaml", ".yml")):
         return json.loads(given)
     import yaml  # only by hand: rules pass JSON
 
     path = Path(given)
     if not path.is_file():
-        raise Refusal(f"settings file {path} is missing")
+        raise UserError(f"settings file {path} is missing")
     content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    if not isinstance(content, dict) or not isinstance(content.get(stage), dict):
-        raise Refusal(f"settings file {path} has no section {stage}")
-    return content[stage]
-
-
-def _fail(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-    if VOICE.log is not None:
-        print(text, file=VOICE.log, flush=True)
+    found = section_of(step, content) if isinstance(content, dict) else {}
+    if not found:
+        raise UserError(f"settings file {path} has no section {step.split('.')[0]}")
+    return found
 
 
 def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
     parser = argparse.ArgumentParser(prog=f"python -m studiorecon {step}", description=inspect.getdoc(run))
     parser.add_argument(
-        "--settings", default="{}", help="this step's section of the configuration as JSON, or a configuration file (config/config.yaml)"
+        "--settings",
+        default="{}",
+        help="this step's section of the configuration as JSON, or a configuration file (config/config.yaml)",
     )
     parser.add_argument("--log", type=Path, default=None, help="file that receives every sentence of the step")
     hints = typing.get_type_hints(run)
@@ -146,7 +144,9 @@ def _parse(step: str, run: typing.Callable, argv: list[str]) -> dict:
         required = parameter.default is inspect.Parameter.empty and not optional and not is_list
         default = [] if is_list else None if parameter.default is inspect.Parameter.empty else parameter.default
         extra = {"nargs": "*"} if is_list else {}
-        parser.add_argument("--" + name.replace("_", "-"), dest=name, type=kind, required=required, default=default, **extra)
+        parser.add_argument(
+            "--" + name.replace("_", "-"), dest=name, type=kind, required=required, default=default, **extra
+        )
     return vars(parser.parse_args(argv))
 
 

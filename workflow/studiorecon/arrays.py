@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a function asks of its array arguments, checked once where they come in, with a message that names the argument."""
+"""What a function asks of its array arguments, checked once where they come in, with a message that names the
+argument; and evenly spread indices."""
 
 from __future__ import annotations
 
@@ -12,24 +13,43 @@ Extent = int | str | EllipsisType
 
 
 def require(
-    name: str, array: np.ndarray, shape: tuple[Extent, ...], known: Mapping[str, int] | None = None, *, finite: bool = False
+    name: str,
+    array: np.ndarray,
+    shape: tuple[Extent, ...],
+    known: Mapping[str, int] | None = None,
+    *,
+    finite: bool = False,
 ) -> dict[str, int]:
     """The sizes that the letters of ``shape`` stand for in ``array``, together with those already ``known``.
 
-    ``shape`` lists numbers, letters and at most one ``...`` for any number of axes; a letter means one size wherever it stands, so
-    ``sizes = require("pixels", pixels, ("V", "N", 2))`` and then ``require("weights", weights, ("V", "N"), sizes)`` ties two arguments
-    together. Raises ValueError that names the argument and its shape, or with ``finite`` how many of its values are not finite and
-    where the first one is. Costs a microsecond; ``finite`` reads the array once.
+    ``shape`` lists numbers, letters and at most one ``...`` for any number of axes; a letter means one size wherever it
+    stands, so ``sizes = require("pixels", pixels, ("V", "N", 2))`` and then ``require("weights", weights, ("V", "N"),
+    sizes)`` ties two arguments together. Raises ValueError that names the argument and its shape, or with ``finite``
+    how many of its values are not finite and where the first one is. Costs a microsecond; ``finite`` reads the array
+    once.
     """
     actual = np.shape(array)
     sizes = dict(known or {})
     if not _fits(actual, shape, sizes):
         known_sizes = ", ".join(f"{letter} = {size}" for letter, size in (known or {}).items() if letter in shape)
-        raise ValueError(f"{name} has shape {actual}, expected {_written(shape)}" + (f" with {known_sizes}" if known_sizes else ""))
+        raise ValueError(
+            f"{name} has shape {actual}, expected {_written(shape)}" + (f" with {known_sizes}" if known_sizes else "")
+        )
     if finite and not (good := np.isfinite(array)).all():
         first = tuple(int(i) for i in np.argwhere(~good)[0])
-        raise ValueError(f"{name} of shape {actual} has {int((~good).sum())} values that are not finite, the first at {first}")
+        raise ValueError(
+            f"{name} of shape {actual} has {int((~good).sum())} values that are not finite, the first at {first}"
+        )
     return sizes
+
+
+def evenly_spread(count: int, wanted: int, *, below: bool = False) -> np.ndarray:
+    """At most ``wanted`` indices of ``count`` things, ascending, evenly spread from the first to the last.
+
+    Each is the index nearest to its even place, with ``below`` the one before it.
+    """
+    places = np.linspace(0, count - 1, min(wanted, count))
+    return np.unique((places if below else places.round()).astype(int))
 
 
 def _fits(actual: tuple[int, ...], shape: tuple[Extent, ...], sizes: dict[str, int]) -> bool:
@@ -41,8 +61,16 @@ def _fits(actual: tuple[int, ...], shape: tuple[Extent, ...], sizes: dict[str, i
         actual, shape = actual[:at] + actual[len(actual) - behind :], shape[:at] + shape[at + 1 :]
     if len(actual) != len(shape):
         return False
-    return all(size == (extent if isinstance(extent, int) else sizes.setdefault(str(extent), size)) for size, extent in zip(actual, shape))
+    return all(
+        size == (extent if isinstance(extent, int) else sizes.setdefault(str(extent), size))
+        for size, extent in zip(actual, shape)
+    )
 
 
 def _written(shape: tuple[Extent, ...]) -> str:
-    return "(" + ", ".join("..." if extent is ... else str(extent) for extent in shape) + ("," if len(shape) == 1 else "") + ")"
+    return (
+        "("
+        + ", ".join("..." if extent is ... else str(extent) for extent in shape)
+        + ("," if len(shape) == 1 else "")
+        + ")"
+    )

@@ -25,7 +25,7 @@ class Setting:
     """One setting or section.
 
     Attributes:
-        name: dotted, ``people.desk.height_px``.
+        name: dotted, ``people.review.height_px``.
         meaning: in words; may be empty for a section.
         default: as YAML, None for a section.
         choices: the values it may have, where they are words.
@@ -38,7 +38,8 @@ class Setting:
 
 
 def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]:
-    """Every setting of config.yaml in its order, sections before what they hold; the comment there counts before the schema's words."""
+    """Every setting of config.yaml in its order, sections before what they hold; the comment there counts before the
+    schema's words."""
     text = configuration.read_text(encoding="utf-8")
     values, comments = yaml.safe_load(text), dict(_comments(text))
     found = []
@@ -46,12 +47,15 @@ def settings_of(configuration: Path, schema: Mapping[str, Any]) -> list[Setting]
         part = part_of(schema, name)
         meaning = comments.get(name) or part.get("description", "")
         section = isinstance(value, Mapping) and bool(value)
-        found.append(Setting(name, meaning, None if section else _written(value), tuple(map(str, part.get("enum", ())))))
+        found.append(
+            Setting(name, meaning, None if section else _written(value), tuple(map(str, part.get("enum", ()))))
+        )
     return found
 
 
 def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setting]:
-    """What a film of every kind may say, as ``render.shots.NAME (kind orbit).frames``; the defaults are those of its dataclass."""
+    """What a film of every kind may say, as ``render.shots.NAME (kind orbit).frames``; the defaults are those of its
+    dataclass."""
     found = []
     for kind, settings in kinds.items():
         described, name = schema["$defs"][kind]["properties"], f"render.shots.NAME (kind {kind})"
@@ -61,7 +65,9 @@ def films_of(kinds: Mapping[str, type], schema: Mapping[str, Any]) -> list[Setti
             part = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
             if field.name != "kind":
                 default = "needed" if field.default is dataclasses.MISSING else _written(field.default)
-                found.append(Setting(f"{name}.{field.name}", part.get("description", ""), default, tuple(part.get("enum", ()))))
+                found.append(
+                    Setting(f"{name}.{field.name}", part.get("description", ""), default, tuple(part.get("enum", ())))
+                )
     return found
 
 
@@ -85,11 +91,16 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any
 
 def _written(value: Any) -> str:
     plain = list(value) if isinstance(value, tuple) else value
-    return yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=1000).removesuffix("\n").removesuffix("\n...")
+    return (
+        yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=1000)
+        .removesuffix("\n")
+        .removesuffix("\n...")
+    )
 
 
 def _comments(text: str) -> Iterator[tuple[str, str]]:
-    """(dotted name, comment) of every key that has one: the lines right above it at its own indentation, then what stands behind it."""
+    """(dotted name, comment) of every key that has one: the lines right above it at its own indentation, then what
+    stands behind it."""
     path: list[tuple[int, str]] = []
     above: list[str] = []
     for line in text.splitlines():

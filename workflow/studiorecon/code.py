@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A digest of the code that one step runs, so that editing a line re-runs exactly the steps that use it.
 
-Snakemake hashes a rule's shell text, not what the program behind it imports. The digest covers the step's module and every
-module of this package that it imports, directly or not, as syntax trees without docstrings: comments, docstrings and
-layout change nothing.
+Snakemake hashes a rule's shell text, not what the program behind it imports. The digest covers the step's module and
+every module of this package that it imports, directly or not, as syntax trees without docstrings: comments, docstrings
+and layout change nothing.
 """
 
 from __future__ import annotations
@@ -23,17 +23,19 @@ PACKAGE = Path(__file__).parent
 _REMEMBERED = 4000
 
 
-def digest(step: str) -> str:
-    """Sixteen hex digits for ``"stage.step"``; raises FileNotFoundError when there is no such module."""
+def digest(step: str, by_name: Iterable[str] = ()) -> str:
+    """Sixteen hex digits for ``"stage.step"`` and for modules that it loads ``by_name``, without an import statement;
+    raises FileNotFoundError when there is no such module."""
     # The command line reads the settings of every step, so it belongs to each of them.
-    files = reached(["__main__", step])
+    files = reached(["__main__", step, *by_name])
     text = "\n".join(f"{name} {_read(files[name])[0]}" for name in sorted(files))
     _remember()
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str, Path]:
-    """Files of modules and of all they import, directly or not, by name; what only ``without`` imports is not among them.
+    """Files of modules and of all they import, directly or not, by name; what only ``without`` imports is not among
+    them.
 
     Raises FileNotFoundError when one of ``modules`` is none of ours.
     """
@@ -101,7 +103,8 @@ class _Known(dict):
 @cache
 def _known(memory: Path) -> _Known:
     known = _Known()
-    # Parsing every source takes seconds, which Snakemake would spend at every start. No file, or none that can be read: they are parsed.
+    # Parsing every source takes seconds, which Snakemake would spend at every start. No file, or none that can be read:
+    # they are parsed.
     with suppress(OSError, ValueError):
         stored = json.loads(memory.read_text(encoding="ascii"))
         known.update(stored if isinstance(stored, dict) else {})
@@ -137,6 +140,10 @@ def _without_docstrings(tree: ast.Module) -> ast.Module:
     for node in (tree, *_statements(tree.body)):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
             first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+            if (
+                isinstance(first, ast.Expr)
+                and isinstance(first.value, ast.Constant)
+                and isinstance(first.value.value, str)
+            ):
                 node.body = node.body[1:] or [ast.Pass()]
     return tree

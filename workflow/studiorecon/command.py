@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.__main__ import main as step_main
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
 
 _DEMO = "resources/studio/demo.yaml"
@@ -35,11 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.rest = given[cut + 1 :]
     try:
         return options.word(options)
-    except Refusal as refusal:
+    except UserError as refusal:
         print(f"studiorecon: {refusal}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # Whoever read our words has read enough, as with `studiorecon settings | head`; Python must not try to flush the rest.
+        # Whoever read our words has read enough, as with `studiorecon settings | head`; Python must not try to flush
+        # the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
@@ -47,38 +48,74 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="studiorecon",
-        description="From the videos of a few static, far-apart cameras to a 4D scene. Results go to results/ in the current folder.",
-        epilog="What stands behind -- goes to Snakemake: studiorecon run DIR -- --dry-run --config capture='{width: 960}'",
+        description="From the videos of a few static, far-apart cameras to a 4D scene. Results "
+        "go to results/ in the current folder.",
+        epilog="What stands behind -- goes to Snakemake: studiorecon run DIR -- "
+        "--dry-run --config capture='{width: 960}'",
     )
     words = parser.add_subparsers(metavar="WORD", required=True)
 
     def word(name: str, does: Any, told: str, runs: bool = True) -> argparse.ArgumentParser:
-        made = words.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".", epilog=parser.epilog if runs else None)
+        made = words.add_parser(
+            name, help=told, description=told[0].upper() + told[1:] + ".", epilog=parser.epilog if runs else None
+        )
         made.set_defaults(word=does)
         if runs:
             made.add_argument("--cores", default="all", metavar="N", help="processor cores to use (default: all)")
         return made
 
-    demo = word("demo", _demo, "film a made studio and reconstruct it: minutes, and needs no data")
+    demo = word("demo", _demo, "film a synthetic studio and reconstruct it: minutes, and needs no data")
     doctor = word("doctor", _doctor, "look at calibration, clocks, exposures and coverage before anything expensive")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
     plan = word("plan", _plan, "say where to put cameras in a room, or which of a capture's to move, with a picture")
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
     for made in (doctor, run):
-        made.add_argument("folder", type=Path, metavar="DIR", help="the capture: videos/ with one file per camera, and what else you have")
+        made.add_argument(
+            "folder",
+            type=Path,
+            metavar="DIR",
+            help="the capture: videos/ with one file per camera, and what else you have",
+        )
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
-    plan.add_argument("folder", type=Path, nargs="?", metavar="DIR", help="a capture, whose calibration is judged; without it, a room:")
+    plan.add_argument(
+        "folder",
+        type=Path,
+        nargs="?",
+        metavar="DIR",
+        help="a capture, whose calibration is judged; without it, a room:",
+    )
     plan.add_argument("--room", metavar="WxDxH", help="width, depth and height in metres: 6x5x2.8")
     plan.add_argument("--cameras", metavar="N", default="4", help="how many (default: 4)")
-    plan.add_argument("--hfov", nargs="+", default=["65"], metavar="DEG", help="horizontal field of view, one or one each (default: 65)")
+    plan.add_argument(
+        "--hfov",
+        nargs="+",
+        default=["65"],
+        metavar="DEG",
+        help="horizontal field of view, one or one each (default: 65)",
+    )
     plan.add_argument("--resolution", default="1920x1080", metavar="WxH", help="of the pictures (default: 1920x1080)")
-    plan.add_argument("--picture", default="plan.svg", metavar="FILE", help="the room from above (default: plan.svg; plan.json beside it)")
-    view.add_argument("folder", nargs="?", default="demo", metavar="DIR", help="the capture or its results folder (default: the demo's)")
-    view.add_argument("--port", type=int, default=_PORT, help=f"port on 127.0.0.1 (default: {_PORT}; 0 takes a free one)")
+    plan.add_argument(
+        "--picture",
+        default="plan.svg",
+        metavar="FILE",
+        help="the room from above (default: plan.svg; plan.json beside it)",
+    )
+    view.add_argument(
+        "folder",
+        nargs="?",
+        default="demo",
+        metavar="DIR",
+        help="the capture or its results folder (default: the demo's)",
+    )
+    view.add_argument(
+        "--port", type=int, default=_PORT, help=f"port on 127.0.0.1 (default: {_PORT}; 0 takes a free one)"
+    )
     view.add_argument("--no-browser", action="store_true", help="only serve and print the address")
-    settings.add_argument("name", nargs="?", default="", help="only what begins so: people, people.desk, render.shots")
+    settings.add_argument(
+        "name", nargs="?", default="", help="only what begins so: people, people.review, render.shots"
+    )
     return parser
 
 
@@ -91,40 +128,37 @@ def _doctor(options: argparse.Namespace) -> int:
     if options.folder.is_dir():
         for sentence in first_findings(options.folder):
             print(sentence, flush=True)
-    return _snakemake("doctor", capture, options, "cameras/doctor.html")
+    return _snakemake("doctor", capture, options, "calibration/doctor.html")
 
 
 def first_findings(folder: Path) -> Iterator[str]:
-    """What files, headers and two pictures of every camera say, before anything is looked at in full; Refusal when there is no capture."""
-    from studiorecon.cameras.advice import of_footage  # with OpenCV, which other words do without
-    from studiorecon.cameras.glance import glance
-    from studiorecon.scene.dataset import open_dataset
+    """What files, headers and two pictures of every camera say, before anything is looked at in full; UserError when
+    there is no capture."""
+    from studiorecon.calibration.checks.advice import light_of, of_footage
+    from studiorecon.footage.source import glimpses, open_source  # with OpenCV, which other words do without
+    from studiorecon.plan.discovery import open_dataset
 
     capture = open_dataset(folder, None)
-    calibration = ", ".join(str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in capture.calibration)
+    calibration = ", ".join(
+        str(file.relative_to(folder)) if file.is_relative_to(folder) else str(file) for file in capture.calibration
+    )
     yield f"calibration: {calibration or 'none, so cameras are found from the people'}"
     about = []
     for camera, source in capture.footage.items():
         start = capture.first_frame
         try:
-            seen = glance(source, [start, start + capture.frame_count // 2])
-        except Refusal as refusal:
+            seen = open_source(source, 0.0)
+            light = light_of(glimpses(seen, [start, start + capture.frame_count // 2]))
+        except UserError as refusal:
             yield f"camera {camera}: {refusal}"
             continue
         has = camera in capture.keypoints
         yield (
-            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {seen.frames} frames, mean grey {seen.brightness:.2f}, "
+            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {seen.declared_frames or 0} "
+            f"frames, mean grey {light['brightness']:.2f}, "
             f"{'keypoints' if has else 'no keypoints: the detector looks for people'}"
         )
-        about.append(
-            {
-                "camera": camera,
-                "brightness": seen.brightness,
-                "burnt": seen.burnt,
-                "fps": seen.fps,
-                "rotation_deg": seen.rotation_deg,
-            }
-        )
+        about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
     yield from of_footage(about) if about else ()
 
 
@@ -136,17 +170,33 @@ def _plan(options: argparse.Namespace) -> int:
     if options.folder is not None:
         return _snakemake("plan", _capture(options.folder), options, "planner/advice.svg")
     if options.room is None:
-        raise Refusal("give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture")
+        raise UserError(
+            "give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture"
+        )
     picture = Path(options.picture)
-    words = ["--room", options.room, "--cameras", options.cameras, "--hfov-deg", *options.hfov, "--resolution", options.resolution]
+    words = [
+        "--room",
+        options.room,
+        "--cameras",
+        options.cameras,
+        "--hfov-deg",
+        *options.hfov,
+        "--resolution",
+        options.resolution,
+    ]
     return step_main(["planner.place", *words, "--picture", str(picture), "--plan", str(picture.with_suffix(".json"))])
 
 
 def _capture(folder: Path) -> str:
     if not folder.exists() and not (HOME / folder).is_file():
-        raise Refusal(f"there is no folder {folder}; give the folder of your capture, which holds videos/ with one file per camera")
+        raise UserError(
+            f"there is no folder {folder}; give the folder of your capture, which "
+            "holds videos/ with one file per camera"
+        )
     if folder.is_file() and folder.suffix not in (".yaml", ".yml"):
-        raise Refusal(f"{folder} is a file; give the folder of your capture, which holds videos/ with one file per camera")
+        raise UserError(
+            f"{folder} is a file; give the folder of your capture, which holds videos/ with one file per camera"
+        )
     return str(folder)
 
 
@@ -155,22 +205,35 @@ def _presets() -> list[str]:
 
 
 def preset_file(name: str) -> Path:
-    """The overlay of a preset's name, or of a path; raises Refusal with the nearest name when there is neither."""
+    """The overlay of a preset's name, or of a path; raises UserError with the nearest name when there is neither."""
     file = PRESETS / f"{name}.yaml"
     if file.is_file():
         return file
     if Path(name).is_file():
         return Path(name)
     near = difflib.get_close_matches(name, _presets(), 1)
-    raise Refusal(f"there is no preset {name}; {f'did you mean {near[0]}?' if near else 'there are ' + ', '.join(_presets())}")
+    raise UserError(
+        f"there is no preset {name}; {f'did you mean {near[0]}?' if near else 'there are ' + ', '.join(_presets())}"
+    )
 
 
 def snakemake_command(target: str, dataset: str, cores: str, preset: str | None, rest: Sequence[str]) -> list[str]:
-    """The call of the packaged Snakefile. Of an option that Snakemake takes once, what ``rest`` says is joined with what we say."""
+    """The call of the packaged Snakefile. Of an option that Snakemake takes once, what ``rest`` says is joined with
+    what we say."""
     config, rest = _taken(rest, ("--config", "-C"))
     overlays, rest = _taken(rest, ("--configfile", "--configfiles"))
     overlays = [*([str(preset_file(preset))] if preset else []), *overlays]
-    command = [sys.executable, "-m", "snakemake", *([target] if target else []), "--snakefile", str(SNAKEFILE), "--cores", cores, *rest]
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        *([target] if target else []),
+        "--snakefile",
+        str(SNAKEFILE),
+        "--cores",
+        cores,
+        *rest,
+    ]
     # Last, since they take as many words as follow.
     return [*command, *(["--configfile", *overlays] if overlays else []), "--config", f"dataset={dataset}", *config]
 
@@ -195,7 +258,7 @@ def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[
 
 def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str) -> int:
     if importlib.util.find_spec("snakemake") is None:
-        raise Refusal("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
+        raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     # Rules call `python`: the one that this command runs under, also where its environment is not activated.
     path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
@@ -209,7 +272,10 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str
                 continue
     made = Path("results") / _scene(dataset, options.rest) / page
     if status == 0 and made.is_file():
-        print(f"{made} is there{f'; studiorecon view {options.folder}' if hasattr(options, 'folder') and not target else ''}")
+        print(
+            f"{made} is "
+            f"there{f'; studiorecon view {options.folder}' if hasattr(options, 'folder') and not target else ''}"
+        )
     return status
 
 
@@ -219,25 +285,28 @@ def _scene(dataset: str, rest: Sequence[str]) -> str:
 
 
 def finished_scene(folder: str) -> Path:
-    """The results folder that is meant by a capture's folder, a scene's name or that folder itself; raises Refusal when it has no page."""
+    """The results folder that is meant by a capture's folder, a scene's name or that folder itself; raises UserError
+    when it has no page."""
     name = Path(folder).stem if folder.endswith((".yaml", ".yml")) else Path(folder).resolve().name
     for place in (Path(folder), Path("results") / folder, Path("results") / name):
         if (place / "report" / "index.html").is_file():
             return place
     there = sorted(page.parents[1].name for page in Path("results").glob("*/report/index.html"))
     others = f"; finished here: {', '.join(there)}" if there else ""
-    raise Refusal(
+    raise UserError(
         f"there is no finished scene of {folder} in results/ of this folder{others}; make it with: studiorecon "
         f"{'demo' if folder == 'demo' else f'run {folder}'}"
     )
 
 
 def serve(place: Path, port: int) -> http.server.ThreadingHTTPServer:
-    """A server of one folder on 127.0.0.1, not yet running; raises Refusal when the port is taken."""
+    """A server of one folder on 127.0.0.1, not yet running; raises UserError when the port is taken."""
     try:
         return http.server.ThreadingHTTPServer(("127.0.0.1", port), partial(_Quiet, directory=str(place)))
     except (OSError, OverflowError) as error:
-        raise Refusal(f"port {port} of 127.0.0.1 cannot be had ({error}); choose another with --port, or --port 0 for a free one") from None
+        raise UserError(
+            f"port {port} of 127.0.0.1 cannot be had ({error}); choose another with --port, or --port 0 for a free one"
+        ) from None
 
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
@@ -270,7 +339,7 @@ def _settings(options: argparse.Namespace) -> int:
     chosen = chosen or [setting for setting in every if setting.name.startswith(options.name)]
     if not chosen:
         near = difflib.get_close_matches(options.name, [setting.name for setting in every], 1, 0.5)
-        raise Refusal(f"there is no setting {options.name}{f'; did you mean {near[0]}?' if near else ''}")
+        raise UserError(f"there is no setting {options.name}{f'; did you mean {near[0]}?' if near else ''}")
     print(catalogue.told(chosen, 110))
     return 0
 

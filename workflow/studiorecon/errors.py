@@ -2,7 +2,7 @@
 """The one exception a step raises when it cannot do honest work."""
 
 
-class Refusal(Exception):
+class UserError(Exception):
     """One sentence for the user: what is wrong, where (file, camera, person, frame), and what would help.
 
     The command line prints it without a traceback and exits with status 1.

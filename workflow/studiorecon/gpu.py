@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Several GPUs in one machine: every job takes one that no other job holds.
 
-Snakemake counts GPUs (``--resources gpu=4``) but does not say which one is whose. A cluster's scheduler does, and its word stands.
+Snakemake counts GPUs (``--resources gpu=4``) but does not say which one is whose. A cluster's scheduler does, and its
+word stands.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ _HELD: list[TextIO] = []
 
 
 def claim() -> None:
-    """Make one GPU the only one this process sees, where there are several to choose from; to be called before CUDA is first asked.
+    """Make one GPU the only one this process sees, where there are several to choose from; to be called before CUDA is
+    first asked.
 
     Where the environment names one GPU, or none, somebody has chosen already.
     """
@@ -35,7 +37,9 @@ def claim() -> None:
     device, held = first_free(devices, folder)
     if held is None:
         device = devices[os.getpid() % len(devices)]
-        warn(f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}")
+        warn(
+            f"GPU {device} is shared with another job: more jobs than GPUs run here; say --resources gpu={len(devices)}"
+        )
     else:
         _HELD.append(held)
         say(f"this job has GPU {device} of {', '.join(devices)}")
@@ -49,7 +53,9 @@ def visible() -> list[str]:
         return [name.strip() for name in given.split(",") if name.strip()]
     if shutil.which("nvidia-smi") is None:
         return []
-    asked = subprocess.run(["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"], text=True, stdout=subprocess.PIPE)
+    asked = subprocess.run(
+        ["nvidia-smi", "--query-gpu=uuid", "--format=csv,noheader"], text=True, stdout=subprocess.PIPE
+    )
     return asked.stdout.split() if asked.returncode == 0 else []
 
 

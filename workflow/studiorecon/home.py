@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the workflow's own files lie: Snakefile, rules, configuration, presets, bundled body and studios.
 
-In a checkout that is the repository's root, in an installed package a folder of its own; it is laid out the same in both.
+In a checkout that is the repository's root, in an installed package a folder of its own; it is laid out the same in
+both.
 """
 
 from __future__ import annotations

@@ -8,14 +8,24 @@ from pathlib import Path
 
 OWN = Path(__file__).parent
 """The package itself."""
-EXTRAS = {"torch": "networks", "torchvision": "networks", "huggingface_hub": "networks", "gsplat": "gpu", "kornia": "gpu", "open3d": "mesh"}
-"""Library, as it is imported, → the extra that brings it; every other library of the package is part of the plain environment."""
+EXTRAS = {
+    "torch": "networks",
+    "torchvision": "networks",
+    "huggingface_hub": "networks",
+    "lpips": "networks",
+    "gsplat": "gpu",
+    "kornia": "gpu",
+    "open3d": "mesh",
+}
+"""Library, as it is imported, → the extra that brings it; every other library of the package is part of the plain
+environment."""
 
 
 def unloaded(error: BaseException) -> str | None:
     """The library whose loading ended in ``error``, as it is imported; None for another error, and for our own modules.
 
-    Python says which module is missing; of a shared object that the system's loader did not find, only the stack tells whose it was.
+    Python says which module is missing; of a shared object that the system's loader did not find, only the stack tells
+    whose it was.
     """
     if isinstance(error, ImportError) and error.name:
         library = error.name.partition(".")[0]

@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step tells the world while it works: one sentence per decision, a bar on a terminal, plain lines in a log."""
+"""What a step tells the world while it works: one sentence per decision, a bar on a terminal, plain lines in a log.
+
+All of it goes through the standard library's logger ``studiorecon``: what is said is INFO and shown, how far a loop has
+come is DEBUG and only in the step's log file.
+"""
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
-from collections.abc import Iterable, Iterator
-from typing import TextIO, TypeVar
+from collections.abc import Iterable, Iterator, Sized
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
 
 from tqdm import tqdm
 
@@ -14,28 +21,46 @@ T = TypeVar("T")
 
 WARNING = "warning: "
 """How a line of a log begins that ``warn`` wrote."""
+LOGGER = logging.getLogger("studiorecon")
 _LOG_EVERY_S = 10.0
 
 
-class Voice:
-    """Where sentences go: standard output always, and the step's log file when the command line opened one."""
+class _Shown(logging.Handler):
+    """Standard output as it is when something is said, whoever has replaced it meanwhile."""
 
-    def __init__(self) -> None:
-        self.log: TextIO | None = None
-        self.step = "studiorecon"
-
-    def say(self, sentence: str) -> None:
-        print(f"{self.step}: {sentence}", flush=True)
-        if self.log is not None:
-            print(sentence, file=self.log, flush=True)
+    def emit(self, record: logging.LogRecord) -> None:
+        print(self.format(record), flush=True)
 
 
-VOICE = Voice()
+def _shown(step: str) -> logging.Handler:
+    handler = _Shown(logging.INFO)
+    handler.setFormatter(logging.Formatter(f"{step.replace('%', '%%')}: %(message)s"))
+    return handler
+
+
+LOGGER.setLevel(logging.DEBUG)
+LOGGER.propagate = False
+LOGGER.handlers = [_shown("studiorecon")]
+
+
+@contextmanager
+def logged(step: str, log: Path | None) -> Iterator[None]:
+    """Meanwhile sentences are shown with the step's name before them, and written to ``log`` without it."""
+    before, LOGGER.handlers = LOGGER.handlers, [_shown(step)]
+    if log is not None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        LOGGER.addHandler(logging.FileHandler(log, "w", encoding="utf-8"))
+    try:
+        yield
+    finally:
+        for handler in LOGGER.handlers:
+            handler.close()
+        LOGGER.handlers = before
 
 
 def say(sentence: str) -> None:
     """Print one sentence, and write it to the log of the step that is running."""
-    VOICE.say(sentence)
+    LOGGER.info(sentence)
 
 
 def warn(sentence: str) -> None:
@@ -43,15 +68,20 @@ def warn(sentence: str) -> None:
     say(f"{WARNING}{sentence}")
 
 
+def fail(text: str) -> None:
+    """Print why a step ends without a result where errors go, and write it to its log."""
+    print(text, file=sys.stderr, flush=True)
+    LOGGER.debug(text)
+
+
 def progress(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
     """The items, one by one, with a bar on a terminal and a plain line in the log every ten seconds."""
-    if total is None and hasattr(items, "__len__"):
+    if total is None and isinstance(items, Sized):
         total = len(items)
-    bar = tqdm(items, desc=f"{VOICE.step}: {what}", total=total, leave=False, disable=not sys.stderr.isatty(), file=sys.stderr)
+    bar = tqdm(items, desc=what, total=total, leave=False, disable=not sys.stderr.isatty(), file=sys.stderr)
     told = time.monotonic()
     for done, item in enumerate(bar, start=1):
         yield item
-        if VOICE.log is not None and time.monotonic() - told > _LOG_EVERY_S:
+        if time.monotonic() - told > _LOG_EVERY_S:
             told = time.monotonic()
-            of = f" of {total}" if total else ""
-            print(f"{what}: {done}{of}", file=VOICE.log, flush=True)
+            LOGGER.debug(f"{what}: {done} of {total}" if total else f"{what}: {done}")

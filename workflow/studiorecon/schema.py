@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The configuration against its schema: values read as what the schema says they are, and mistakes as sentences.
 
-Snakemake reads what stands inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and ``1e-4`` as text. What
-such a value was meant to be is a matter of the setting, not of how it was written: ``typed`` takes the reading that the schema allows.
+Snakemake reads what stands inside ``--config section='{...}'`` as text, YAML reads an unquoted ``off`` as false and
+``1e-4`` as text. What such a value was meant to be is a matter of the setting, not of how it was written: ``typed``
+takes the reading that the schema allows.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None = None) -> Any:
     """A copy of ``value`` in which every setting has the type that ``schema`` gives it, as far as it can be read so.
 
-    What no reading makes valid is left as it is, for ``mistakes`` to tell. ``root`` is the schema that references point into.
+    What no reading makes valid is left as it is, for ``mistakes`` to tell. ``root`` is the schema that references point
+    into.
     """
     root = schema if root is None else root
     schema = _resolved(schema, root)
@@ -32,7 +34,7 @@ def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None 
         return made
     if isinstance(value, (list, tuple)):
         options = [schema, *(_resolved(option, root) for option in schema.get("oneOf", ()))]
-        items = next((option["items"] for option in options if "items" in option), {})
+        items: dict[str, Any] = next((option["items"] for option in options if "items" in option), {})
         return [typed(item, items, root) for item in value]
     readings = list(_readings(value, schema))
     kind = {"type": schema.get("type", [])}
@@ -41,15 +43,21 @@ def typed(value: Any, schema: Mapping[str, Any], root: Mapping[str, Any] | None 
 
 
 def mistakes(config: Mapping[str, Any], schema: Mapping[str, Any]) -> list[str]:
-    """A sentence for every setting that breaks the schema; names that no setting has come first, with the nearest that one has."""
-    found = sorted(_validator(schema, schema).iter_errors(config), key=lambda error: error.validator != "additionalProperties")
+    """A sentence for every setting that breaks the schema; names that no setting has come first, with the nearest that
+    one has."""
+    found = sorted(
+        _validator(schema, schema).iter_errors(config), key=lambda error: error.validator != "additionalProperties"
+    )
     # Of one place the first mistake is enough: what has the wrong type breaks other rules as well.
     first = {(str(error.absolute_path), error.validator == "additionalProperties"): error for error in reversed(found)}
-    return list(dict.fromkeys(sentence for error in found if error in first.values() for sentence in _sentences(error, schema)))
+    return list(
+        dict.fromkeys(sentence for error in found if error in first.values() for sentence in _sentences(error, schema))
+    )
 
 
 def named(schema: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Every setting of the schema by its dotted name, sections included, with the part of the schema that describes it."""
+    """Every setting of the schema by its dotted name, sections included, with the part of the schema that describes
+    it."""
     for name, inner in schema.get("properties", {}).items():
         yield name, inner
         for below, part in named(inner):
@@ -116,11 +124,17 @@ def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> 
         missing = ", ".join(name for name in error.validator_value if name not in error.instance)
         yield f"setting {where} lacks {missing}{_choices(error.schema, missing)}"
     elif error.validator == "enum" and "propertyNames" in error.absolute_schema_path:
-        yield f"there is no setting {where}.{error.instance}{_nearest(str(error.instance), path, error.validator_value, schema)}"
+        yield (
+            "there is no setting "
+            f"{where}.{error.instance}{_nearest(str(error.instance), path, error.validator_value, schema)}"
+        )
     elif error.validator == "enum":
         near = difflib.get_close_matches(str(error.instance), list(map(str, error.validator_value)), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        yield f"setting {where} is {error.instance!r}; it must be one of {', '.join(map(str, error.validator_value))}{meant}"
+        yield (
+            f"setting {where} is {error.instance!r}; it must be one of "
+            f"{', '.join(map(str, error.validator_value))}{meant}"
+        )
     elif error.validator == "type" and error.instance is None and error.validator_value == "object":
         yield f"setting {where} is empty; leave it out, or say {where}: {{}} where nothing in it is to change"
     elif error.validator == "type":
@@ -137,7 +151,12 @@ def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> 
         yield f"setting {where}: {error.message}"
 
 
-_BOUNDS = {"minimum": "at least", "maximum": "at most", "exclusiveMinimum": "more than", "exclusiveMaximum": "less than"}
+_BOUNDS = {
+    "minimum": "at least",
+    "maximum": "at most",
+    "exclusiveMinimum": "more than",
+    "exclusiveMaximum": "less than",
+}
 _KINDS = {
     "object": "a section with settings of its own",
     "array": "a list",
@@ -154,7 +173,8 @@ def _choices(schema: Mapping[str, Any], name: str) -> str:
 
 
 def _nearest(name: str, path: list[str], known: list[str], schema: Mapping[str, Any]) -> str:
-    """What a name that no setting has was meant to be: a neighbour that is spelt like it, or a setting of that name elsewhere."""
+    """What a name that no setting has was meant to be: a neighbour that is spelt like it, or a setting of that name
+    elsewhere."""
     near = [".".join([*path, close]) for close in difflib.get_close_matches(name, known, 1)]
     elsewhere = [full for full, _ in named(schema) if full.rpartition(".")[2] == name]
     inside = [full for full in elsewhere if path and full.startswith(f"{path[0]}.")]

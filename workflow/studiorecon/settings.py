@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """JSON settings of one step → a frozen dataclass, with errors that are sentences.
 
-Defaults are written once, in ``config/config.yaml``; the dataclasses have none. Only a film's, of which there may be any number, stand
-with its kind (``render/kinds.py``).
+Defaults stand in the dataclasses, and nowhere else (``configuration.setting``).
 """
 
 from __future__ import annotations
@@ -11,32 +10,44 @@ import dataclasses
 import types
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from studiorecon.errors import Refusal
+from studiorecon.configuration.setting import default_of
+from studiorecon.errors import UserError
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
-def load(cls: type[T], values: Mapping[str, Any], where: str) -> T:
+def load(cls: type[T], values: Mapping[str, Any], where: str, default: T | None = None) -> T:
     """The dataclass ``cls`` filled from ``values``; ``where`` (``"depth.sweep"``) names the place in messages.
+
+    What ``values`` lacks is taken from ``default``, else from the fields' own.
 
     A section of the configuration may serve several steps, so keys that ``cls`` does not have are ignored here: the
     configuration schema is what refuses misspelt keys. Nested dataclasses are filled from nested mappings. Raises
-    Refusal for a missing key of a field without a default, or a value of the wrong type.
+    UserError for a missing key of a field without a default, or a value of the wrong type.
     """
     hints = typing.get_type_hints(cls)
     filled = {}
     for field in dataclasses.fields(cls):
+        if field.name not in values and default is not None:
+            filled[field.name] = getattr(default, field.name)
+            continue
         if field.name not in values:
-            if field.default is not dataclasses.MISSING:
+            if default_of(field) is not dataclasses.MISSING:
                 continue
-            raise Refusal(f"setting {where}.{field.name} is missing; config/config.yaml holds every setting with its default")
-        filled[field.name] = _convert(values[field.name], hints[field.name], f"{where}.{field.name}")
+            raise UserError(
+                f"setting {where}.{field.name} is missing; config/config.yaml holds every setting with its default"
+            )
+        own = getattr(default, field.name) if default is not None else default_of(field)
+        filled[field.name] = _convert(values[field.name], hints[field.name], f"{where}.{field.name}", own)
     return cls(**filled)
 
 
-def _convert(value: Any, kind: Any, where: str) -> Any:
+def _convert(value: Any, kind: Any, where: str, default: Any = None) -> Any:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, types.UnionType):
         options = typing.get_args(kind)
@@ -48,31 +59,31 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
                 continue
             try:
                 return _convert(value, option, where)
-            except Refusal as refusal:
+            except UserError as refusal:
                 failures.append(str(refusal))
-        raise Refusal(failures[0])
+        raise UserError(failures[0])
     if origin is typing.Literal:
         choices = typing.get_args(kind)
         if value not in choices:
-            raise Refusal(f"setting {where} is {value!r}; it must be one of {', '.join(map(str, choices))}")
+            raise UserError(f"setting {where} is {value!r}; it must be one of {', '.join(map(str, choices))}")
         return value
-    if dataclasses.is_dataclass(kind):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         if not isinstance(value, Mapping):
-            raise Refusal(f"setting {where} must be a section with keys, not {value!r}")
-        return load(kind, value, where)
+            raise UserError(f"setting {where} must be a section with keys, not {value!r}")
+        return load(kind, value, where, default if isinstance(default, kind) else None)
     if origin in (tuple, list, Sequence):
         if isinstance(value, str) or not isinstance(value, Sequence):
-            raise Refusal(f"setting {where} must be a list, not {value!r}")
+            raise UserError(f"setting {where} must be a list, not {value!r}")
         inner = [a for a in typing.get_args(kind) if a is not Ellipsis]
         if origin is tuple and Ellipsis not in typing.get_args(kind):
             if len(value) != len(inner):
-                raise Refusal(f"setting {where} must have {len(inner)} entries, not {len(value)}")
+                raise UserError(f"setting {where} must have {len(inner)} entries, not {len(value)}")
             return tuple(_convert(v, k, where) for v, k in zip(value, inner))
         items = [_convert(v, inner[0] if inner else Any, where) for v in value]
         return items if origin is list else tuple(items)
     if origin in (dict, Mapping) or kind is dict:
         if not isinstance(value, Mapping):
-            raise Refusal(f"setting {where} must be a section with keys, not {value!r}")
+            raise UserError(f"setting {where} must be a section with keys, not {value!r}")
         names = named_keys(kind)
         return {k: v for k, v in value.items() if not names or k in names}
     if kind is Any:
@@ -81,7 +92,8 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
 
 
 def named_keys(kind: Any) -> tuple[str, ...]:
-    """The keys that ``Mapping[Literal["a", "b"], V]`` names: what a step reads of a mapping that several steps share. Else none."""
+    """The keys that ``Mapping[Literal["a", "b"], V]`` names: what a step reads of a mapping that several steps share.
+    Else none."""
     keys = typing.get_args(kind)[:1]
     return typing.get_args(keys[0]) if keys and typing.get_origin(keys[0]) is typing.Literal else ()
 
@@ -94,7 +106,7 @@ def _scalar(value: Any, kind: type, where: str) -> Any:
         return value
     if kind in (bool, str) and isinstance(value, kind):
         return value
-    raise Refusal(f"setting {where} is {value!r}; it must be {_NAMES.get(kind, str(kind))}")
+    raise UserError(f"setting {where} is {value!r}; it must be {_NAMES.get(kind, str(kind))}")
 
 
 _NAMES = {float: "a number (write 1.0e-4, not 1e-4)", int: "a whole number", bool: "true or false", str: "text"}

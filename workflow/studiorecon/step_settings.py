@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon import code
+from studiorecon.configuration.setting import is_setting
 from studiorecon.settings import named_keys
 
 # Name → what is read below it; None = the value as a whole.
@@ -29,8 +30,30 @@ _REMEMBERED = 500
 
 
 def told(step: str, section: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without settings."""
+    """The part of a stage's ``section`` of the configuration that ``"stage.step"`` reads; empty for a step without
+    settings."""
     return only(section, read_by(step))
+
+
+# Steps whose settings stand in more than the section of their own stage, which they share with earlier ones.
+_SECTIONS = {
+    "clocks": ("capture", "clocks"),
+    "tracks": ("detect",),
+    "cameras": ("calibration", "cameras"),
+    "report.audit": ("survey",),
+}
+
+
+def section_of(step: str, config: Mapping[str, Any]) -> dict[str, Any]:
+    """What of the configuration stands where ``"stage.step"`` looks: its stage's section, after those of earlier stages
+    that it shares."""
+    return {key: value for name in sections_of(step) for key, value in config.get(name, {}).items()}
+
+
+def sections_of(step: str) -> tuple[str, ...]:
+    """The sections of the configuration in which ``"stage.step"`` looks."""
+    stage = step.partition(".")[0]
+    return _SECTIONS.get(step, _SECTIONS.get(stage, (stage,)))
 
 
 def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
@@ -44,7 +67,8 @@ def only(values: Mapping[str, Any], fields: Fields) -> dict[str, Any]:
 
 
 def read_by(step: str) -> Fields:
-    """The settings that a step reads. The step is imported for it once; what it said is remembered until its code changes.
+    """The settings that a step reads. The step is imported for it once; what it said is remembered until its code
+    changes.
 
     Raises FileNotFoundError when there is no such step.
     """
@@ -57,22 +81,25 @@ def read_by(step: str) -> Fields:
 
 
 def fields_of(kind: type) -> Fields:
-    """The fields of a settings dataclass; groups of settings are dataclasses, or mappings whose keys the annotation names."""
+    """The settings of a dataclass, without its constants; groups of settings are dataclasses, or mappings whose keys
+    the annotation names."""
     hints = typing.get_type_hints(kind)
-    return {field.name: _below(hints[field.name]) for field in dataclasses.fields(kind)}
+    return {field.name: _below(hints[field.name]) for field in dataclasses.fields(kind) if is_setting(field)}
 
 
 def _below(hint: Any) -> Fields | None:
-    if dataclasses.is_dataclass(hint):
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return fields_of(hint)
     if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        groups = [option for option in typing.get_args(hint) if dataclasses.is_dataclass(option)]
+        options = typing.get_args(hint)
+        groups = [option for option in options if isinstance(option, type) and dataclasses.is_dataclass(option)]
         return fields_of(groups[0]) if len(groups) == 1 else None
     return dict.fromkeys(named_keys(hint)) or None
 
 
 def _memory() -> Path:
-    """Beside the byte code, as what ``code`` remembers: importing every step takes seconds, which Snakemake would spend at every start."""
+    """Beside the byte code, as what ``code`` remembers: importing every step takes seconds, which Snakemake would spend
+    at every start."""
     return code.PACKAGE / "__pycache__" / f"settings.{sys.implementation.cache_tag}.json"
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python imports this by itself in every process of a run that has this folder on its path.
 
-At its end a process writes down, into a file of its own in STUDIORECON_WITNESS, which shared objects it had loaded and whom it wanted to
-reach; addresses beyond this machine are refused as they are where there is no network.
+At its end a process writes down, into a file of its own in STUDIORECON_WITNESS, which shared objects it had loaded and
+whom it wanted to reach; addresses beyond this machine are refused as they are where there is no network.
 """
 
 import atexit

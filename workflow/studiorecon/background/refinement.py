@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Iterative refinement (paper, appendix C): half-way, views of the room as it is now are enhanced and become targets themselves.
+"""Iterative refinement (paper, appendix C): half-way, views of the room as it is now are enhanced and become targets
+themselves.
 
-The camera goes round the room twice as high and twice as low as it goes up and down, which shows what none of the synthesized views
-shows: floors and ceilings at other angles. The room is drawn without people, so nothing has to be masked.
+The camera goes round the room twice as high and twice as low as it goes up and down, which shows what none of the
+synthesized views shows: floors and ceilings at other angles. The room is drawn without people, so nothing has to be
+masked.
 """
 
 from __future__ import annotations
@@ -12,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.configuration.setting import setting
 from studiorecon.geometry.path import azimuths_rad, look_at, order_around, scene_centre, with_pose
-from studiorecon.images.transfer import Source, Transfer, carried_over, source
+from studiorecon.images.transfer import ResidualSource, Transfer, carried_over, source
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rendering import Rendering
-from studiorecon.splatting.targets import Target
+from studiorecon.splatting.train.targets import Target
 
 _PERIODS = 2
 # A pixel that is less than this covered shows a hole, and a hole is nothing to learn from.
@@ -25,10 +28,9 @@ _SOLID = 0.95
 
 @dataclass(frozen=True)
 class Refinement:
-    """How the room is looked at half-way; see config.yaml.
+    """How the room is looked at half-way.
 
     Attributes:
-        views: number of views, 0 = no refinement.
         at: share of the iterations after which they are drawn.
         height: how far the camera rises and falls, as a share of its distance from the middle of the scene.
         weight: of these views' pixels beside the photos'.
@@ -36,19 +38,26 @@ class Refinement:
         transfer: how the photos' residuals are carried over.
     """
 
-    views: int
-    at: float
-    height: float
-    weight: float
-    ring_deg: float
-    transfer: Transfer
+    views: int = setting(
+        0,
+        "Views of the half-trained room that are enhanced and learned from; 0 = none.",
+        minimum=0,
+        maximum=10000,
+        paper="240, appendix C",
+        letter=240,
+    )
+    at: float = 0.5
+    height: float = 0.15
+    weight: float = 0.7
+    ring_deg: float = 150.0
+    transfer: Transfer = Transfer()
 
 
 def refinement_cameras(cameras: Sequence[Camera], settings: Refinement) -> list[Camera]:
-    """Cameras along the ring of the real ones, at their median distance, rising and falling twice (numerics U53).
+    """Cameras along the ring of the real ones, at their median distance, rising and falling twice (U53).
 
-    Looking at the middle from everywhere is what compensates the pitch: −atan(h / r). Where the real cameras are no ring, the views stay
-    on their arc.
+    Looking at the middle from everywhere is what compensates the pitch: −atan(h / r). Where the real cameras are no
+    ring, the views stay on their arc.
     """
     centre_m = scene_centre(cameras)
     offsets = np.stack([c.centre_m - centre_m for c in cameras])
@@ -70,15 +79,18 @@ def refinement_cameras(cameras: Sequence[Camera], settings: Refinement) -> list[
 
 
 def refined_targets(
-    cameras: Sequence[Camera], photos: Sequence[tuple[Camera, np.ndarray, np.ndarray]], settings: Refinement,
+    cameras: Sequence[Camera],
+    photos: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
+    settings: Refinement,
     draw: Callable[[Camera], Rendering],
-) -> tuple[list[Target], float]:  # fmt: skip
-    """A target per camera: the room as ``draw`` shows it, plus what it misses at the ``photos`` (camera, rgb, known) that see it too.
+) -> tuple[list[Target], float]:
+    """A target per camera: the room as ``draw`` shows it, plus what it misses at the ``photos`` (camera, rgb, known)
+    that see it too.
 
-    Pixels that no photo sees, and holes, weigh nothing: there the picture could only teach what it already shows. Also the share of
-    pixels that do weigh.
+    Pixels that no photo sees, and holes, weigh nothing: there the picture could only teach what it already shows. Also
+    the share of pixels that do weigh.
     """
-    sources: list[Source] = []
+    sources: list[ResidualSource] = []
     for camera, rgb, known in photos:
         shown = draw(camera)
         render = np.clip(shown.rgb, 0, 1) * np.float32(255)
@@ -91,5 +103,9 @@ def refined_targets(
         residual, cover = carried_over(camera, shown.depth_m, sources, settings.transfer)
         weight = np.where(shown.alpha >= _SOLID, settings.weight * np.minimum(cover, 1), 0).astype(np.float32)
         counted += float((weight > 0).mean())
-        targets.append(Target(camera, np.clip(shown.rgb + np.minimum(cover, 1)[..., None] * residual, 0, 1).astype(np.float32), weight))
+        targets.append(
+            Target(
+                camera, np.clip(shown.rgb + np.minimum(cover, 1)[..., None] * residual, 0, 1).astype(np.float32), weight
+            )
+        )
     return targets, counted / max(len(targets), 1)

@@ -7,8 +7,8 @@ import numpy as np
 
 from studiorecon.geometry.surface import points_and_normals
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.discs import discs
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.discs import discs
 
 # Thickness of a flat Gaussian as a share of its width: thin enough for grazing views, thick enough to keep a gradient.
 _FLATNESS = 0.15
@@ -19,9 +19,17 @@ _FAINT = 0.1
 
 
 def seeds_from_depth(
-    camera: Camera, rgb: np.ndarray, wanted: np.ndarray, depth_m: np.ndarray, stride: int, size: float, opacity: float, sh_degree: int
+    camera: Camera,
+    rgb: np.ndarray,
+    wanted: np.ndarray,
+    depth_m: np.ndarray,
+    stride: int,
+    size: float,
+    opacity: float,
+    sh_degree: int,
 ) -> tuple[Gaussians, np.ndarray]:
-    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and the (row, column) it came from (N, 2).
+    """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and the (row, column) it came from
+    (N, 2).
 
     ``size`` is its standard deviation as a share of the distance to its neighbour, stretched on slanted surfaces.
     """
@@ -38,17 +46,21 @@ def seeds_from_depth(
     return made, np.stack(at, axis=1)
 
 
-def random_volume(cameras: list[Camera], count: int, size_m: float, sh_degree: int, rng: np.random.Generator) -> Gaussians:
+def random_volume(
+    cameras: list[Camera], count: int, size_m: float, sh_degree: int, rng: np.random.Generator
+) -> Gaussians:
     """What four photos alone allow: a quarter of ``count`` grey Gaussians on the floor, the rest anywhere in a box.
 
-    The box is 1.25 times the ring of cameras wide and as high as 1.5 times their mean height (at least 2.5 m). This is the
-    paper's 4-view baseline, which has no points to start from (see config/presets/fourview.yaml).
+    The box is 1.25 times the ring of cameras wide and as high as 1.5 times their mean height (at least 2.5 m). This is
+    the paper's 4-view baseline, which has no points to start from (see config/presets/fourview.yaml).
     """
     centres = np.array([c.centre_m for c in cameras])
     middle = centres[:, :2].mean(axis=0)
     half = 1.25 * np.linalg.norm(centres[:, :2] - middle, axis=1).max()
     height = max(2.5, 1.5 * centres[:, 2].mean())
-    points = rng.uniform([middle[0] - half, middle[1] - half, 0.0], [middle[0] + half, middle[1] + half, height], (count, 3))
+    points = rng.uniform(
+        [middle[0] - half, middle[1] - half, 0.0], [middle[0] + half, middle[1] + half, height], (count, 3)
+    )
     points[: count // 4, 2] = 0.0
     grey = np.full((count, 3), 0.5)
     return discs(points, np.tile([0.0, 0.0, 1.0], (count, 1)), grey, size_m, 1.0, _FAINT, sh_degree)

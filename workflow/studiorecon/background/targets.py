@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the background is trained against: clean plates and synthesized views, with weights that say how far to trust them."""
+"""What the background is trained against: clean plates and synthesized views, with weights that say how far to trust
+them."""
 
 from __future__ import annotations
 
@@ -11,13 +12,13 @@ from studiorecon.scene.camera import Camera
 
 
 def angle_between_axes(first: Camera, second: Camera) -> float:
-    """Radians between two optical axes; atan2, because arccos of a rounded 1 is NaN (numerics I13)."""
+    """Radians between two optical axes; atan2, because arccos of a rounded 1 is NaN (I13)."""
     a, b = first.forward, second.forward
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def cutoff_angle(cameras: Sequence[Camera]) -> float:
-    """d_max of the view weight: half the median gap between azimuth neighbours' optical axes, radians (numerics U14).
+    """d_max of the view weight: half the median gap between azimuth neighbours' optical axes, radians (U14).
 
     Neighbours are taken around the ring; with fewer than two cameras the cut-off is 0.
     """
@@ -31,10 +32,11 @@ def cutoff_angle(cameras: Sequence[Camera]) -> float:
 
 
 def view_weight(angle: float, cutoff: float, boost: float) -> float:
-    """w = 1 + boost · ½(1 + cos(π d / d_max)): up to 1 + boost at a real camera, 1 from the cut-off on (paper, appendix C).
+    """w = 1 + boost · ½(1 + cos(π d / d_max)): up to 1 + boost at a real camera, 1 from the cut-off on (paper, appendix
+    C).
 
-    The angle is clamped to the cut-off, or the cosine would rise again (numerics I12); with cut-off 0 only d = 0 is boosted
-    (numerics I11).
+    The angle is clamped to the cut-off, or the cosine would rise again (I12); with cut-off 0 only d = 0 is
+    boosted (I11).
     """
     if cutoff <= 0:
         return 1.0 + boost * (angle == 0)
@@ -42,13 +44,15 @@ def view_weight(angle: float, cutoff: float, boost: float) -> float:
 
 
 def draw_shares(plates: int, views: int, views_share: float) -> np.ndarray:
-    """Probability of drawing each plate, then each synthesized view: ``views_share`` of all draws go to views, whatever their number."""
+    """Probability of drawing each plate, then each synthesized view: ``views_share`` of all draws go to views, whatever
+    their number."""
     if views == 0:
         return np.full(plates, 1 / plates)
     return np.concatenate([np.full(plates, (1 - views_share) / plates), np.full(views, views_share / views)])
 
 
 def support_weight(support: np.ndarray, hole_weight: float) -> np.ndarray:
-    """(H, W) float32 weights of a synthesized view: 1 where the cache supports a pixel (255), ``hole_weight`` where it was inpainted."""
+    """(H, W) float32 weights of a synthesized view: 1 where the cache supports a pixel (255), ``hole_weight`` where it
+    was inpainted."""
     share = support.astype(np.float32) / np.float32(255)
     return share + (1 - share) * np.float32(hole_weight)

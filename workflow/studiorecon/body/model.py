@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The body model: shape and pose to joints, surface and keypoints, for the bundled body and for a user's SMPL ``.npz``.
 
-Body axes are SMPL's (x to the body's left, y up, z forward); the world is z-up, and ``poses[:, :3]``, the rotation of the
-pelvis, carries one into the other. ``trans`` is the world position of the pelvis joint. Betas are coordinates of one shape
-space and mean nothing in another: files name the space (``identity``).
+Body axes are SMPL's (x to the body's left, y up, z forward); the world is z-up, and ``poses[:, :3]``, the rotation of
+the pelvis, carries one into the other. ``trans`` is the world position of the pelvis joint. Betas are coordinates of
+one shape space and mean nothing in another: files name the space (``identity``).
 """
 
 from __future__ import annotations
@@ -13,24 +13,18 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.body import skinning
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
+from studiorecon.keypoints.layouts import JOINT_NAMES
 
-JOINT_NAMES = (
-    "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand",
-)  # fmt: skip
-# For every joint its partner of the other side, itself in the middle.
-OTHER_SIDE = tuple(
-    JOINT_NAMES.index({"left": f"right_{part}", "right": f"left_{part}"}.get(side, name))
-    for name in JOINT_NAMES
-    for side, _, part in [name.partition("_")]
-)
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
 # Vertices of SMPL's own topology (6,890) for the points that no joint stands for; limb points are taken at the joints.
 _SMPL_VERTICES = {
     "nose": 332, "right_eye": 6260, "left_eye": 2800, "right_ear": 4071, "left_ear": 583, "head_top": 411,
@@ -52,46 +46,52 @@ class BodyModel:
         joint_template_m: (24, 3); ``joint_directions``: (24, 3, B).
         weights: (V, 24) float32 skinning weights, rows sum to 1.
         pose_directions: (V, 3, 207) pose correctives of an SMPL file, or None.
-        keypoint_names: names that ``keypoint_vertices`` (K, V) and ``keypoint_joints`` (K, 24) regress, see ``layouts``.
+        keypoint_names: names that ``keypoint_vertices`` (K, V) and ``keypoint_joints`` (K, 24) regress, see
+            ``layouts``.
         region: (V,) uint8 index into ``region_names``, for clothes and colours; all "skin" for an SMPL file.
         proxy_vertices: (P,) vertices of a coarse mesh with ``proxy_faces`` (Q, 3), for silhouettes.
     """
 
     identity: str
     names: tuple[str, ...]
-    parents: np.ndarray
-    faces: np.ndarray
-    template_m: np.ndarray
-    shape_directions: np.ndarray
-    joint_template_m: np.ndarray
-    joint_directions: np.ndarray
-    weights: np.ndarray
+    parents: Integer[np.ndarray, " 24"]
+    faces: Integer[np.ndarray, "F 3"]
+    template_m: Float[np.ndarray, "V 3"]
+    shape_directions: Num[np.ndarray, "V 3 B"]
+    joint_template_m: Num[np.ndarray, "24 3"]
+    joint_directions: Num[np.ndarray, "24 3 B"]
+    weights: Float[np.ndarray, "V 24"]
     pose_directions: np.ndarray | None
     keypoint_names: tuple[str, ...]
     keypoint_vertices: np.ndarray
     keypoint_joints: np.ndarray
     region_names: tuple[str, ...]
-    region: np.ndarray
-    proxy_vertices: np.ndarray
+    region: Integer[np.ndarray, " V"]
+    proxy_vertices: Num[np.ndarray, " P"]
     proxy_faces: np.ndarray
 
     @staticmethod
     def load(path: Path) -> BodyModel:
-        """The bundled body or an SMPL ``.npz``; raises Refusal with one sentence for anything else."""
+        """The bundled body or an SMPL ``.npz``; raises UserError with one sentence for anything else."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 data = {name: file[name] for name in file.files}
         except FileNotFoundError:
-            raise Refusal(f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz") from None
+            raise UserError(
+                f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz"
+            ) from None
         except (ValueError, OSError, zipfile.BadZipFile):
-            raise Refusal(
-                f"body model {path} is not an .npz of plain arrays; convert an SMPL .pkl with v_template, shapedirs, J_regressor, weights, "
+            raise UserError(
+                f"body model {path} is not an .npz of plain arrays; convert an SMPL .pkl with "
+                "v_template, shapedirs, J_regressor, weights, "
                 "kintree_table and f to one"
             ) from None
         try:
             return _read(data, path)
         except KeyError as missing:
-            raise Refusal(f"body model {path} has no array {missing.args[0]!r}; it must hold the arrays of SMPL's .npz") from None
+            raise UserError(
+                f"body model {path} has no array {missing.args[0]!r}; it must hold the arrays of SMPL's .npz"
+            ) from None
 
     @property
     def vertex_count(self) -> int:
@@ -102,15 +102,15 @@ class BodyModel:
         """Number of shape coordinates."""
         return self.shape_directions.shape[-1]
 
-    def rest_vertices(self, betas: np.ndarray) -> np.ndarray:
+    def rest_vertices(self, betas: np.ndarray) -> Num[np.ndarray, "V 3"]:
         """(V, 3) the shaped T-pose, pelvis at its rest position. Raises ValueError for another number of betas."""
         return self.template_m + self.shape_directions @ _betas(betas, self.shapes)
 
-    def rest_joints(self, betas: np.ndarray) -> np.ndarray:
+    def rest_joints(self, betas: np.ndarray) -> Num[np.ndarray, "24 3"]:
         """(24, 3) joints of the shaped T-pose. Raises ValueError for another number of betas."""
         return self.joint_template_m + self.joint_directions @ _betas(betas, self.shapes)
 
-    def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
+    def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> Num[np.ndarray, "T 24 3"]:
         """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3).
 
         Raises ValueError for other shapes; so do the functions below.
@@ -119,14 +119,19 @@ class BodyModel:
         local = rotations.exp(poses.reshape(-1, 24, 3))
         return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
 
-    def joint_transforms(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
-        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as ``joints`` does."""
+    def joint_transforms(
+        self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray
+    ) -> Num[np.ndarray, "T 24 4 4"]:
+        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as
+        ``joints`` does."""
         poses, trans_m = _frames(poses, trans_m)
         rest = self.rest_joints(betas)
         world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
         return skinning.world_from_rest(world, joints + trans_m[:, None], rest)
 
-    def vertices(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+    def vertices(
+        self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray, chosen: np.ndarray | None = None
+    ) -> Float[np.ndarray, "T V 3"]:
         """(T, V, 3) float32 world vertices; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given.
 
         Raises as ``joints`` does.
@@ -140,7 +145,9 @@ class BodyModel:
         transforms = self.joint_transforms(poses, betas, trans_m)
         return skinning.skin(rest, self.weights[everything], transforms)
 
-    def keypoints(self, names: Sequence[str], poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> np.ndarray:
+    def keypoints(
+        self, names: Sequence[str], poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray
+    ) -> Num[np.ndarray, "T K 3"]:
         """(T, K, 3) world keypoints by name (``keypoint_names``); exact for the surface without pose correctives.
 
         Raises as ``joints`` does, and KeyError for a name that the body lacks.
@@ -156,8 +163,9 @@ class BodyModel:
     def keypoint_basis(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Shares (K, 24) and anchors (K, 24, 3, 1 + B) with which K keypoints need no mesh.
 
-        A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the joint's
-        world rotation: the sums over vertices are done once, here. Raises KeyError for a name the body does not have.
+        A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
+        joint's world rotation: the sums over vertices are done once, here. Raises KeyError for a name the body does not
+        have.
         """
         rows = [self.keypoint_names.index(n) if n in self.keypoint_names else _missing(n) for n in names]
         vertices, joints = self.keypoint_vertices[rows], self.keypoint_joints[rows]
@@ -173,15 +181,17 @@ class BodyModel:
         return share, anchors
 
     def vertex_basis(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Shares (V, 24) and anchors (V, 24, 3, 1 + B) of surface points (V,); without pose correctives, see ``keypoint_basis``."""
+        """Shares (V, 24) and anchors (V, 24, 3, 1 + B) of surface points (V,); without pose correctives, see
+        ``keypoint_basis``."""
         share = self.weights[vertices].astype(np.float64)
         share /= share.sum(1, keepdims=True)
         surface = np.concatenate([self.template_m[vertices, :, None], self.shape_directions[vertices]], axis=-1)
         return share, share[:, :, None, None] * surface[:, None]
 
 
-def upright_global_orientation(heading_rad: float) -> np.ndarray:
-    """(3,) axis-angle for ``poses[:, :3]`` of a body standing upright in the z-up world, facing (cos, sin) of ``heading_rad``."""
+def upright_global_orientation(heading_rad: float) -> Num[np.ndarray, " 3"]:
+    """(3,) axis-angle for ``poses[:, :3]`` of a body standing upright in the z-up world, facing (cos, sin) of
+    ``heading_rad``."""
     c, s = np.cos(heading_rad), np.sin(heading_rad)
     # Columns: where the body's left (x), up (y) and forward (z) point in the world.
     return rotations.log(np.array([[-s, 0.0, c], [c, 0.0, s], [0.0, 1.0, 0.0]]))
@@ -213,7 +223,9 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
     template = data["v_template"].astype(np.float64)
     shapes = data["shapedirs"][..., :10].astype(np.float64)
     if len(parents) != 24 or parents[0] >= 0 or np.any(parents[1:] >= np.arange(1, 24)):
-        raise Refusal(f"body model {path} has {len(parents)} joints; only SMPL's tree of 24 joints, parents first, is understood")
+        raise UserError(
+            f"body model {path} has {len(parents)} joints; only SMPL's tree of 24 joints, parents first, is understood"
+        )
     if "J_template" in data:
         joint_template, joint_directions = data["J_template"].astype(np.float64), data["J_shapedirs"].astype(np.float64)
     else:
@@ -221,10 +233,13 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
         joint_template, joint_directions = regressor @ template, np.einsum("jv,vxb->jxb", regressor, shapes)
     if "weight_joints" in data:
         weights = np.zeros((len(template), 24))
-        np.put_along_axis(weights, data["weight_joints"].astype(np.int64), data["weight_values"].astype(np.float64), axis=1)
+        np.put_along_axis(
+            weights, data["weight_joints"].astype(np.int64), data["weight_values"].astype(np.float64), axis=1
+        )
     else:
         weights = data["weights"].astype(np.float64)
-    # Stored weights are rounded: renormalised here, else a sum off by 4e-4 moves a point 5 m away by 2 mm (numerics L07).
+    # Stored weights are rounded: renormalised here, else a sum off by 4e-4 moves a point 5 m away by 2 mm (
+    # L07).
     weights = (weights / weights.sum(1, keepdims=True)).astype(np.float32)
     names, on_vertices, on_joints = _keypoints(data, len(template))
     faces = data["f"].astype(np.int64)
@@ -232,7 +247,7 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
     digest = hashlib.sha256(template.tobytes() + shapes.tobytes()).hexdigest()[:8]
     arrays = (template, shapes, joint_template, joint_directions, weights)
     if not all(np.isfinite(a).all() for a in arrays):
-        raise Refusal(f"body model {path} holds numbers that are not finite")
+        raise UserError(f"body model {path} holds numbers that are not finite")
     return BodyModel(
         identity=f"smpl {digest}" if plain else str(data["identity"]),
         names=JOINT_NAMES,
@@ -255,8 +270,11 @@ def _read(data: dict[str, np.ndarray], path: Path) -> BodyModel:
 
 
 def _keypoints(data: dict[str, np.ndarray], vertex_count: int) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
-    """Names and regressors (K, V), (K, 24): what the file brings, or SMPL's vertices and joints; every joint as ``<name>_joint``."""
-    rows: dict[str, tuple[dict[int, float], dict[int, float]]] = {f"{n}_joint": ({}, {j: 1.0}) for j, n in enumerate(JOINT_NAMES)}
+    """Names and regressors (K, V), (K, 24): what the file brings, or SMPL's vertices and joints; every joint as
+    ``<name>_joint``."""
+    rows: dict[str, tuple[dict[int, float], dict[int, float]]] = {
+        f"{n}_joint": ({}, {j: 1.0}) for j, n in enumerate(JOINT_NAMES)
+    }
     if "keypoint_names" in data:
         names = [str(n) for n in data["keypoint_names"]]
         rows |= {n: ({}, {}) for n in names}

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cameras.refine``: check the calibration on the people in it, improve it where that clearly helps, write the camera models."""
+"""``cameras.refine``: check the calibration on the people in it, improve it where that clearly helps, write the camera
+models."""
 
 from __future__ import annotations
 
@@ -10,57 +11,64 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.cameras.correspondences import Observations, observe, spread_frames
-from studiorecon.cameras.hypotheses import best_swap, check_conventions
-from studiorecon.cameras.people_bundle import LensSettings, contradicted, error_medians, fitted, lenses_called_for, straightened
-from studiorecon.cameras.sheet import contact_sheet
-from studiorecon.cameras.stale import tell, where_they_stand_now
-from studiorecon.errors import Refusal
-from studiorecon.geometry.bundle import BundleSettings, LensPrior, moved
-from studiorecon.geometry.triangulation import Limits
-from studiorecon.images.video import read_frame
+from studiorecon.arrays import evenly_spread
+from studiorecon.camera_files.calibration import read_lenses
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frame
+from studiorecon.geometry.bundle import LensPrior, moved
 from studiorecon.progress import say, warn
+from studiorecon.rig.bundle import (
+    Agreement,
+    LensSettings,
+    Trust,
+    contradicted,
+    error_medians,
+    fitted,
+    lenses_called_for,
+    straightened,
+)
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.gravity import tell_tilt
+from studiorecon.rig.hypotheses import best_swap, check_conventions
+from studiorecon.rig.sheet import contact_sheet
+from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
-from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import complete, read_json, write_json
 from studiorecon.scene.people import Detections, read_detections, usable
+from studiorecon.signature import Written
 
 _FOOT_HEIGHT_M = 0.08
 _MOST_CONTRADICTED = 0.5
-# Share of the allowed error past which it is asked whether cameras were exchanged, and how many times better people must then fit.
+# Share of the allowed error past which it is asked whether cameras were exchanged, and how many times better people
+# must then fit.
 _SUSPICIOUS, _MUCH_BETTER = 0.5, 3.0
-# Against cameras that were moved, which have more freedom to fit; and how much worse other lenses at the given poses may fit than those.
+# Against cameras that were moved, which have more freedom to fit; and how much worse other lenses at the given poses
+# may fit than those.
 _BETTER, _ABOUT_AS_WELL = 1.5, 1.1
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How the calibration is checked and refined.
+class Settings(Agreement, Trust):
+    """How the calibration is checked and refined, on ``frames`` spread over the clip, every other one of which judges
+    the fit that the rest made: refined poses are kept when their median reprojection error there falls by the share
+    ``min_gain``. ``lens_change`` says when lenses may change too."""
 
-    Attributes:
-        refine: False keeps the given poses whatever the people say.
-        refine_frames: frames that are looked at, spread over the clip.
-        refine_gate_m: ray distance below which tracks of two cameras may be one person, generous because poses may be off.
-        refine_gain: share by which the median reprojection error on frames the fit has not seen must fall for it to be kept.
-        max_error_share: median reprojection error, as a share of the longer image side, past which the calibration is refused.
-        refine_lens: when lenses may change too.
-        bundle: iterations and priors.
-        limits: what counts as agreement of views.
-    """
-
-    refine: bool
-    refine_frames: int
-    refine_gate_m: float
-    refine_gain: float
-    max_error_share: float
-    refine_lens: LensSettings
-    bundle: BundleSettings
-    limits: Limits
+    refine: bool = setting(
+        True,
+        "Refine the camera poses on people's keypoints, kept only where it clearly helps.",
+        paper="not done; its cameras are uncalibrated",
+        letter=False,
+    )
+    frames: int = 96
+    min_gain: float = 0.1
+    lens_change: LensSettings = LensSettings()
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Refinement:
     """The cameras to use and everything that is told about it.
 
     Attributes:
@@ -80,41 +88,59 @@ def cameras_of(lenses: Sequence[Lens], footage: Sequence[Footage]) -> list[Camer
     pose = {lens.name: lens.camera_from_world for lens in lenses}
     for entry in footage:
         if entry.camera not in pose:
-            raise Refusal(f"camera {entry.camera} has footage but no calibration (that has {', '.join(pose)})")
+            raise UserError(f"camera {entry.camera} has footage but no calibration (that has {', '.join(pose)})")
     return [Camera(f.camera, f.wh, np.array(f.intrinsics, dtype=np.float64), pose[f.camera]) for f in footage]
 
 
 def decide(
-    training: list[Camera], held_out: list[Camera], detections: Sequence[Detections], frames: int, floor_known: bool, settings: Settings
-) -> Outcome:
-    """The cameras to use, with the reasons; raises Refusal when the people say that the calibration is not of these cameras."""
-    report: dict[str, Any] = {"cameras": [c.name for c in training], "held_out": [c.name for c in held_out], "refined": False}
+    training: list[Camera],
+    held_out: list[Camera],
+    detections: Sequence[Detections],
+    frames: int,
+    floor_known: bool,
+    settings: Settings,
+) -> Refinement:
+    """The cameras to use, with the reasons; raises UserError when the people say that the calibration is not of these
+    cameras."""
+    report: dict[str, Any] = {
+        "cameras": [c.name for c in training],
+        "held_out": [c.name for c in held_out],
+        "refined": False,
+    }
     if not any(len(d.frame) for d in detections):
         warn("no keypoints: the calibration is used as it was given, unchecked")
-        return Outcome(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
-    chosen = spread_frames(frames, settings.refine_frames)
+        return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
+    chosen = evenly_spread(frames, settings.frames)
     given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
-    seen, graph = observe(detections, training, chosen, settings.refine_gate_m)
+    seen, graph = observe(detections, training, chosen, settings.gate_m)
     before, before_each, points = error_medians(training, seen, settings.limits)
     before_px = before if np.isfinite(before) else None
     few = chosen[:: max(1, len(chosen) // 6)]
-    told = settings.refine_gate_m, settings.refine_gain, settings.limits, settings.bundle
-    anew = where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit) if settings.refine else None
+    told = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
+    anew = (
+        where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit)
+        if settings.refine
+        else None
+    )
     if anew is not None and len(points) and _lenses_instead(training, seen, anew.report["after_px"], settings):
         anew = None
-    report["hypotheses"] = check_conventions(training, detections, few, settings.refine_gate_m) if anew is None else []
+    report["hypotheses"] = check_conventions(training, detections, few, settings.gate_m) if anew is None else []
     if anew is None and not len(seen.frame):
         return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
     if not before < _SUSPICIOUS * limit:
-        _refuse_swapped(training, detections, chosen, before, np.inf if anew is None else anew.report["after_px"], settings)
+        _refuse_swapped(
+            training, detections, chosen, before, np.inf if anew is None else anew.report["after_px"], settings
+        )
     if anew is not None:
         tell(given, anew)
         training, seen, report = anew.cameras, anew.seen, {**report, "stale": anew.report}
     blind = anew is None and len(training) > 2 and not len(points)
     if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
-        raise Refusal(
-            f"the calibration does not fit the footage: no keypoint agrees in three cameras, and where two agree a third one sees people "
-            f"elsewhere in {share:.0%} of the cases; check that it is for these cameras, and that the videos are synchronised"
+        raise UserError(
+            "the calibration does not fit the footage: no keypoint agrees in three cameras, "
+            "and where two agree a third one sees people "
+            f"elsewhere in {share:.0%} of the cases; check that it is for these "
+            "cameras, and that the videos are synchronised"
         )
     report |= {"points": len(points), "before_px": before_px, "before_px_per_camera": before_each}
     adjusted, after = training, before
@@ -124,60 +150,80 @@ def decide(
     report |= {"after_px": after, "after_px_per_camera": after_each}
     if anew is not None:
         radial = np.array([c["radial_k1"] for c in report.get("changes", [])] or [0.0] * len(given))
-        report |= {"refined": True, "reason": "the cameras stand elsewhere than the calibration says", "unseen_before_px": before_px}
+        report |= {
+            "refined": True,
+            "reason": "the cameras stand elsewhere than the calibration says",
+            "unseen_before_px": before_px,
+        }
         report["changes"] = _changes(given, adjusted, radial)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
-        raise Refusal(
-            f"the calibration does not fit the footage: people's keypoints are {after:.0f} px off where {limit:.0f} px are allowed, "
-            f"worst in camera {worst[1]} ({worst[0]:.0f} px); check that it is for these cameras and this zoom, and that the videos "
+        raise UserError(
+            f"the calibration does not fit the footage: people's keypoints are {after:.0f} "
+            f"px off where {limit:.0f} px are allowed, "
+            f"worst in camera {worst[1]} ({worst[0]:.0f} px); check that it is for these "
+            "cameras and this zoom, and that the videos "
             "are synchronised"
         )
+    report["tilt_deg"] = tell_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
         adjusted, held_out, points = _on_floor(adjusted, held_out, seen, points, settings)
-    return Outcome(adjusted, held_out, points, report)
+    return Refinement(adjusted, held_out, points, report)
 
 
 def _refuse_swapped(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, before: float, moved_px: float, settings: Settings
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: np.ndarray,
+    before: float,
+    moved_px: float,
+    settings: Settings,
 ) -> None:
-    """Raises Refusal when people fit several times better with two cameras exchanged, also than with cameras moved (``moved_px``).
+    """Raises UserError when people fit several times better with two cameras exchanged, also than with cameras moved
+    (``moved_px``).
 
     On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
     """
-    found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], settings.refine_gate_m)
+    found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], settings.gate_m)
     if found is None:
         return
     row, swapped = found
-    seen, _ = observe(detections, swapped, frames, settings.refine_gate_m)
+    seen, _ = observe(detections, swapped, frames, settings.gate_m)
     after = error_medians(swapped, seen, settings.limits)[0] if len(seen.frame) else float("nan")
     if after * _MUCH_BETTER < (before if np.isfinite(before) else np.inf) and after * _BETTER < moved_px:
         known = f"{before:.0f} px as read" if np.isfinite(before) else "no three cameras agree as read"
-        raise Refusal(f"the calibration fits the people only if {row['hypothesis']} ({after:.1f} px off, {known}): {row['remedy']}")
+        raise UserError(
+            f"the calibration fits the people only if {row['hypothesis']} "
+            f"({after:.1f} px off, {known}): {row['remedy']}"
+        )
 
 
 def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:
-    """Whether other lenses at nearly the given poses explain people about as well as other poses: a zoom ring is easier to touch."""
+    """Whether other lenses at nearly the given poses explain people about as well as other poses: a zoom ring is easier
+    to touch."""
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
     trial = fitted(given, fit_on, settings.limits, settings.bundle)
     if trial is None:
         return False
-    found = lenses_called_for(trial.cameras, fit_on, judge_on, settings.limits, settings.bundle, settings.refine_lens).report
+    found = lenses_called_for(
+        trial.cameras, fit_on, judge_on, settings.limits, settings.bundle, settings.lens_change
+    ).report
     errors = [found[f"unseen_with_{name}_px"] for name in ("focal", "radial") if found[name]]
     return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 
 
 def _nothing_agrees(
     training: list[Camera], held_out: list[Camera], distance_m: np.ndarray, report: dict[str, Any], settings: Settings
-) -> Outcome:
+) -> Refinement:
     measured = distance_m[~np.isnan(distance_m)]
     if not len(measured):
         warn("no person is seen by two cameras at once: the calibration is used as it was given, unchecked")
-        return Outcome(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
-    raise Refusal(
+        return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
+    raise UserError(
         f"no person of any two cameras fits the calibration: their rays pass {measured.min():.2f} m apart at best, "
-        f"{settings.refine_gate_m} m are allowed; check that the calibration is for these cameras, that its lengths are metres and "
+        f"{settings.gate_m} m are allowed; check that the calibration is for these "
+        "cameras, that its lengths are metres and "
         "that the videos are synchronised"
     )
 
@@ -189,7 +235,7 @@ def _try_refinement(
 
     Returns the cameras, and the observations without whatever radial term was found, for the errors that are reported.
     """
-    limits, bundle, gain = settings.limits, settings.bundle, settings.refine_gain
+    limits, bundle, gain = settings.limits, settings.bundle, settings.min_gain
     order = np.unique(seen.frame, return_inverse=True)[1]
     fit_on, judge_on = seen.of(order % 2 == 0), seen.of(order % 2 == 1)
     trial = fitted(training, fit_on, limits, bundle)
@@ -200,21 +246,27 @@ def _try_refinement(
     report = {**report, "unseen_before_px": judged_before, "unseen_after_px": judged_after}
     helps = judged_after < judged_before * (1 - gain)
     best = trial.cameras if judged_after < judged_before else training
-    lens = lenses_called_for(best, fit_on, judge_on, limits, bundle, settings.refine_lens)
+    lens = lenses_called_for(best, fit_on, judge_on, limits, bundle, settings.lens_change)
     report["lens"] = lens.report
     if not (helps or lens.focal or lens.radial):
         say(
-            f"the cameras are kept as they are: on frames it had not seen, refinement changed the median reprojection error from "
+            "the cameras are kept as they are: on frames it had not seen, refinement "
+            "changed the median reprojection error from "
             f"{judged_before:.2f} to {judged_after:.2f} px, less than the {gain:.0%} that would count"
         )
         return training, seen, {**report, "reason": "refinement did not clearly help"}
     prior = LensPrior(
-        settings.refine_lens.focal_sigma if lens.focal or lens.radial else 0.0, settings.refine_lens.radial_sigma if lens.radial else 0.0
+        settings.lens_change.focal_sigma if lens.focal or lens.radial else 0.0,
+        settings.lens_change.radial_sigma if lens.radial else 0.0,
     )
     refined = fitted(training, seen, limits, bundle, prior)
     if refined is None:
         return training, seen, {**report, "reason": "too few points in three cameras to refine"}
-    report |= {"refined": True, "reason": "refinement clearly helped", "changes": _changes(training, refined.cameras, refined.radial)}
+    report |= {
+        "refined": True,
+        "reason": "refinement clearly helped",
+        "changes": _changes(training, refined.cameras, refined.radial),
+    }
     _tell(report, lens.focal or lens.radial, lens.radial)
     return refined.cameras, straightened(seen, refined.cameras, refined.radial), report
 
@@ -226,25 +278,42 @@ def _changes(given: Sequence[Camera], refined: Sequence[Camera], radial: np.ndar
         degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
         moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
         longer = new.focal_px[0] / old.focal_px[0] - 1
-        changes.append({"camera": old.name, "turned_deg": degrees, "moved_m": moved_m, "focal_longer": longer, "radial_k1": float(k1)})
+        changes.append(
+            {
+                "camera": old.name,
+                "turned_deg": degrees,
+                "moved_m": moved_m,
+                "focal_longer": longer,
+                "radial_k1": float(k1),
+            }
+        )
     return changes
 
 
 def _tell(report: dict[str, Any], focal: bool, radial: bool) -> None:
-    after = report["lens"]["unseen_with_radial_px" if radial else "unseen_with_focal_px"] if focal else report["unseen_after_px"]
+    after = (
+        report["lens"]["unseen_with_radial_px" if radial else "unseen_with_focal_px"]
+        if focal
+        else report["unseen_after_px"]
+    )
     changes = report["changes"]
     say(
-        f"the cameras were refined on people's keypoints: on frames it had not seen the median reprojection error fell from "
+        "the cameras were refined on people's keypoints: on frames it had not seen "
+        "the median reprojection error fell from "
         f"{report['unseen_before_px']:.2f} to {after:.2f} px; "
         + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
     )
     if focal:
-        say("the people call for other focal lengths: " + ", ".join(f"{c['camera']} {c['focal_longer']:+.1%}" for c in changes))
+        say(
+            "the people call for other focal lengths: "
+            + ", ".join(f"{c['camera']} {c['focal_longer']:+.1%}" for c in changes)
+        )
     if radial:
         found = ", ".join(f"{c['camera']}: {c['radial_k1']:.3f}" for c in changes)
         say(
-            "the people call for other lens distortion than the calibration's, by which the pictures were straightened: set "
-            f"cameras.radial: {{{found}}} and run again"
+            "the people call for other lens distortion than the calibration's, by "
+            "which the pictures were straightened: set "
+            f"calibration.radial: {{{found}}} and run again"
         )
 
 
@@ -255,7 +324,9 @@ def _on_floor(
     floor = float(np.quantile(points[:, 2], 0.02)) - _FOOT_HEIGHT_M
     say(f"the floor was put under people's feet: the world moved by {-floor:.3f} m along z")
     shift = np.array([0.0, 0.0, floor])
-    lowered = [[moved(c, c.camera_from_world[:3, :3], c.centre_m - shift) for c in group] for group in (training, held_out)]
+    lowered = [
+        [moved(c, c.camera_from_world[:3, :3], c.centre_m - shift) for c in group] for group in (training, held_out)
+    ]
     return lowered[0], lowered[1], points - shift
 
 
@@ -265,23 +336,26 @@ def run(
     manifest: Path,
     detections: list[Path],
     videos: list[Path],
-    model: Path,
-    heldout_model: Path,
-    refinement: Path,
-    sheet: Path,
+    model: Written,
+    heldout_model: Written,
+    refinement: Written,
+    sheet: Written,
 ) -> None:
-    """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet`` (PNG)."""
+    """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet``
+    (PNG)."""
     import cv2
 
     found = read_manifest(manifest)
     given = read_json(calibration)
-    lenses = [Lens.from_json(v) for v in given["lenses"]]
+    lenses = list(read_lenses(calibration).values())
     training, held_out = cameras_of(lenses, found.training), cameras_of(lenses, found.held_out)
     seen = [usable(read_detections(p)) for p in detections]
     unusable = sum(count for _, count in seen)
     if unusable:
         warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
-    outcome = decide(training, held_out, [d for d, _ in seen], found.frames, bool(given.get("floor_known", True)), settings)
+    outcome = decide(
+        training, held_out, [d for d, _ in seen], found.frames, bool(given.get("floor_known", True)), settings
+    )
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]
     picture = contact_sheet(outcome.training, outcome.held_out, pictures, outcome.points_m, outcome.report)
@@ -289,7 +363,11 @@ def run(
     write_model(heldout_model.parent, outcome.held_out)
     write_json(
         refinement,
-        {**outcome.report, "unusable_keypoints": unusable, "calibration": {k: given.get(k) for k in ("source", "format", "notes")}},
+        {
+            **outcome.report,
+            "unusable_keypoints": unusable,
+            "calibration": {k: given.get(k) for k in ("source", "format", "notes")},
+        },
     )
     with complete(sheet) as partial:
         cv2.imwrite(str(partial), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One camera's footage → lossless, undistorted frames at working size, and what was done to get them.
 
-Reads ``width`` and ``picture_fps``. Resizing and undistortion are one sampling of the source frame, averaged over as many
-samples as the frame shrinks by, so that nothing is filtered twice and nothing aliases.
+Reads ``width`` and ``picture_fps``. Resizing and undistortion are one sampling of the source frame, averaged over as
+many samples as the frame shrinks by, so that nothing is filtered twice and nothing aliases.
 """
 
 from __future__ import annotations
@@ -13,37 +13,43 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.calibration import lens_of
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.source import FootageSource, PictureRate, decode, digest, open_source, uneven
+from studiorecon.footage.video import write_lossless
 from studiorecon.geometry.lens import WorkingView, working_view, working_wh
-from studiorecon.images.footage import Source, decode, digest, open_source, uneven
-from studiorecon.images.video import write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.lenses import lens_of
+from studiorecon.signature import Written
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How large the working frames are.
+class Settings(PictureRate):
+    """How large the working frames are; the longer side, so that portrait and landscape footage cost the same."""
 
-    Attributes:
-        width: pixels along the longer side, so that portrait and landscape footage cost the same; 0 = as filmed.
-        picture_fps: frame rate of footage that is a folder of pictures.
-    """
-
-    width: int
-    picture_fps: float
+    width: int = setting(
+        480,
+        "Pixels along the longer side of the working frames; never more than filmed, 0 = as filmed.",
+        minimum=0,
+        maximum=16384,
+        paper="1280×704, appendix Implementation",
+        letter=1280,
+    )
 
 
 def working_size(source_wh: tuple[int, int], longer_side: int) -> tuple[int, int]:
-    """(w, h) of the working frames: the longer side has ``longer_side`` pixels (0 = as filmed), never more than the source has."""
+    """(w, h) of the working frames: the longer side has ``longer_side`` pixels (0 = as filmed), never more than the
+    source has."""
     shrink = min(1.0, longer_side / max(source_wh)) if longer_side else 1.0
     return working_wh(source_wh, max(2, round(source_wh[0] * shrink)))
 
 
-def describe_changes(source: Source, lens: Lens, view: WorkingView, used: np.ndarray, late_frames: np.ndarray) -> list[str]:
+def describe_changes(
+    source: FootageSource, lens: Lens, view: WorkingView, used: np.ndarray, late_frames: np.ndarray
+) -> list[str]:
     """Sentences: everything that sets the working frames apart from the file."""
     changes = list(source.notes)
     if source.rotation_deg:
@@ -53,36 +59,51 @@ def describe_changes(source: Source, lens: Lens, view: WorkingView, used: np.nda
     if np.any(lens.distortion != 0):
         changes.append(f"lens distortion removed ({lens.model} {', '.join(f'{c:.4g}' for c in lens.distortion)})")
     if not np.array_equal(lens.calibration_from_video, np.eye(2, 3)):
-        changes.append("pixels of the video were mapped to those of the calibration, as pixel_maps in capture.yaml says")
+        changes.append(
+            "pixels of the video were mapped to those of the calibration, as pixel_maps in capture.yaml says"
+        )
     if used[0]:
         changes.append(f"starts at frame {used[0]} of the source")
     if jumps := int((np.diff(used) != 1).sum()):
-        changes.append(f"at {jumps} of {len(used) - 1} steps a frame of the source is left out or shown again, as its times say")
+        changes.append(
+            f"at {jumps} of {len(used) - 1} steps a frame of the source is left out or shown again, as its times say"
+        )
     if np.abs(late_frames).max() > 0:
         most = np.abs(late_frames).max()
-        changes.append(f"its pictures come {late_frames.mean():+.2f} frames beside the scene's moments ({most:.2f} at most)")
+        changes.append(
+            f"its pictures come {late_frames.mean():+.2f} frames beside the scene's moments ({most:.2f} at most)"
+        )
     return changes
 
 
 def run(
-    settings: Settings, source: Path, calibration: Path, clocks: Path, camera: str, held_out: int, count: int, video: Path, footage: Path
+    settings: Settings,
+    source: Path,
+    calibration: Path,
+    clocks: Path,
+    camera: str,
+    held_out: int,
+    frame_count: int,
+    video: Written,
+    footage: Written,
 ) -> None:
-    """Decode, undistort and resize the frames of ``source`` that ``clocks`` chooses; write ``video`` (lossless) and ``footage`` (JSON).
+    """Decode, undistort and resize the frames of ``source`` that ``clocks`` chooses; write ``video`` (lossless) and
+    ``footage`` (JSON).
 
-    ``count`` is how many the user asked for; 0: all, and then an end that is missing is refused.
+    ``frame_count`` is how many the user asked for; 0: all, and then an end that is missing is refused.
     """
     opened = open_source(source, settings.picture_fps)
     lens = lens_of(calibration, camera)
     common = read_clocks(clocks)
     if common.refusal:
-        raise Refusal(common.refusal)
+        raise UserError(common.refusal)
     clock, used = common.of(camera), common.source_frames(camera)
     view = working_view(lens, opened.wh, working_size(opened.wh, settings.width))
 
     def pictures() -> Iterator[np.ndarray]:
         wanted = np.bincount(used - used[0])
         # To the very end where all are wanted, so that a recording that was cut off is noticed.
-        whole = not count and used[-1] >= clock.frames - 1
+        whole = not frame_count and used[-1] >= clock.frames - 1
         decoded = decode(opened, int(used[0]), 0 if whole else len(wanted))
         for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
             picture = view.picture(frame) if number < len(wanted) and wanted[number] else None
@@ -92,7 +113,7 @@ def run(
     try:
         frames = write_lossless(video, pictures(), common.fps)
     except MemoryError:
-        raise Refusal(f"{source} is too large to decode in memory; lower capture.width") from None
+        raise UserError(f"{source} is too large to decode in memory; lower capture.width") from None
     changes = describe_changes(opened, lens, view, used, common.late_frames(camera))
     if wrong := uneven(clock.times_s, 0):
         changes.append(wrong)
@@ -115,4 +136,7 @@ def run(
             source_frames=() if (np.diff(used) == 1).all() else tuple(used.tolist()),
         ),
     )
-    say(f"{camera}: {frames} frames at {common.fps:g} per second, {view.wh[0]}×{view.wh[1]}" + "".join(f"; {c}" for c in changes))
+    say(
+        f"{camera}: {frames} frames at {common.fps:g} per second, {view.wh[0]}×{view.wh[1]}"
+        + "".join(f"; {c}" for c in changes)
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cameras in the files of other tools: COLMAP, EasyMocap, nerfstudio and Pose2Sim, all undistorted pinholes in metres, z up."""
+"""The cameras in the files of other tools: COLMAP, EasyMocap, nerfstudio and Pose2Sim, all undistorted pinholes in
+metres, z up."""
 
 from __future__ import annotations
 
@@ -9,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.camera_files.colmap import write_model
 from studiorecon.geometry.rotations import log
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import write_model
 from studiorecon.scene.files import write_text
 
-# EasyMocap and Pose2Sim follow OpenCV: the first pixel's centre is at 0, not at 0.5 (numerics C07).
+# EasyMocap and Pose2Sim follow OpenCV: the first pixel's centre is at 0, not at 0.5 (C07).
 _CENTRE_SHIFT = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -26,7 +27,8 @@ def colmap(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> lis
 
 
 def easymocap(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> list[Path]:
-    """``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices, so that EasyVolcap's readers are served too."""
+    """``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices, so that EasyVolcap's readers are served
+    too."""
     intri = extri = "%YAML:1.0\n---\n" + "names:\n" + "".join(f'   - "{c.name}"\n' for c in cameras)
     for c in cameras:
         rotation = c.camera_from_world[:3, :3]
@@ -67,7 +69,10 @@ def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> l
     for c in cameras:
         text += f"[{json.dumps(c.name)}]\nname = {json.dumps(c.name)}\nsize = [{c.wh[0]:.1f}, {c.wh[1]:.1f}]\n"
         text += f"matrix = {(c.intrinsics - _CENTRE_SHIFT).tolist()}\ndistortions = [0.0, 0.0, 0.0, 0.0]\n"
-        text += f"rotation = {log(c.camera_from_world[:3, :3]).tolist()}\ntranslation = {c.camera_from_world[:3, 3].tolist()}\n"
+        text += (
+            f"rotation = {log(c.camera_from_world[:3, :3]).tolist()}\ntranslation = "
+            f"{c.camera_from_world[:3, 3].tolist()}\n"
+        )
         text += "fisheye = false\n\n"
     write_text(folder / "Calib.toml", text + "[metadata]\nadjusted = false\nerror = 0.0\n")
     return [folder / "Calib.toml"]
@@ -84,4 +89,7 @@ WRITERS: dict[str, Callable[[Path, Sequence[Camera], np.ndarray], list[Path]]] =
 def _matrix(name: str, value: np.ndarray) -> str:
     """An OpenCV YAML entry with all 17 digits."""
     data = ", ".join(f"{v:.17g}" for v in value.reshape(-1))
-    return f"{name}: !!opencv-matrix\n   rows: {value.shape[0]}\n   cols: {value.shape[1]}\n   dt: d\n   data: [ {data} ]\n"
+    return (
+        f"{name}: !!opencv-matrix\n   rows: {value.shape[0]}\n   cols: "
+        f"{value.shape[1]}\n   dt: d\n   data: [ {data} ]\n"
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.export``: the result in formats other tools read, in one folder, with a manifest that names and digests every file."""
+"""``deliver.export``: the result in formats other tools read, in one folder, with a manifest that names and digests
+every file."""
 
 from __future__ import annotations
 
@@ -9,49 +10,63 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from studiorecon.body.avatar import Avatar, read_avatar
+from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model, read_points
+from studiorecon.configuration.setting import setting
 from studiorecon.deliver import camera_files, keypoint_files, motion_files
 from studiorecon.deliver.gltf import write_glb
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model, read_points
 from studiorecon.scene.files import complete, write_json, write_text
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
-from studiorecon.scene.people import Person, read_detections, read_identities, read_person
+from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.signature import Written
 
 README = """{scene}: a 4D scene of {people} and a static room, exported by studiorecon.
 
 background.ply    the static room: 3D Gaussians, binary PLY in the layout of the original 3DGS code
 {still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
 {keypoints}films/            H.264 films, enhanced: {films}
-room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, metres, for Blender, Unreal and collision
+player.html       the scene to move through, in a browser, without a network
+room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, in metres
 manifest.json     size and SHA-256 of every other file here
 
-World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward; pixel centres
-at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those tools do; nerfstudio's axes are OpenGL's). Time is counted from 0,
-{frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities and spherical harmonics; quaternions are (w, x, y, z).
+World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward;
+pixel centres at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those tools do; nerfstudio's axes are
+OpenGL's). Time is counted from 0, {frames} frames at {fps:g} per second. Gaussians hold log scales, logit opacities
+and spherical harmonics; quaternions are (w, x, y, z).
 
-What is not here: the Gaussians are what the cameras' pictures support. Surfaces that no camera saw were inferred or invented
-(the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is in bodies/.
+What is not here: the Gaussians are what the cameras' pictures support. Surfaces that no camera saw were inferred or
+invented (the report shows where), and a PLY cannot say which. The people's PLY files show one frame; their motion is
+in bodies/.
 """
+# What other steps leave in the same folder, or are about to: a file that is being written bears a longer name.
+OF_OTHER_STEPS = ("room.glb", "player.html", "player.jpg")
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
-    "keypoints/        2D keypoints with identities, in pixels of the exported cameras: OpenPose JSON and EasyMocap annots ({layouts})\n"
+    "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "
+    "OpenPose JSON and EasyMocap annots ({layouts})\n"
 )
 _PERSONS = (
     "people/           each person at frame {frame}, in the world, same layout\n"
-    "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's 24-joint order, trans = pelvis, which frames\n"
-    "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, centimetres), .trc (OpenSim markers, y up,\n"
-    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (mesh, skeleton and animation, y up) are for other programs\n"
+    "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's "
+    "24-joint order, trans = pelvis, which frames\n"
+    "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, "
+    "centimetres), .trc (OpenSim markers, y up,\n"
+    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (mesh, skeleton "
+    "and animation, y up) are for other programs\n"
 )
 
 
 @dataclass(frozen=True)
 class Settings:
-    still_frame: int
+    still_frame: int = setting(
+        0, "Frame of the merged scene of background and people, for static viewers.", minimum=0, maximum=1000000
+    )
 
 
 def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) -> dict[str, Gaussians]:
@@ -62,7 +77,13 @@ def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) 
 
 
 def readme(
-    scene: str, people: Sequence[str], films: Sequence[str], frame: int, frames: int, fps: float, layouts: Sequence[str] = ()
+    scene: str,
+    people: Sequence[str],
+    films: Sequence[str],
+    frame: int,
+    frames: int,
+    fps: float,
+    layouts: Sequence[str] = (),
 ) -> str:
     """The text that says what is what; it mentions only what is there."""
     return README.format(
@@ -87,15 +108,19 @@ def copy_files(copies: Mapping[Path, Path]) -> None:
     """Copy source → target, each completely or not at all."""
     for source, target in copies.items():
         if not source.is_file():
-            raise Refusal(f"{source} is missing, so it cannot be delivered; run the workflow again")
+            raise UserError(f"{source} is missing, so it cannot be delivered; run the workflow again")
         with complete(target) as partial:
             shutil.copyfile(source, partial)
 
 
 def motion(folder: Path, person: Person, body: BodyModel) -> list[Path]:
-    """One person's motion in every format, ``<folder>/<person>.<ending>``; raises Refusal when the fit is of another body model."""
+    """One person's motion in every format, ``<folder>/<person>.<ending>``; raises UserError when the fit is of another
+    body model."""
     if person.body != body.identity:
-        raise Refusal(f"{person.name} was fitted with the body model {person.body}, but {body.identity} was given; use the same body file")
+        raise UserError(
+            f"{person.name} was fitted with the body model {person.body}, but "
+            f"{body.identity} was given; use the same body file"
+        )
     written = []
     for ending, write in {**motion_files.WRITERS, "glb": write_glb}.items():
         written.append(folder / f"{person.name}.{ending}")
@@ -116,21 +141,27 @@ def run(
     films: list[Path],
     detections: list[Path],
     identities: list[Path],
-    contents: Path,
+    contents: Written,
 ) -> None:
-    """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one does not have."""
+    """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one
+    does not have."""
     capture, folder = read_manifest(manifest), contents.parent
     body_model = BodyModel.load(body) if avatars else None
     people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
     frame = min(settings.still_frame, capture.frames - 1)
     if frame != settings.still_frame:
-        say(f"the capture has {capture.frames} frames, so the still shows frame {frame} instead of {settings.still_frame}")
+        say(
+            f"the capture has {capture.frames} frames, so the still shows frame "
+            f"{frame} instead of {settings.still_frame}"
+        )
     written = gaussian_files(read_ply(background), people, frame)
     for name, one in written.items():
         write_ply(folder / name, one)
     cameras, seen = read_model(model.parent), [read_detections(p) for p in detections]
     points_m = read_points(model.parent)
-    other = [p for form, write in camera_files.WRITERS.items() for p in write(folder / "cameras" / form, cameras, points_m)]
+    other = [
+        p for form, write in camera_files.WRITERS.items() for p in write(folder / "cameras" / form, cameras, points_m)
+    ]
     by_name, names = {c.name: c for c in cameras}, [p.person for p in people]
     known = {k: v for path in identities for k, v in read_identities(path).items()}
     for form, write in keypoint_files.WRITERS.items():
@@ -145,9 +176,19 @@ def run(
     layouts = sorted({d.layout for d in seen})
     text = readme(scene, names, [f.stem for f in films], frame, capture.frames, capture.fps, layouts)
     write_text(folder / "README.txt", text)
-    delivered = sorted(["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])])
-    # The mesh is made on request, by a step of its own.
-    for stale in [p for p in folder.rglob("*") if p.is_file() and str(p.relative_to(folder)) not in (*delivered, "room.glb")]:
+    delivered = sorted(
+        ["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])]
+    )
+    for stale in [
+        p
+        for p in folder.rglob("*")
+        if p.is_file() and str(p.relative_to(folder)) not in delivered and not p.name.endswith(OF_OTHER_STEPS)
+    ]:
         stale.unlink()
-    write_json(contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}})
-    say(f"{len(delivered)} files are in {folder}, {sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB")
+    write_json(
+        contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}}
+    )
+    say(
+        f"{len(delivered)} files are in {folder}, "
+        f"{sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB"
+    )

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in the room as one coloured surface: rendered depth of many viewpoints in a truncated signed distance field (open3d).
+"""What stands in the room as one coloured surface: rendered depth of many viewpoints in a truncated signed distance
+field (open3d).
 
-Curless and Levoy (SIGGRAPH 1996): every depth map moves the voxels near its surface; the surface is where their mean is zero, so noise
-of single maps averages out and what no map shows stays open.
+Curless and Levoy (SIGGRAPH 1996): every depth map moves the voxels near its surface; the surface is where their mean is
+zero, so noise of single maps averages out and what no map shows stays open.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import cv2
 import numba
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -28,14 +29,15 @@ OPAQUE = 0.9
 _EDGE = 0.04
 # Half the thickness of the band around a surface in which a depth map moves voxels, in voxels.
 _BAND_VOXELS = 4.0
-# Voxels are kept in cubes of this many a side, as many cubes as a hall's surfaces take; more are found room for as they come.
+# Voxels are kept in cubes of this many a side, as many cubes as a hall's surfaces take; more are found room for as they
+# come.
 _BLOCK, _BLOCKS = 16, 20_000
 _LEAST_VIEWS = 1.5
 _ACROSS_CLUSTER_M = 0.15
 
 
 @dataclass(frozen=True)
-class Seen:
+class FusedView:
     """The room as one viewpoint shows it.
 
     Attributes:
@@ -50,7 +52,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Surface:
+class FusedSurface:
     """Attributes:
     vertices_m: (V, 3) float64 in the world.
     triangles: (F, 3) int64.
@@ -62,7 +64,7 @@ class Surface:
     rgb: np.ndarray
 
 
-def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera]) -> list[Seen]:
+def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera]) -> list[FusedView]:
     """The Gaussians of the room, ``provenance`` (N,) of each, from every camera."""
     draw = rasteriser("cpu", near_m=NEAR_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
@@ -73,41 +75,51 @@ def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera
         around = np.ones((3, 3), np.uint8)
         edge = cv2.dilate(depth_m, around) - cv2.erode(depth_m, around) > _EDGE * depth_m
         depth_m[(made.alpha < OPAQUE) | (made.values[..., 0] > made.alpha / 2) | edge] = 0
-        seen.append(Seen(camera, np.clip(made.rgb, 0, 1), depth_m))
+        seen.append(FusedView(camera, np.clip(made.rgb, 0, 1), depth_m))
     return seen
 
 
 def open3d() -> Any:
-    """The library, imported late because it takes seconds; where it cannot be loaded, a Refusal that says how to get it."""
-    # numba's threads must have started: the TBB that open3d brings is too old for numba, which would say so at its next kernel.
+    """The library, imported late because it takes seconds; where it cannot be loaded, a UserError that says how to get
+    it."""
+    # numba's threads must have started: the TBB that open3d brings is too old for numba, which would say so at its next
+    # kernel.
     numba.get_num_threads()
     try:
         import open3d as o3d
     except (ImportError, OSError) as error:
-        raise Refusal(
-            f"deliver/room.glb is made by open3d, which cannot be loaded here ({error}); bring it by the extra mesh (uv run --extra mesh, "
-            "or pip install 'studiorecon[mesh]'), and on a server without a desktop apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 "
+        raise UserError(
+            f"deliver/room.glb is made by open3d, which cannot be loaded here ({error}); bring "
+            "it by the extra mesh (uv run --extra mesh, "
+            "or pip install 'studiorecon[mesh]'), and on a server without a desktop apt-get "
+            "install libusb-1.0-0 libgl1 libegl1 libx11-6 "
             "libgomp1 too; all else is delivered without it"
         ) from None
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     return o3d
 
 
-def fused(views: Sequence[Seen], voxel_m: float) -> Surface:
+def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
     """The zero of the signed distance field of all views; empty where they show nothing."""
     o3d = open3d()
     core = o3d.core
     grid = o3d.t.geometry.VoxelBlockGrid(
-        attr_names=("tsdf", "weight", "color"), attr_dtypes=(core.float32,) * 3, attr_channels=((1), (1), (3)), voxel_size=voxel_m,
-        block_resolution=_BLOCK, block_count=_BLOCKS, device=core.Device("CPU:0"),
-    )  # fmt: skip
+        attr_names=("tsdf", "weight", "color"),
+        attr_dtypes=(core.float32,) * 3,
+        attr_channels=((1), (1), (3)),
+        voxel_size=voxel_m,
+        block_resolution=_BLOCK,
+        block_count=_BLOCKS,
+        device=core.Device("CPU:0"),
+    )
     for view in views:
         farthest = float(view.depth_m.max()) + voxel_m
         # open3d has the first pixel's centre at 0.
         lens = core.Tensor(view.camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
         pose = core.Tensor(np.ascontiguousarray(view.camera.camera_from_world))
         depth, colour = (
-            o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(a, np.float32))) for a in (view.depth_m[..., None], view.rgb)
+            o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(a, np.float32)))
+            for a in (view.depth_m[..., None], view.rgb)
         )
         reach = {"depth_scale": 1.0, "depth_max": farthest, "trunc_voxel_multiplier": _BAND_VOXELS}
         if (view.depth_m > 0).any():
@@ -116,8 +128,9 @@ def fused(views: Sequence[Seen], voxel_m: float) -> Surface:
     return _arrays(grid.extract_triangle_mesh(weight_threshold=_LEAST_VIEWS).to_legacy())
 
 
-def without(surface: Surface, dropped: np.ndarray) -> Surface:
-    """The surface without the triangles whose three vertices are all ``dropped`` (V,), without crumbs below 15 cm, in a fixed order."""
+def without(surface: FusedSurface, dropped: np.ndarray) -> FusedSurface:
+    """The surface without the triangles whose three vertices are all ``dropped`` (V,), without crumbs below 15 cm, in a
+    fixed order."""
     triangles = surface.triangles[~dropped[surface.triangles].all(axis=1)]
     triangles = triangles[_large(surface.vertices_m, triangles)]
     used, back = np.unique(triangles, return_inverse=True)
@@ -129,10 +142,10 @@ def without(surface: Surface, dropped: np.ndarray) -> Surface:
     first = triangles.argmin(axis=1)
     triangles = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
     triangles = triangles[np.lexsort(triangles.T[::-1])]
-    return Surface(surface.vertices_m[used][order], triangles, surface.rgb[used][order])
+    return FusedSurface(surface.vertices_m[used][order], triangles, surface.rgb[used][order])
 
 
-def decimated(surface: Surface, triangles: int) -> Surface:
+def decimated(surface: FusedSurface, triangles: int) -> FusedSurface:
     """At most ``triangles`` of them, by quadric error (Garland and Heckbert 1997); flat parts give up theirs first."""
     if len(surface.triangles) <= triangles:
         return surface
@@ -145,8 +158,12 @@ def decimated(surface: Surface, triangles: int) -> Surface:
     return _arrays(mesh.simplify_quadric_decimation(triangles))
 
 
-def _arrays(mesh: Any) -> Surface:
-    return Surface(np.asarray(mesh.vertices).copy(), np.asarray(mesh.triangles).astype(np.int64), np.asarray(mesh.vertex_colors).copy())
+def _arrays(mesh: Any) -> FusedSurface:
+    return FusedSurface(
+        np.asarray(mesh.vertices).copy(),
+        np.asarray(mesh.triangles).astype(np.int64),
+        np.asarray(mesh.vertex_colors).copy(),
+    )
 
 
 def _large(vertices_m: np.ndarray, triangles: np.ndarray) -> np.ndarray:

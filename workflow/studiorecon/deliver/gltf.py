@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person as a binary glTF 2.0 (``.glb``): skinned mesh, skeleton and animation, for Blender, Unity and web viewers.
 
-glTF is y up, metres, (x, y, z, w) quaternions, little endian; everything is in one file. The specification allows four bones per
-vertex in one attribute set, so that of each vertex' weights the four largest are kept and renormalised.
+glTF is y up, metres, (x, y, z, w) quaternions, little endian; everything is in one file. The specification allows four
+bones per vertex in one attribute set, so that of each vertex' weights the four largest are kept and renormalised.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.body.model import JOINT_NAMES, BodyModel
+from studiorecon.body.model import BodyModel
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.geometry import rotations
+from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.files import complete
 from studiorecon.scene.people import Person
 
@@ -34,7 +35,8 @@ class Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None) -> int:
-        """Index of a new accessor over ``values`` (count, …); minima and maxima are given, as positions and times require."""
+        """Index of a new accessor over ``values`` (count, …); minima and maxima are given, as positions and times
+        require."""
         raw = np.ascontiguousarray(values).tobytes()
         view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
         self.views.append(view | ({"target": target} if target else {}))
@@ -48,7 +50,8 @@ class Buffer:
 
 
 def strongest_bones(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification asks."""
+    """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification
+    asks."""
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
     kept = np.take_along_axis(weights, joints, axis=1).astype(np.float64)
     kept /= kept.sum(axis=1, keepdims=True)
@@ -67,7 +70,8 @@ def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def write_glb(path: Path, person: Person, body: BodyModel) -> None:
-    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are included."""
+    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
+    included."""
     rest, joints = body.rest_vertices(person.betas), body.rest_joints(person.betas)
     buffer = Buffer()
     bones, weights = strongest_bones(body.weights)
@@ -92,8 +96,18 @@ def write_glb(path: Path, person: Person, body: BodyModel) -> None:
         "scene": 0,
         "scenes": [{"nodes": [0, 24]}],
         "nodes": nodes,
-        "meshes": [{"name": person.body, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
-        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [0.7, 0.7, 0.7, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}}],
+        "meshes": [
+            {"name": person.body, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
+        ],
+        "materials": [
+            {
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [0.7, 0.7, 0.7, 1.0],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": 0.9,
+                }
+            }
+        ],
         "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
         "animations": [_animation(buffer, person)],
     }

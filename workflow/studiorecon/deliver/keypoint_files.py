@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints with identities in the files of other tools: OpenPose JSON and EasyMocap annots, in pixels of the exported cameras."""
+"""2D keypoints with identities in the files of other tools: OpenPose JSON and EasyMocap annots, in pixels of the
+exported cameras."""
 
 from __future__ import annotations
 
@@ -19,11 +20,15 @@ _CENTRE = 0.5
 
 
 def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people: Mapping[int, int]) -> list[Path]:
-    """``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, empty ones too; ``person_id`` is the identity or -1."""
+    """``<camera>_json/<camera>_<frame>_keypoints.json``, one per frame, empty ones too; ``person_id`` is the identity
+    or -1."""
     written = []
     for frame in range(frames):
         entries = [
-            {"person_id": [people.get(int(seen.track[d]), -1)], "pose_keypoints_2d": np.round(_triples(seen, d), 9).reshape(-1).tolist()}
+            {
+                "person_id": [people.get(int(seen.track[d]), -1)],
+                "pose_keypoints_2d": np.round(_triples(seen, d), 9).reshape(-1).tolist(),
+            }
             for d in np.flatnonzero(seen.frame == frame)
         ]
         path = folder / f"{seen.camera}_json" / f"{seen.camera}_{frame:012d}_keypoints.json"
@@ -42,8 +47,20 @@ def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, peopl
             present = points[:, 2] > 0
             low, high = points[present, :2].min(0), points[present, :2].max(0)
             box = [*low.tolist(), *high.tolist(), float(points[present, 2].mean())]
-            annots.append({"personID": people.get(int(seen.track[d]), -1), "bbox": box, "keypoints": points.tolist(), "isKeyframe": False})
-        content = {"filename": f"images/{seen.camera}/{frame:06d}.jpg", "height": camera.wh[1], "width": camera.wh[0], "annots": annots}
+            annots.append(
+                {
+                    "personID": people.get(int(seen.track[d]), -1),
+                    "bbox": box,
+                    "keypoints": points.tolist(),
+                    "isKeyframe": False,
+                }
+            )
+        content = {
+            "filename": f"images/{seen.camera}/{frame:06d}.jpg",
+            "height": camera.wh[1],
+            "width": camera.wh[0],
+            "annots": annots,
+        }
         path = folder / "annots" / seen.camera / f"{frame:06d}.json"
         _write(path, content)
         written.append(path)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``deliver.mesh``: the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; made on request.
+"""``deliver.mesh``: the room as one coloured mesh, ``deliver/room.glb``, for Blender, Unreal and collision; made on
+request.
 
-Floor and walls are the fitted room's own planes; between them stands what rendered depth shows (``deliver.fusion``). y up, metres.
+Floor and walls are the fitted room's own planes; between them stands what rendered depth shows (``deliver.fusion``). y
+up, metres.
 """
 
 from __future__ import annotations
@@ -11,17 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.deliver.fusion import Surface, decimated, fused, look, without
+from studiorecon.arrays import evenly_spread
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.deliver.fusion import FusedSurface, decimated, fused, look, without
 from studiorecon.deliver.gltf import Buffer, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import read_path
 from studiorecon.scene.provenance import INVENTED, MEASURED
-from studiorecon.scene.shell import FACES, read_shell
+from studiorecon.scene.room import FACES, read_room
+from studiorecon.signature import Written
 
 VOXEL_M = 0.02
 VIEWPOINTS = 48
@@ -41,8 +45,9 @@ def linear(rgb: np.ndarray) -> np.ndarray:
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
-def write_room(path: Path, surfaces: list[Plane], standing: Surface, left_out: list[str]) -> None:
-    """One node per plane and one for what stands in the room; ``_PROVENANCE`` of every vertex is 0 measured or 2 invented."""
+def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
+    """One node per plane and one for what stands in the room; ``_PROVENANCE`` of every vertex is 0 measured or 2
+    invented."""
     buffer, meshes = Buffer(), []
     parts = [(p.name, p.vertices_m, p.triangles, p.rgb, p.provenance) for p in surfaces]
     if len(standing.triangles):
@@ -65,7 +70,10 @@ def write_room(path: Path, surfaces: list[Plane], standing: Surface, left_out: l
         "asset": {
             "version": "2.0",
             "generator": "studiorecon",
-            "extras": {"_PROVENANCE": "0 measured, 2 invented (colour of its neighbours)", "left out, not found in the photos": left_out},
+            "extras": {
+                "_PROVENANCE": "0 measured, 2 invented (colour of its neighbours)",
+                "left out, not found in the photos": left_out,
+            },
         },
         # The colours are light that was filmed: a viewer's lamps would light the room twice.
         "extensionsUsed": ["KHR_materials_unlit"],
@@ -84,24 +92,31 @@ def write_room(path: Path, surfaces: list[Plane], standing: Surface, left_out: l
     write_document(path, document, buffer)
 
 
-def run(model: Path, background: Path, provenance: Path, room: Path, path: Path, mesh: Path) -> None:
-    """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path`` between them."""
-    gaussians, shell = read_ply(background), read_shell(room)
+def run(model: Path, background: Path, provenance: Path, room: Path, path: Path, mesh: Written) -> None:
+    """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path``
+    between them."""
+    gaussians, shell = read_ply(background), read_room(room)
     with np.load(provenance) as stored:
         marks = stored["provenance"]
     if len(marks) != gaussians.count:
-        raise Refusal(f"{provenance} speaks of {len(marks)} Gaussians and {background} has {gaussians.count}; run background_train again")
+        raise UserError(
+            f"{provenance} speaks of {len(marks)} Gaussians and {background} has "
+            f"{gaussians.count}; run background_train again"
+        )
     steps, _ = read_path(path)
-    chosen = np.unique(np.linspace(0, len(steps) - 1, min(VIEWPOINTS, len(steps))).round().astype(int)) if steps else []
+    chosen = evenly_spread(len(steps), VIEWPOINTS) if steps else []
     views = look(gaussians, marks, [*read_model(model.parent), *(steps[i].camera for i in chosen)])
     surface = fused(views, VOXEL_M)
     standing = decimated(without(surface, distance_m(shell, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = planes(shell, views, PLANE_STEP_M, PLANE_VERTICES)
     left_out = [FACES[index] for index in range(len(FACES)) if index not in kept(shell)]
     write_room(mesh, flat, standing, left_out)
-    unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(1, sum(len(p.rgb) for p in flat))
+    unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(
+        1, sum(len(p.rgb) for p in flat)
+    )
     say(
-        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % unseen, marked) and {len(standing.triangles)} "
+        f"room.glb: {', '.join(p.name for p in flat)} as planes ({100 * unseen:.0f} % "
+        f"unseen, marked) and {len(standing.triangles)} "
         f"triangles of what stands in the room, {mesh.stat().st_size / 1e6:.1f} MB"
     )
     if left_out:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A person's motion in the files of other tools: AMASS npz, BVH, TRC and OpenPose's 3D JSON.
 
-BVH, TRC and glTF viewers have y up, this project has z up: their files hold the world turned by −90 degrees about x, and say so.
+BVH, TRC and glTF viewers have y up, this project has z up: their files hold the world turned by −90 degrees about x,
+and say so.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.layouts import LAYOUTS
-from studiorecon.body.model import JOINT_NAMES, BodyModel
+from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
+from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.scene.files import write_npz, write_text
 from studiorecon.scene.people import Person
 
@@ -27,7 +28,8 @@ _BODY_25 = LAYOUTS["body_25"].keypoints
 
 
 def amass(path: Path, person: Person, body: BodyModel) -> None:
-    """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ + trans.
+    """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ +
+    trans.
 
     The project's own files have the pelvis itself as ``trans``; programs that load AMASS expect this one.
     """
@@ -46,8 +48,8 @@ def amass(path: Path, person: Person, body: BodyModel) -> None:
 def bvh(path: Path, person: Person, body: BodyModel) -> None:
     """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, centimetres, degrees.
 
-    Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled frames are
-    included: a film must not blink.
+    Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled
+    frames are included: a film must not blink.
     """
     rest = _CENTIMETRES * body.rest_joints(person.betas)
     children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
@@ -58,7 +60,13 @@ def bvh(path: Path, person: Person, body: BodyModel) -> None:
         order.append(joint)
         offset = rest[joint] - rest[body.parents[joint]] if depth else np.zeros(3)
         place = "Xposition Yposition Zposition " if not depth else ""
-        lines.extend([f"{pad}{'JOINT' if depth else 'ROOT'} {JOINT_NAMES[joint]}", pad + "{", f"{pad}\tOFFSET {_numbers(offset)}"])
+        lines.extend(
+            [
+                f"{pad}{'JOINT' if depth else 'ROOT'} {JOINT_NAMES[joint]}",
+                pad + "{",
+                f"{pad}\tOFFSET {_numbers(offset)}",
+            ]
+        )
         lines.append(f"{pad}\tCHANNELS {6 if not depth else 3} {place}Zrotation Xrotation Yrotation")
         for child in children[joint]:
             describe(child, depth + 1)
@@ -101,14 +109,18 @@ def trc(path: Path, person: Person, body: BodyModel) -> None:
 
 
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
-    """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled, 0).
+    """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled,
+    0).
 
     One file for the clip, a list with one OpenPose document per frame.
     """
     points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
     confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
     rows = np.round(np.concatenate([points, confident], axis=2), 6).reshape(len(points), -1)
-    frames = [{"version": 1.3, "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}]} for row in rows]
+    frames = [
+        {"version": 1.3, "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}]}
+        for row in rows
+    ]
     write_text(path, json.dumps(frames, separators=(",", ":")) + "\n")
 
 
@@ -127,7 +139,11 @@ def euler_zxy_deg(rotation: np.ndarray) -> np.ndarray:
     """
     sine = np.clip(rotation[..., 2, 1], -1, 1)
     locked = np.abs(sine) > 1 - 1e-12
-    z = np.where(locked, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), np.arctan2(-rotation[..., 0, 1], rotation[..., 1, 1]))
+    z = np.where(
+        locked,
+        np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]),
+        np.arctan2(-rotation[..., 0, 1], rotation[..., 1, 1]),
+    )
     cosine = np.hypot(rotation[..., 0, 1], rotation[..., 1, 1])
     y = np.where(locked, 0.0, np.arctan2(-rotation[..., 2, 0], rotation[..., 2, 2]))
     return np.degrees(np.stack([z, np.arctan2(sine, cosine), y], axis=-1))

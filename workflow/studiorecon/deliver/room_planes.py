@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Floor, walls and ceiling of the mesh: the fitted room's own rectangles, coloured by what the viewpoints see of them."""
+"""Floor, walls and ceiling of the mesh: the fitted room's own rectangles, coloured by what the viewpoints see of
+them."""
 
 from __future__ import annotations
 
@@ -10,9 +11,9 @@ import cv2
 import numpy as np
 import scipy
 
-from studiorecon.deliver.fusion import Seen
+from studiorecon.deliver.fusion import FusedView
 from studiorecon.scene.provenance import INVENTED, MEASURED
-from studiorecon.scene.shell import FACES, Shell
+from studiorecon.scene.room import FACES, RoomBox
 
 # A point of a plane is seen where the rendered depth agrees with its own within this share and these metres.
 _AGREE_SHARE, _AGREE_M = 0.02, 0.02
@@ -23,11 +24,12 @@ class Plane:
     """One rectangle of the room as a grid.
 
     Attributes:
-        name: as in ``scene.shell.FACES``.
+        name: as in ``scene.room.FACES``.
         vertices_m: (V, 3) float64, corners included.
         triangles: (F, 3) int64, counter-clockwise from inside the room.
         rgb: (V, 3) float64 in [0, 1] as displayed.
-        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour is its nearest seen neighbours'.
+        provenance: (V,) uint8, ``MEASURED`` where a viewpoint sees it, ``INVENTED`` where its colour is its nearest
+            seen neighbours'.
     """
 
     name: str
@@ -37,12 +39,13 @@ class Plane:
     provenance: np.ndarray
 
 
-def kept(shell: Shell) -> list[int]:
-    """Indices of the faces that are in the mesh: the floor, and what was found in the photos; a default wall may stand anywhere."""
+def kept(shell: RoomBox) -> list[int]:
+    """Indices of the faces that are in the mesh: the floor, and what was found in the photos; a default wall may stand
+    anywhere."""
     return [index for index, name in enumerate(FACES) if name == "floor" or shell.fitted[index]]
 
 
-def distance_m(shell: Shell, points_m: np.ndarray) -> np.ndarray:
+def distance_m(shell: RoomBox, points_m: np.ndarray) -> np.ndarray:
     """(N,) from points (N, 3) to the nearest face that is kept; 0 for what lies beyond one."""
     apart = np.full(len(points_m), np.inf)
     for index in kept(shell):
@@ -52,7 +55,7 @@ def distance_m(shell: Shell, points_m: np.ndarray) -> np.ndarray:
     return apart
 
 
-def planes(shell: Shell, views: Sequence[Seen], step_m: float, vertices: int) -> list[Plane]:
+def planes(shell: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
     """The kept faces as grids of about ``step_m``, coarser where all together would have more than ``vertices``."""
     size = shell.high_m - shell.low_m
     area = sum(np.prod(np.delete(size, index // 2)) for index in kept(shell))
@@ -70,27 +73,36 @@ def planes(shell: Shell, views: Sequence[Seen], step_m: float, vertices: int) ->
     return result
 
 
-def _grid(shell: Shell, index: int, step_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _grid(shell: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.ndarray]:
     axis, far = divmod(index, 2)
     first, second = ((axis + 1) % 3, (axis + 2) % 3)
     counts = [max(1, round(float((shell.high_m - shell.low_m)[k]) / step_m)) for k in (first, second)]
-    a, b = np.meshgrid(*(np.linspace(shell.low_m[k], shell.high_m[k], n + 1) for k, n in zip((first, second), counts)), indexing="ij")
+    a, b = np.meshgrid(
+        *(np.linspace(shell.low_m[k], shell.high_m[k], n + 1) for k, n in zip((first, second), counts)), indexing="ij"
+    )
     local = np.empty((a.size, 3))
-    local[:, axis], local[:, first], local[:, second] = (shell.high_m if far else shell.low_m)[axis], a.ravel(), b.ravel()
+    local[:, axis], local[:, first], local[:, second] = (
+        (shell.high_m if far else shell.low_m)[axis],
+        a.ravel(),
+        b.ravel(),
+    )
     corner = np.arange(a.size).reshape(a.shape)
     p, q, r, s = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
-    # first × second is the axis itself: counter-clockwise as seen from its positive side, which is inside for the low faces.
+    # first × second is the axis itself: counter-clockwise as seen from its positive side, which is inside for the low
+    # faces.
     triangles = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
     return local @ shell.axes, triangles[:, ::-1] if far else triangles
 
 
-def _colours(points_m: np.ndarray, views: Sequence[Seen]) -> tuple[np.ndarray, np.ndarray]:
+def _colours(points_m: np.ndarray, views: Sequence[FusedView]) -> tuple[np.ndarray, np.ndarray]:
     """Mean colour (V, 3) over the views that see a point, near views first, and whether any does (V,)."""
     sums, weights = np.zeros(points_m.shape), np.zeros(len(points_m))
     for view in views:
         pixels, z = view.camera.project(points_m)
         inside = np.all((pixels > 0.5) & (pixels < np.array(view.camera.wh) - 0.5), axis=-1)
-        maps = [np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1)]  # cv2 counts centres as integers
+        maps = [
+            np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1)
+        ]  # cv2 counts centres as integers
         there = cv2.remap(view.depth_m, *maps, cv2.INTER_NEAREST)[0]
         agrees = inside & (there > 0) & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M)
         weight = np.where(agrees, 1 / np.where(agrees, z, 1) ** 2, 0)

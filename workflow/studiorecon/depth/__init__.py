@@ -1,1 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The room's shape and a depth map for every training camera.
+
+In come cameras, clean plates and people; out come the room box, its primitives and one depth map per plate. The
+embedded way: ``sweep`` (one camera's votes), ``room`` (all cameras together), ``refine`` (one camera's final depth),
+on ``stereo`` and ``layout``. Instead of it: ``network`` with ``aligned``, or ``given``.
+``shared``: settings of several steps.
+"""

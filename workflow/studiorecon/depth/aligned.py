@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``depth.aligned``: a network's depth, or a file of it, in metres: fitted to what stereo of the planes has measured in the same picture.
+"""``depth.aligned``: a network's depth, or a file of it, in metres: fitted to what stereo of the planes has measured in
+the same picture.
 
-A network's depth is smooth and complete but its scale is not to be relied on (the paper aligns MoGe to Pi3's first frame; GEN3C's authors
-name the mismatch as the first cause of failure). What both say counts as measured, what the network alone says as inferred.
+A network's depth is smooth and complete but its scale is not to be relied on (the paper aligns MoGe to Pi3's first
+frame; GEN3C's authors name the mismatch as the first cause of failure). What both say counts as measured, what the
+network alone says as inferred.
 """
 
 from __future__ import annotations
@@ -13,58 +15,68 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.depth.shared import Assumed, Near
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
-from studiorecon.images.exr import read_depth, write_depth
-from studiorecon.models.sizes import nearest
+from studiorecon.images.sizes import nearest
 from studiorecon.progress import say
-from studiorecon.scene.colmap import read_model
+from studiorecon.signature import Written
 
 _MILLIMETRES = 1000.0
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02
-# Half the pixels must be within this factor of the measured depth after alignment, or the two do not show the same thing.
+# Half the pixels must be within this factor of the measured depth after alignment, or the two do not show the same
+# thing.
 _WORST_GAP = 0.25
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What counts as measured and when two depths agree; see config.yaml."""
+class Settings(Near, Assumed):
+    """A network's depth counts as measured within ``agree_share`` of what the planes say, else as inferred."""
 
-    near_m: float
-    default_confidence: float
-    agree_share: float
+    agree_share: float = 0.05
 
 
 def read_estimate(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 depth (0 = unknown: NaN, infinite or not positive) and confidence, of an .exr, .npy, .npz or 16-bit .png (mm)."""
+    """(H, W) float32 depth (0 = unknown: NaN, infinite or not positive) and confidence, of an .exr, .npy, .npz or
+    16-bit .png (mm)."""
     if not path.is_file():
-        raise Refusal(f"{path} is missing; depth.precomputed names a folder with <camera>.exr, .npy, .npz or .png")
+        raise UserError(f"{path} is missing; depth.precomputed names a folder with <camera>.exr, .npy, .npz or .png")
     if path.suffix == ".exr":
         return read_depth(path)
     if path.suffix == ".png":
         stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if stored is None or stored.dtype != np.uint16 or stored.ndim != 2:
-            raise Refusal(f"{path} is not a 16-bit grey picture of millimetres")
+            raise UserError(f"{path} is not a 16-bit grey picture of millimetres")
         depth = stored.astype(np.float32) / _MILLIMETRES
     else:
         stored = np.load(path, allow_pickle=False)
         if path.suffix == ".npz":
             name = next((n for n in ("depth", "depths", "arr_0") if n in stored.files), None)
             if name is None:
-                raise Refusal(f"{path} holds {', '.join(stored.files)}; depth is looked for as depth, depths or arr_0")
+                raise UserError(
+                    f"{path} holds {', '.join(stored.files)}; depth is looked for as depth, depths or arr_0"
+                )
             stored = stored[name]
         depth = np.squeeze(np.asarray(stored, dtype=np.float32))
     if depth.ndim != 2:
-        raise Refusal(f"{path} holds an array of shape {depth.shape}, expected one depth map (H, W)")
+        raise UserError(f"{path} holds an array of shape {depth.shape}, expected one depth map (H, W)")
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     return depth, (depth > 0).astype(np.float32)
 
 
 def joined(
-    estimate: np.ndarray, sure: np.ndarray, planes_m: np.ndarray, planes_sure: np.ndarray, found: Alignment, settings: Settings
+    estimate: np.ndarray,
+    sure: np.ndarray,
+    planes_m: np.ndarray,
+    planes_sure: np.ndarray,
+    found: Alignment,
+    settings: Settings,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth in metres and confidence: the planes' own where both agree, at most ``default_confidence`` where the network stands alone."""
+    """Depth in metres and confidence: the planes' own where both agree, at most ``default_confidence`` where the
+    network stands alone."""
     depth_m = found.apply(estimate, settings.near_m).astype(np.float32)
     known = depth_m > 0
     agree = known & (planes_m > 0) & (np.abs(depth_m - planes_m) <= settings.agree_share * planes_m)
@@ -72,30 +84,44 @@ def joined(
     return depth_m, np.where(known, np.where(agree, np.maximum(planes_sure, alone), alone), 0).astype(np.float32)
 
 
-def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Path, depth: Path) -> None:
+def run(settings: Settings, camera: str, model: Path, estimate: Path, planes: Path, depth: Written) -> None:
     """Write one camera's depth in metres from ``estimate`` (any unit) and ``planes`` (``depth.refine``'s)."""
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
-        raise Refusal(f"camera {camera} is not in {model}")
+        raise UserError(f"camera {camera} is not in {model}")
     given, sure = read_estimate(estimate)
     shape = (given.shape[1] / given.shape[0]) / (own.wh[0] / own.wh[1])
     if abs(shape - 1) > _SHAPE_TOLERANCE:
-        raise Refusal(f"{estimate} is {given.shape[1]}×{given.shape[0]}, another shape than camera {camera} ({own.wh[0]}×{own.wh[1]})")
+        raise UserError(
+            f"{estimate} is {given.shape[1]}×{given.shape[0]}, another shape than "
+            f"camera {camera} ({own.wh[0]}×{own.wh[1]})"
+        )
     given, sure = nearest(given, own.hw), nearest(sure, own.hw)
     planes_m, planes_sure = read_depth(planes)
     measured = planes_sure > settings.default_confidence
     found = align_depth(given, planes_m, measured, np.random.default_rng(0))
     if found.model == "undetermined":
-        raise Refusal(
-            f"nothing says how many metres a unit of {estimate.name} is: {int((measured & (given > 0)).sum())} pixels of camera {camera} "
-            "are measured by stereo too; set depth.source to embedded, or bring metric depth maps (depth/ in the dataset)"
+        raise UserError(
+            f"nothing says how many metres a unit of {estimate.name} is: "
+            f"{int((measured & (given > 0)).sum())} pixels of camera {camera} "
+            "are measured by stereo too; set depth.source to embedded, or bring "
+            "metric depth maps (depth/ in the dataset)"
         )
     depth_m, confidence = joined(given, sure, planes_m, planes_sure, found, settings)
     both = measured & (depth_m > 0)
     gap = float(np.median(np.abs(depth_m[both] / planes_m[both] - 1))) if both.any() else 1.0
     if gap > _WORST_GAP:
-        raise Refusal(f"{estimate.name} and what stereo measured in camera {camera} differ by {gap:.0%} in the median: not the same view")
+        raise UserError(
+            f"{estimate.name} and what stereo measured in camera {camera} differ by "
+            f"{gap:.0%} in the median: not the same view"
+        )
     shift = f" + {found.shift_m:.2f} m" if found.model == "affine" else ""
-    say(f"depth of {camera} = {found.scale:.4g} × {estimate.name}{shift}; {gap:.1%} off what stereo measured, in the median")
-    say(f"{np.mean(confidence > settings.default_confidence):.0%} agrees with stereo, {np.mean(depth_m == 0):.0%} stays unknown")
+    say(
+        f"depth of {camera} = {found.scale:.4g} × {estimate.name}{shift}; {gap:.1%} "
+        "off what stereo measured, in the median"
+    )
+    say(
+        f"{np.mean(confidence > settings.default_confidence):.0%} agrees with stereo, "
+        f"{np.mean(depth_m == 0):.0%} stays unknown"
+    )
     write_depth(depth, depth_m, confidence)

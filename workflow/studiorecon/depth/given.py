@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A depth map the user brought (metres, OpenEXR), fitted to the working size and checked; it takes the place of ``depth.refine``."""
+"""A depth map the user brought (metres, OpenEXR), fitted to the working size and checked; it takes the place of
+``depth.refine``."""
 
 from __future__ import annotations
 
@@ -8,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import read_depth, write_depth
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.depth.shared import Near
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.warp import sample
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
+from studiorecon.signature import Written
 
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02
@@ -21,14 +24,13 @@ _LEAST_KNOWN = 0.05
 
 
 @dataclass(frozen=True)
-class Settings:
-    """The range in which depth is believed; see config.yaml."""
-
-    near_m: float
+class Settings(Near):
+    """The range in which depth is believed."""
 
 
 def fit(depth_m: np.ndarray, confidence: np.ndarray, camera: Camera, near_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and confidence at the camera's size by nearest sampling: an average across an edge is on neither surface (C12).
+    """Depth and confidence at the camera's size by nearest sampling: an average across an edge is on neither surface
+    (C12).
 
     Values that are not finite or nearer than ``near_m`` become unknown (0, confidence 0).
     """
@@ -40,25 +42,32 @@ def fit(depth_m: np.ndarray, confidence: np.ndarray, camera: Camera, near_m: flo
     return np.where(known, resized, 0).astype(np.float32), np.where(known, certain, 0).astype(np.float32)
 
 
-def run(settings: Settings, camera: str, model: Path, source: Path, depth: Path) -> None:
+def run(settings: Settings, camera: str, model: Path, source: Path, depth: Written) -> None:
     """Write the given depth of one camera at the working size; refuses maps of another shape or nearly empty ones."""
     found = [c for c in read_model(model.parent) if c.name == camera]
     if not found:
-        raise Refusal(f"camera {camera} is not in {model}")
+        raise UserError(f"camera {camera} is not in {model}")
     given_m, certain = read_depth(source)
     shape = (given_m.shape[1] / given_m.shape[0]) / (found[0].wh[0] / found[0].wh[1])
     if abs(shape - 1) > _SHAPE_TOLERANCE:
-        raise Refusal(
-            f"{source} is {given_m.shape[1]}×{given_m.shape[0]}, another shape than camera {camera} ({found[0].wh[0]}×{found[0].wh[1]}):"
+        raise UserError(
+            f"{source} is {given_m.shape[1]}×{given_m.shape[0]}, another shape than camera "
+            f"{camera} ({found[0].wh[0]}×{found[0].wh[1]}):"
             " render it for the undistorted working view"
         )
     depth_m, certain = fit(given_m, certain, found[0], settings.near_m)
     known = depth_m > 0
     if known.mean() < _LEAST_KNOWN:
-        raise Refusal(f"{source} has depth for {known.mean():.1%} of its pixels; it must be z-depth in metres, 0 or NaN where unknown")
+        raise UserError(
+            f"{source} has depth for {known.mean():.1%} of its pixels; it must be "
+            "z-depth in metres, 0 or NaN where unknown"
+        )
     below = found[0].unproject(found[0].pixel_centres(), np.where(known, depth_m, 1.0))[..., 2][known]
     lowest_m = float(np.percentile(below, 2))
     say(f"depth of {camera} was given: {known.mean():.0%} known, median {np.median(depth_m[known]):.2f} m")
     if abs(lowest_m) > 0.5:
-        warn(f"its lowest points lie at z = {lowest_m:.2f} m, not near the floor at 0: is it z-depth in metres of this camera?")
+        warn(
+            f"its lowest points lie at z = {lowest_m:.2f} m, not near the floor at 0: "
+            "is it z-depth in metres of this camera?"
+        )
     write_depth(depth, depth_m, certain)

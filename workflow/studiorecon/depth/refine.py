@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along edges.
+"""One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along
+edges.
 
-Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge them
-have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/solids.json``) stands before all of it,
-and planes of regions that nothing explains (``regions``) replace what is there.
+Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge
+them have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/primitives.json``) stands
+before all of it, and planes of regions that nothing explains (``regions``) replace what is there.
 """
 
 from __future__ import annotations
@@ -15,41 +16,52 @@ import cv2
 import numpy as np
 from numba import njit
 
-from studiorecon.depth.evidence import Explained
-from studiorecon.depth.free_space import back_to_the_shell
-from studiorecon.depth.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.pictures import Picture, equalised, read_pictures
-from studiorecon.depth.regions import explain_regions
-from studiorecon.depth.solids import Solid, in_front, read_solids
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import write_depth
-from studiorecon.images.stills import read_plate
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
+from studiorecon.depth.shared import Assumed
+from studiorecon.depth.stereo.evidence import Explained
+from studiorecon.depth.stereo.free_space import back_to_the_shell
+from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.stereo.regions import explain_regions
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
+from studiorecon.footage.stills import read_plate
 from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.shell import Shell, read_shell
+from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.signature import Written
 
-# Colour difference (sum over channels) at which a neighbour's plane is half as likely, when planes are carried to full size.
+# Colour difference (sum over channels) at which a neighbour's plane is half as likely, when planes are carried to full
+# size.
 _EDGE_CONTRAST = 0.15
 
 
 @dataclass(frozen=True)
-class Settings(PassSettings):
-    """The second look's costs and the size it is done at; see config.yaml."""
+class Settings(PassSettings, Assumed):
+    """The size of the last look, and the share of the disagreement that a region's own plane may leave."""
 
-    refine_width: int
-    default_confidence: float
-    window: int
-    regions: int
-    regions_share: float
+    refine_width: int = setting(
+        320, "Width of the last look at the chosen planes, at most the working width.", minimum=32, maximum=4096
+    )
+    regions: int = setting(
+        0,
+        "Planes of their own, leaning as they may, of regions of a photo that room and furniture do not "
+        "explain, at most per camera; 0 = none.",
+        minimum=0,
+        maximum=1000,
+    )
+    regions_share: float = 0.4
 
 
 def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float) -> np.ndarray:
-    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a default.
+    """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
+    default.
 
-    A default is what no other camera can judge, and every pixel on a face of the shell that was not ``fitted`` (6,): the sky of an
-    open place looks the same from everywhere, which is no evidence for a wall.
+    A default is what no other camera can judge, and every pixel on a face of the shell that was not ``fitted`` (6,):
+    the sky of an open place looks the same from everywhere, which is no evidence for a wall.
     """
     quality = np.clip(1 - labelled.cost, 0, 1)
     measured = default_confidence + (1 - default_confidence) * np.maximum(quality, 1 / 255)
@@ -58,12 +70,19 @@ def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float
 
 
 def carry(values: np.ndarray, guide: np.ndarray, rgb: np.ndarray) -> np.ndarray:
-    """(H, W) int index into the flattened small picture: for every full-size pixel the small pixel it takes its plane from.
+    """(H, W) int index into the flattened small picture: for every full-size pixel the small pixel it takes its plane
+    from.
 
-    ``values`` (h, w) are the small picture's planes, ``guide`` (h, w, 3) its colours, ``rgb`` (H, W, 3) the full picture. The
-    plane with the most weight among the 3×3 nearest small pixels wins; weight falls with distance and colour difference.
+    ``values`` (h, w) are the small picture's planes, ``guide`` (h, w, 3) its colours, ``rgb`` (H, W, 3) the full
+    picture. The plane with the most weight among the 3×3 nearest small pixels wins; weight falls with distance and
+    colour difference.
     """
-    return _carry(np.ascontiguousarray(values, np.int64), guide.astype(np.float32), rgb.astype(np.float32), np.float32(_EDGE_CONTRAST))
+    return _carry(
+        np.ascontiguousarray(values, np.int64),
+        guide.astype(np.float32),
+        rgb.astype(np.float32),
+        np.float32(_EDGE_CONTRAST),
+    )
 
 
 @njit(cache=True)
@@ -102,21 +121,31 @@ def _carry(values, guide, rgb, contrast):
     return source
 
 
-def at_full_size(camera: Camera, rgb: np.ndarray, small: Picture, labelled: Labelled, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H, W)."""
+def at_full_size(
+    camera: Camera, rgb: np.ndarray, small: Picture, labelled: Labelled, planes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
+    W)."""
     source = carry(labelled.plane, small.rgb, rgb)
     plane = planes[labelled.plane.ravel()[source]]
     depth_m = replace(small, camera=camera).depth_of(plane)
-    # A plane that is grazed can run off just beyond the pixel it was found at: never further than its neighbours' depth allows.
+    # A plane that is grazed can run off just beyond the pixel it was found at: never further than its neighbours' depth
+    # allows.
     found = labelled.depth_m.ravel()[source]
     runaway = (depth_m <= 0) | (depth_m > 1.5 * found + 0.1)
     return np.where(runaway, found, depth_m).astype(np.float32), source
 
 
 def final_pass(
-    cameras: list[Camera], pictures: list[Picture], index: int, shell: Shell, passes: list[np.ndarray], settings: Settings
+    cameras: list[Camera],
+    pictures: list[Picture],
+    index: int,
+    shell: RoomBox,
+    passes: list[np.ndarray],
+    settings: Settings,
 ) -> Labelled:
-    """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w) depths."""
+    """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w)
+    depths."""
     picture = pictures[index]
     depths = plane_depths(picture, shell.planes, shell, settings)
     rest = [i for i in range(len(pictures)) if i != index]
@@ -126,52 +155,92 @@ def final_pass(
 
 
 def furnished(
-    camera: Camera, index: int, pictures: list[Picture], shell: Shell, solids: list[Solid], depth_m: np.ndarray, certain: np.ndarray,
+    camera: Camera,
+    index: int,
+    pictures: list[Picture],
+    shell: RoomBox,
+    solids: list[Primitive],
+    depth_m: np.ndarray,
+    certain: np.ndarray,
     settings: Settings,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the solids before everything else.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the solids before
+    everything else.
 
-    What another camera sees of a solid has the confidence of its match; the rest of it is as little measured as a default.
+    What another camera sees of a solid has the confidence of its match; the rest of it is as little measured as a
+    default.
     """
     depth_m, shown = in_front(solids, camera, depth_m)
     if not shown.any():
         return depth_m, certain, shown
     room = Explained.by_shell(pictures, shell, settings.refine_window, settings.mean_weight)
     room.replace_all(np.array([solid.numbers for solid in solids]))
-    small = Labelled(*(a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
-                       for a in (room.surface[index], room.depth[index], room.cost[index], room.judges[index] > 0)))  # fmt: skip
-    stated = confidence(replace(small, plane=np.full_like(small.plane, 6)), np.zeros(6, bool), settings.default_confidence)
+    small = Labelled(
+        *(
+            a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
+            for a in (room.surface[index], room.depth[index], room.cost[index], room.judges[index] > 0)
+        )
+    )
+    stated = confidence(
+        replace(small, plane=np.full_like(small.plane, 6)), np.zeros(6, bool), settings.default_confidence
+    )
     certainty, _ = sample(stated, camera.pixel_centres() * (np.array(stated.shape[::-1]) / camera.wh), "nearest")
     return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
 
 
 def patched(
-    camera: Camera, rgb: np.ndarray, index: int, pictures: list[Picture], depths: list[np.ndarray], shell: Shell, depth_m: np.ndarray,
-    certain: np.ndarray, settings: Settings,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Depth, confidence (H, W) and (H, W) bool ``patch`` of one camera at full size with the planes of regions that explain the photos
-    better than ``depths`` (one (h, w) per picture) do."""
+    camera: Camera,
+    rgb: np.ndarray,
+    index: int,
+    pictures: list[Picture],
+    depths: list[np.ndarray],
+    shell: RoomBox,
+    depth_m: np.ndarray,
+    certain: np.ndarray,
+    settings: Settings,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depth, confidence (H, W) and (H, W) bool ``patch`` of one camera at full size with the planes of regions that
+    explain the photos better than ``depths`` (one (h, w) per picture) do."""
     found = explain_regions(
-        pictures, index, depths, shell, window=settings.window, mean_weight=settings.mean_weight, penalty=settings.refine_penalty,
-        near_m=settings.near_m, most_share=settings.regions_share, most=settings.regions,
-    )  # fmt: skip
+        pictures,
+        index,
+        depths,
+        shell,
+        window=settings.window,
+        mean_weight=settings.mean_weight,
+        penalty=settings.refine_penalty,
+        near_m=settings.near_m,
+        most_share=settings.regions_share,
+        most=settings.regions,
+    )
     planes = np.concatenate([np.zeros((1, 4)), found.planes])
     small_m = np.where(found.chosen > 0, pictures[index].depth_of(planes[found.chosen]), depths[index])
     labelled = Labelled(found.chosen, small_m, found.cost, found.judged)
     patch_m, source = at_full_size(camera, rgb, pictures[index], labelled, planes)
-    stated = confidence(replace(labelled, plane=found.chosen + 6), np.zeros(6, bool), settings.default_confidence).ravel()[source]
+    stated = confidence(
+        replace(labelled, plane=found.chosen + 6), np.zeros(6, bool), settings.default_confidence
+    ).ravel()[source]
     patch = found.chosen.ravel()[source] > 0
     return np.where(patch, patch_m, depth_m), np.where(patch, stated, certain), patch
 
 
-def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes: Path, shell: Path, solids: Path, depth: Path) -> None:
+def run(
+    settings: Settings,
+    camera: str,
+    model: Path,
+    plates: list[Path],
+    passes: Path,
+    shell: Path,
+    solids: Path,
+    depth: Written,
+) -> None:
     """Write one camera's depth and confidence."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
     if camera not in names:
-        raise Refusal(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+        raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     index = names.index(camera)
-    room = read_shell(shell)
+    room = read_room(shell)
     with np.load(passes, allow_pickle=False) as stored:
         agreed = [stored[f"depth_{name}"] for name in names]
     gains = np.stack([room.gains[name] for name in names])
@@ -179,20 +248,37 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], passes
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = back_to_the_shell(labelled, pictures[index].camera, room, others)
-    say(f"{floating:.1%} of {camera} would float where another camera looks through it: put on the walls and floor instead")
+    say(
+        f"{floating:.1%} of {camera} would float where another camera looks through "
+        "it: put on the walls and floor instead"
+    )
     rgb, _ = read_plate(plates[index])
-    depth_m, source = at_full_size(cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes)
+    depth_m, source = at_full_size(
+        cameras[index], rgb / gains[index].astype(np.float32), pictures[index], labelled, room.planes
+    )
     certainty = confidence(labelled, room.fitted, settings.default_confidence).ravel()[source]
     say(f"{(~labelled.judged).mean():.0%} of {camera} rests on the default: no other camera sees the surface there")
     depth_m, certainty, shown = furnished(
-        cameras[index], index, pictures, room, read_solids(solids), depth_m, certainty.reshape(depth_m.shape), settings
+        cameras[index],
+        index,
+        pictures,
+        room,
+        read_primitives(solids),
+        depth_m,
+        certainty.reshape(depth_m.shape),
+        settings,
     )
     if settings.regions:
         depths = [cv2.resize(a, p.camera.wh, interpolation=cv2.INTER_NEAREST) for a, p in zip(agreed, pictures)]
-        depths[index] = in_front(read_solids(solids), pictures[index].camera, labelled.depth_m)[0]
+        depths[index] = in_front(read_primitives(solids), pictures[index].camera, labelled.depth_m)[0]
         even = rgb / gains[index].astype(np.float32)
-        depth_m, certainty, patch = patched(cameras[index], even, index, pictures, depths, room, depth_m, certainty, settings)
+        depth_m, certainty, patch = patched(
+            cameras[index], even, index, pictures, depths, room, depth_m, certainty, settings
+        )
         shown &= ~patch
         say(f"{patch.mean():.1%} of {camera} is planes of regions that room and furniture did not explain")
-    say(f"{shown.mean():.0%} of {camera} is boxes and cylinders, {(labelled.plane >= 6).mean():.0%} other surfaces inside the room")
+    say(
+        f"{shown.mean():.0%} of {camera} is boxes and cylinders, "
+        f"{(labelled.plane >= 6).mean():.0%} other surfaces inside the room"
+    )
     write_depth(depth, depth_m, certainty)

@@ -1,173 +1,256 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From votes to a room: the most voted wall on each side, its place to the centimetre, and the planes worth trying inside."""
+"""The room around all cameras, from every sweep's votes, its furniture, and a first depth of every camera that agrees
+with the others.
+
+Writes ``depth/room.json`` (``scene.room.RoomBox``), ``depth/primitives.json`` (``depth.layout.primitives.Primitive``)
+with a picture of them, and ``depth/passes.npz`` (one (H, W) depth per camera at the sweep's size).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from studiorecon.depth.pictures import Picture
-from studiorecon.scene.shell import Shell
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.depth.layout import box as room
+from studiorecon.depth.layout.furniture import furnish
+from studiorecon.depth.layout.primitives import Primitive, in_front, write_primitives
+from studiorecon.depth.layout.sheet import sheet, write_sheet
+from studiorecon.depth.layout.visibility import seen_through, walked
+from studiorecon.depth.shared import FirstLook
+from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures, surface_gains
+from studiorecon.errors import UserError
+from studiorecon.progress import progress, say
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.scene.room import FACES, RoomBox, write_room
+from studiorecon.signature import Written
 
-# Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
-_SAME_SURFACE = 0.2
-_LEAST_VOTERS = 30
-# Walls with this share of the best one's votes are its rivals; the window that decides spans a tenth of the picture's width.
-_RIVAL_SHARE, _MOST_RIVALS = 0.2, 6
-_WIDE_SHARE = 20
+_PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
+_CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
+_VOTER_REACH_M = 0.15
+# A wall this far along on either side votes for offsets this much times sin(turn) apart when its yaw was off by the
+# turn.
+_HALF_WALL_M = 4.0
+_OUTSIDE_MARGIN_M = 0.05
+# Span and step of the walls' turn: first what the sweep may be off by without lines, then to a tenth of a degree.
+_YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radians(0.1)))
 
 
 @dataclass(frozen=True)
-class Votes:
-    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
+class Settings(PassSettings, FirstLook):
+    """What makes a wall: so far outside the outermost camera, with so many of all pixels behind it; the height of a
+    ceiling that nobody sees; the size in pixels of pictures that furniture is fitted to, and what it must explain."""
 
-    planes: np.ndarray
-    chosen: Sequence[np.ndarray]
-    confident: Sequence[np.ndarray]
-
-    def count(self) -> np.ndarray:
-        """(L,) confident pixels per plane, over all pictures."""
-        return sum(np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
-
-    def voters(self, normal: np.ndarray, offset: float, reach_m: float) -> list[np.ndarray]:
-        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of ``offset``."""
-        near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
-        return [m & near[c] for c, m in zip(self.chosen, self.confident)]
-
-
-@dataclass(frozen=True)
-class Matching:
-    """How planes are compared when they are placed: window in pixels, weight of the mean difference, depth range in metres."""
-
-    window: int
-    mean_weight: float
-    near_m: float
-    far_m: float
+    wall_clearance_m: float = 0.3
+    wall_votes: float = 0.004
+    ceiling_default_m: float = 3.2
+    candidates: int = setting(
+        60, "Planes inside the room that the second look tries, at most.", minimum=0, maximum=1000
+    )
+    passes: int = setting(2, "Rounds in which each camera is judged against the others' depth.", minimum=1, maximum=10)
+    solids: int = setting(
+        40,
+        "Upright boxes and cylinders that are put into the room, at most; 0 = none.",
+        minimum=0,
+        maximum=1000,
+        paper="none; its depth is a network's",
+        letter=0,
+    )
+    solids_width: int = 160
+    solids_gain: float = 40.0
 
 
-def plane_support(pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, how: Matching) -> tuple[float, int]:
-    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and how many comparisons that is."""
-    total, count = 0.0, 0
-    for i, picture in enumerate(pictures):
-        if voters[i].sum() < _LEAST_VOTERS:
-            continue
-        for j, other in enumerate(pictures):
-            if i == j:
-                continue
-            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
-            score = score[score > _SAME_SURFACE]
-            total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
-    return total / max(count, 1), count
+def fit_shell(
+    pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_m: float, settings: Settings
+) -> RoomBox:
+    """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
 
-
-def place_plane(
-    pictures: Sequence[Picture],
-    voters: Sequence[np.ndarray],
-    normal: np.ndarray,
-    offset: float,
-    span_m: float,
-    step_m: float,
-    how: Matching,
-) -> tuple[float, float]:
-    """The offset near ``offset`` at which the voters' pictures agree best (parabola through the best three), and that score."""
-    tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
-    support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
-    # Comparisons are lost at the wrong offset, so the mean alone would reward a plane that few pixels still match.
-    most = max(count for _, count in support)
-    if most < _LEAST_VOTERS:
-        return offset, float("nan")
-    value = np.array([mean * np.sqrt(count / most) for mean, count in support])
-    best = int(value.argmax())
-    shift = 0.0
-    if 0 < best < len(value) - 1:
-        before, at, after = value[best - 1 : best + 2]
-        bend = before - 2 * at + after
-        shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(tried[best] + shift * step_m), float(support[best][0])
-
-
-def turned_offset(pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, normal: np.ndarray, how: Matching) -> float:
-    """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
-    points = [p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v] for p, v in zip(pictures, voters)]
-    points = np.concatenate(points)
-    return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
-
-
-def strong_offsets(planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float) -> list[float]:
-    """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first; none below ``least_votes``.
-
-    Local maxima of the votes of three neighbouring planes, down to a share of the best one's.
+    A default wall stands ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
+    least a metre above the highest camera): an open place has no walls, and ``fitted`` says so.
     """
-    parallel = np.flatnonzero((planes[:, :3] @ normal > 0.999) & (side * (planes[:, 3] - beyond) > 0))
-    if not len(parallel):
-        return []
-    parallel = parallel[np.argsort(planes[parallel, 3], kind="stable")]
-    count = votes[parallel].astype(np.float64)
-    around = np.convolve(count, np.ones(3), mode="same")
-    padded = np.pad(around, 1, constant_values=-1)
-    peaks = np.flatnonzero((around > padded[:-2]) & (around >= padded[2:]) & (around >= max(least_votes, _RIVAL_SHARE * around.max())))
-    offsets = []
-    for peak in peaks[np.argsort(-around[peaks], kind="stable")][:_MOST_RIVALS]:
-        span = slice(max(peak - 1, 0), peak + 2)
-        offsets.append(float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum()))
-    return offsets
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    count = votes.count()
+    least = settings.wall_votes * sum(c.size for c in votes.chosen)
+    centres = np.stack([p.camera.centre_m for p in pictures])
+    start = RoomBox(yaw_rad, np.full(3, -np.inf), np.full(3, np.inf), np.zeros(6, bool), np.full(6, np.nan))
+
+    def found(face: int, clearance_m: float) -> float | None:
+        axis, side = start.axes[face // 2], 2 * (face % 2) - 1
+        edge = side * (side * centres @ axis).max()
+        beyond = edge + side * clearance_m
+        offsets = room.strong_offsets(votes.planes, count, axis, beyond, side, least)
+        return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
+
+    walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
+    turn = 0.0
+    for span_rad, step_rad in _YAW_SEARCH_RAD:
+        box = replace(
+            start, yaw_rad=yaw_rad + turn, low_m=centres.min(0) - settings.far_m, high_m=centres.max(0) + settings.far_m
+        )
+        for face, offset in walls.items():
+            (box.low_m, box.high_m)[face % 2][face // 2] = offset
+        # Every pixel that looks at a wall takes part, not only its voters: those were chosen by agreeing with the yaw
+        # that is in question.
+        looks = [p.textured(settings.window) & p.known for p in pictures]
+        faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
+        seen = [
+            (np.array([*box.axes[f // 2], o]), [m & (at == f) for m, at in zip(looks, faces)]) for f, o in walls.items()
+        ]
+        turn += room.refine_yaw(pictures, seen, span_rad, step_rad, how)
+    axes = replace(start, yaw_rad=yaw_rad + turn).axes
+    low, high, fitted, score = np.zeros(3), np.zeros(3), np.zeros(6, bool), np.full(6, np.nan)
+    for face in range(4):
+        axis, side = face // 2, 2 * (face % 2) - 1
+        offset = side * ((side * centres @ axes[axis]).max() + settings.far_m)
+        if face in walls:
+            reach_m = _VOTER_REACH_M + _HALF_WALL_M * abs(np.sin(turn))
+            voters = votes.voters(start.axes[axis], walls[face], reach_m)
+            begin = room.turned_offset(pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how)
+            offset, score[face] = room.place_plane(
+                pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how
+            )
+            fitted[face] = True
+        (low, high)[face % 2][axis] = offset
+    voters = votes.voters(axes[2], floor_m, 0.06)
+    low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
+    fitted[4] = sum(int(v.sum()) for v in voters) >= least
+    high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
+    top = found(5, 0.2)
+    if top is not None:
+        voters = votes.voters(axes[2], top, _VOTER_REACH_M)
+        high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, _PLACING_SPAN_M, _PLACING_STEP_M, how)
+        fitted[5] = True
+    return RoomBox(yaw_rad + turn, low, high, fitted, score)
 
 
-def decide_face(
-    pictures: Sequence[Picture], votes: Votes, normal: np.ndarray, offsets: Sequence[float], beyond: float, side: int, how: Matching
-) -> float:
-    """Which of several strong walls on one side explains the pixels of all of them best, seen through a wide window.
+def inside_votes(pictures: list[Picture], votes: room.Votes, shell: RoomBox, settings: Settings) -> room.Votes:
+    """The votes whose points lie inside the shell; nothing is seen through a wall."""
+    kept = []
+    for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
+        depth_m = picture.depth_of(votes.planes[chosen])
+        points = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
+        kept.append(confident & (depth_m > 0) & shell.contains(points, _OUTSIDE_MARGIN_M))
+    return replace(votes, confident=kept)
 
-    A striped wallpaper correlates with itself a period further, and gathers votes there; in a window wide enough to hold a
-    picture or a door frame it no longer does. Neither the most voted nor the outermost plane is safe.
+
+def refine_candidates(pictures: list[Picture], votes: room.Votes, planes: np.ndarray, settings: Settings) -> np.ndarray:
+    """The candidate planes with their offsets placed by their own voters; the six faces of the shell stay."""
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    placed = planes.copy()
+    for k in progress(range(6, len(planes)), "placing planes"):
+        voters = votes.voters(planes[k, :3], planes[k, 3], 0.07)
+        offset, score = room.place_plane(
+            pictures, voters, planes[k, :3], planes[k, 3], _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M, how
+        )
+        if np.isfinite(score):
+            placed[k, 3] = offset
+    return placed
+
+
+def agreeing_depths(
+    pictures: list[Picture], shell: RoomBox, solids: list[Primitive], starts: list[np.ndarray], settings: Settings
+) -> list[np.ndarray]:
+    """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth
+    and the solids."""
+    depths = [plane_depths(p, shell.planes, shell, settings) for p in pictures]
+    scores = [
+        [plane_scores(p, o, shell.planes, d, settings) for j, o in enumerate(pictures) if j != i]
+        for i, (p, d) in enumerate(zip(pictures, depths))
+    ]
+    latest = starts
+    for _ in progress(range(settings.passes), "agreeing"):
+        others = [
+            [(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))
+        ]
+        found = [
+            explain(p, shell.planes, d, s, o, settings).depth_m for p, d, s, o in zip(pictures, depths, scores, others)
+        ]
+        latest = [in_front(solids, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
+    return latest
+
+
+def run(
+    settings: Settings,
+    model: Path,
+    plates: list[Path],
+    sweeps: list[Path],
+    people: list[Path],
+    detections: list[Path],
+    identities: list[Path],
+    shell: Written,
+    solids: Written,
+    picture: Written,
+    passes: Written,
+) -> None:
+    """Fit the room shell to all sweeps, put furniture into it, and let the cameras agree on depth.
+
+    ``people``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
     """
-    if len(offsets) == 1:
-        return offsets[0]
-    rivals = (votes.planes[:, :3] @ normal > 0.999) & (side * (votes.planes[:, 3] - beyond) > 0)
-    pixels = [m & rivals[c] for c, m in zip(votes.chosen, votes.confident)]
-    wide = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
-    explained = []
-    for k, offset in enumerate(offsets):
-        voters = votes.voters(normal, offset, 0.1)
-        offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
-        plane, total = np.array([*normal, offsets[k]]), 0.0
-        for i, picture in enumerate(pictures):
-            others = [picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m) for j, o in enumerate(pictures) if j != i]
-            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
-        explained.append(total)
-    return offsets[int(np.argmax(explained))]
+    cameras = read_model(model.parent)
+    swept = [dict(np.load(path, allow_pickle=False)) for path in sweeps]
+    if len(swept) != len(cameras) or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
+        raise UserError(
+            f"{len(swept)} sweeps for {len(cameras)} cameras, or sweeps of different "
+            "settings: run depth.sweep again for all"
+        )
+    gains = swept[0]["gains"]
+    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), gains)
+    votes = room.Votes(swept[0]["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
+    fitted = fit_shell(pictures, votes, float(swept[0]["yaw_rad"]), float(swept[0]["floor_m"]), settings)
+    for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
+        say(
+            f"{name} at {face[3]:.3f} m"
+            + (f" (correlation {score:.2f})" if ok else ": a default, no such surface was found")
+        )
+    votes = inside_votes(pictures, votes, fitted, settings)
+    planes = room.candidates(
+        votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)
+    )
+    planes = refine_candidates(pictures, votes, planes, settings)
+    fitted = replace(fitted, planes=planes)
+    say(f"{len(planes) - 6} planes inside the room are worth trying")
+    furniture: list[Primitive] = []
+    if settings.solids and len(cameras) > 1:
+        small = equalised(read_pictures(cameras, plates, settings.solids_width), gains)
+        bodies, whose = [read_person(path) for path in people], read_identities(identities[0]) if identities else {}
+        free_m = np.concatenate(
+            [walked(bodies), seen_through(cameras, bodies, [read_detections(path) for path in detections], whose)]
+        )
+        say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
+        furniture = furnish(
+            small,
+            fitted,
+            free_m,
+            window=settings.refine_window,
+            mean_weight=settings.mean_weight,
+            least_gain=settings.solids_gain,
+            most=settings.solids,
+        )
+        say(f"{len(furniture)} boxes and cylinders explain what walls and floor do not")
+    starts = []
+    for p, chosen, confident in zip(pictures, votes.chosen, votes.confident):
+        wall_m = fitted.intersect(*p.camera.rays())[0]
+        seen_m = np.where(confident, p.depth_of(votes.planes[chosen]), wall_m).astype(np.float32)
+        starts.append(in_front(furniture, p.camera, seen_m)[0])
+    depths = agreeing_depths(pictures, fitted, furniture, starts, settings)
+    rest, pairs = surface_gains(pictures, depths, settings.window)
+    gains = gains * rest
+    say(
+        f"exposure on {pairs} views of common surfaces: "
+        + ", ".join(f"{c.name} {g.mean():.3f}" for c, g in zip(cameras, gains))
+    )
+    write_room(shell, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
+    write_primitives(solids, furniture)
+    write_sheet(picture, sheet(pictures, fitted, furniture, depths))
+    write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
 
 
-def refine_yaw(
-    pictures: Sequence[Picture], walls: Sequence[tuple[np.ndarray, list[np.ndarray]]], span_rad: float, step_rad: float, how: Matching
-) -> float:
-    """Turn (radians) of all walls, each a plane (4,) and per picture the (H, W) pixels that look at it, that matches best; 0 without walls.
-
-    Every wall turns about the middle of what is seen of it.
-    """
-    turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
-    value = np.zeros(len(turns))
-    for plane, pixels in walls:
-        if sum(int(p.sum()) for p in pixels) < _LEAST_VOTERS:
-            continue
-        for k, turn in enumerate(turns):
-            c, s = np.cos(turn), np.sin(turn)
-            turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
-            mean, count = plane_support(pictures, pixels, np.array([*turned, turned_offset(pictures, pixels, plane, turned, how)]), how)
-            value[k] += mean * count
-    return float(turns[int(value.argmax())]) if value.any() else 0.0
-
-
-def candidates(planes: np.ndarray, votes: np.ndarray, shell: Shell, most: int, least_votes: int) -> np.ndarray:
-    """(K, 4) the shell's six faces, then the most voted planes inside it that are not near-copies of one another."""
-    chosen = list(shell.faces)
-    for k in np.argsort(-votes, kind="stable"):
-        if votes[k] < least_votes or len(chosen) >= most + 6:
-            break
-        plane = planes[k]
-        apart = 0.06 if abs(plane[2]) > 0.5 else 0.1
-        if all(plane[:3] @ other[:3] < 0.999 or abs(plane[3] - other[3]) > apart for other in chosen):
-            chosen.append(plane)
-    return np.array(chosen)
+def _least_voters(pictures: list[Picture]) -> int:
+    """A plane needs this many pixels: 40 at 320×176, the size the value was measured at."""
+    return max(8, round(40 * pictures[0].rgb.shape[0] * pictures[0].rgb.shape[1] / (320 * 176)))

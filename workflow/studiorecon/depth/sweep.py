@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """First look of one camera: which plane of the whole catalogue explains each pixel best.
 
-Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the pixel is
-confident, and what the scene shares: floor height, wall yaw, exposure gains.
+Writes ``depth/<camera>.sweep.npz``: planes (L, 4) and the (H, W) index of each pixel's plane, its cost, whether the
+pixel is confident, and what the scene shares: floor height, wall yaw, exposure gains.
 """
 
 from __future__ import annotations
@@ -12,15 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.depth.labelling import label
-from studiorecon.depth.matching import UNKNOWN
-from studiorecon.depth.pictures import Picture, equalised, floor_and_gains, read_pictures
-from studiorecon.depth.planes import hypotheses, rig_centre, wall_yaw
-from studiorecon.depth.turning import matched_yaw
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.depth.layout.yaw import matched_yaw
+from studiorecon.depth.shared import FirstLook, Matching
+from studiorecon.depth.stereo.labelling import label
+from studiorecon.depth.stereo.matching import UNKNOWN
+from studiorecon.depth.stereo.pictures import Picture, equalised, floor_and_gains, read_pictures
+from studiorecon.depth.stereo.planes import hypotheses, rig_centre, wall_yaw
+from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import write_npz
+from studiorecon.signature import Written
 
 # Cost of a plane where no other camera can judge it, and of one that is out of range.
 UNJUDGED = 0.75
@@ -32,20 +35,24 @@ _LEAST_YAW_SUPPORT = 0.12
 
 
 @dataclass(frozen=True)
-class Settings:
-    """The catalogue of planes and the matching; see config.yaml."""
+class Settings(Matching, FirstLook):
+    """The catalogue of planes: up to ``furniture_m``, through the range ``ceiling_m``, and walls up to ``reach_m`` from
+    the rig's centre; ``sweep_penalty`` is the price of changing the plane between neighbouring pixels."""
 
-    sweep_width: int
-    near_m: float
-    far_m: float
-    horizontal_step_m: float
-    wall_step_m: float
-    furniture_m: float
-    ceiling_m: tuple[float, float]
-    reach_m: float
-    window: int
-    mean_weight: float
-    sweep_penalty: float
+    horizontal_step_m: float = setting(
+        0.04,
+        "Step between horizontal planes from the floor to furniture, and at twice the step through the "
+        "ceiling's range.",
+        unit="m",
+        above=0,
+    )
+    wall_step_m: float = setting(
+        0.06, "Step between walls near the rig's centre; it grows with the square beyond 4.5 m.", unit="m", above=0
+    )
+    furniture_m: float = 1.3
+    ceiling_m: tuple[float, float] = (2.2, 3.2)
+    reach_m: float = 10.0
+    sweep_penalty: float = 0.6
 
 
 def best_costs(pictures: list[Picture], index: int, planes: np.ndarray, settings: Settings) -> np.ndarray:
@@ -60,26 +67,35 @@ def best_costs(pictures: list[Picture], index: int, planes: np.ndarray, settings
         seen = picture.depth(plane, settings.near_m, settings.far_m) > 0
         best = np.full(picture.known.shape, UNKNOWN, np.float32)
         for other in others:
-            best = np.maximum(best, picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m))
+            best = np.maximum(
+                best,
+                picture.score(other, plane, settings.window, settings.mean_weight, settings.near_m, settings.far_m),
+            )
         cost[..., k] = np.where(seen, np.where(best > UNKNOWN, np.clip(1 - best, 0, 1.2), UNJUDGED), IMPOSSIBLE)
     return cost
 
 
-def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Path) -> None:
+def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep: Written) -> None:
     """Sweep the planes through one camera's plate and write what it voted for."""
     cameras = read_model(model.parent)
     names = [c.name for c in cameras]
     if camera not in names:
-        raise Refusal(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
+        raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     pictures = read_pictures(cameras, plates, settings.sweep_width)
     floor_m, gains, pairs = floor_and_gains(pictures, settings.window, settings.near_m, settings.far_m)
     pictures = equalised(pictures, gains)
     index = names.index(camera)
-    say(f"exposure of {camera} is {gains[index].mean():.3f} of the rig's mean, from {pairs} views of the floor at z = {floor_m:.2f} m")
+    say(
+        f"exposure of {camera} is {gains[index].mean():.3f} of the rig's mean, from {pairs} "
+        f"views of the floor at z = {floor_m:.2f} m"
+    )
     yaw_rad, support = wall_yaw([p.camera for p in pictures], [p.rgb for p in pictures], [p.known for p in pictures])
     if support < _LEAST_YAW_SUPPORT:
         yaw_rad = matched_yaw(pictures, floor_m, settings.reach_m, settings.near_m, settings.far_m)
-        say(f"no common direction of lines (support {support:.2f}): walls at {np.degrees(yaw_rad):.0f}° and across match best")
+        say(
+            f"no common direction of lines (support {support:.2f}): walls at "
+            f"{np.degrees(yaw_rad):.0f}° and across match best"
+        )
     else:
         say(f"lines run at {np.degrees(yaw_rad):.1f}° and across (support {support:.2f})")
     planes = hypotheses(
@@ -99,7 +115,13 @@ def run(settings: Settings, camera: str, model: Path, plates: list[Path], sweep:
     say(f"{confident.mean():.0%} of {camera} found a plane among {len(planes)}")
     write_npz(
         sweep,
-        {"planes": planes,
-         "chosen": chosen.astype(np.int16), "cost": chosen_cost, "confident": confident, "floor_m": floor_m, "yaw_rad": yaw_rad,
-         "gains": gains},
-    )  # fmt: skip
+        {
+            "planes": planes,
+            "chosen": chosen.astype(np.int16),
+            "cost": chosen_cost,
+            "confident": confident,
+            "floor_m": floor_m,
+            "yaw_rad": yaw_rad,
+            "gains": gains,
+        },
+    )

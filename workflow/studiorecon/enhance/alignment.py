@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where earlier pictures of a film lie on the current one: flow of the raw renders, straight to each or over those between (U06)."""
+"""Where earlier pictures of a film lie on the current one: flow of the raw renders, straight to each or over those
+between (U06)."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from studiorecon.enhance.injection import Injection
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.images.flow import chained, consistent
 from studiorecon.models.protocols import Flow
 
@@ -22,7 +23,8 @@ class Past:
     Attributes:
         output: (H, W, 3) float32 what the enhancer made of it.
         render: (H, W, 3) uint8 its raw render.
-        flow, valid: (H, W, 2) flow to the picture before it and (H, W) where that holds; None for the first of a segment.
+        flow, valid: (H, W, 2) flow to the picture before it and (H, W) where that holds; None for the first of a
+            segment.
     """
 
     output: np.ndarray
@@ -32,9 +34,10 @@ class Past:
 
 
 def backward_flow(picture: np.ndarray, past: np.ndarray, search: Flow, check: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be checked."""
+    """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be
+    checked."""
     if picture.shape != past.shape:
-        raise Refusal(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
+        raise UserError(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
     backward = search.flow(picture, past)
     if not check:
         return backward, np.isfinite(backward).all(axis=-1)
@@ -46,8 +49,8 @@ def flows_back(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Flow and validity from the current picture to every earlier one, latest first.
 
-    ``chained`` costs one search per picture whatever the history and adds up the errors of its links; ``direct`` searches once per
-    earlier picture. Either way every stored output is warped once (numerics E08).
+    ``chained`` costs one search per picture whatever the history and adds up the errors of its links; ``direct``
+    searches once per earlier picture. Either way every stored output is warped once (E08).
     """
     if injection.flow == "direct":
         return list(pool.map(lambda past: backward_flow(picture, past.render, search, injection.check), history))

@@ -1,19 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration's ``enhancer`` and ``flow`` stand for: the embedded ones, or an upstream network with its weights."""
+"""What a configuration's ``enhancer`` and ``flow`` stand for: the embedded ones, or an upstream network.
+
+The embedded enhancer carries over to the new view what the renders miss at the training cameras (``images.transfer``).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from studiorecon.enhance.enhancer import Unchanged
 from studiorecon.images.flow import dis_flow, grey_levels
-from studiorecon.models.protocols import Enhancer, Flow
+from studiorecon.images.transfer import ResidualSource, Transfer, carried_over
+from studiorecon.models.choices import EnhancerName, FlowName
+from studiorecon.models.loading import load
+from studiorecon.models.protocols import Enhancer, Flow, Moment
 
 Preset = Literal["ultrafast", "fast", "medium"]
+
+
+class Unchanged:
+    """The enhancer ``none``: what comes in goes out; injection around it only steadies the picture."""
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        return image
+
+
+class ResidualTransfer:
+    """The enhancer ``residual``: adds ``strength`` × cover × the carried-over residual of the moment."""
+
+    def __init__(
+        self, sources_at: Callable[[float], Sequence[ResidualSource]], strength: float, transfer: Transfer
+    ) -> None:
+        self._sources_at, self._strength, self._transfer = sources_at, strength, transfer
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        """The corrected picture; history in it already carries corrections, so only the fresh share is corrected again.
+
+        Without that factor the fixed point of the recursion would be 1 / (1 - w) times the residual.
+        """
+        if self._strength == 0:
+            return image
+        residual, cover = carried_over(moment.camera, moment.depth_m, self._sources_at(moment.frame), self._transfer)
+        share = self._strength * cover * (1 - moment.injected)
+        return np.clip(image + share[..., None] * residual, 0, 1).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -27,25 +60,21 @@ class DisFlow:
         return dis_flow(grey_levels(first), grey_levels(second), self.preset)
 
 
-def flow_of(name: Literal["dis", "raft"], preset: Preset, weights: Path, device: str) -> Flow:
+def flow_of(name: FlowName, preset: Preset, weights: Path, device: str) -> Flow:
     """The flow of that name; ``weights``: folder of upstream weights, ``device``: auto, cpu or cuda.
 
-    RAFT enlarges pictures under 128 pixels by whole numbers (numerics E12). Raises Refusal when its weights are missing.
+    Raises UserError when a network's weights, package or memory are missing.
     """
     if name == "dis":
         return DisFlow(preset)
-    from studiorecon.models.raft import Raft
-
-    return Raft(weights, device)
+    return load("flow", name, weights, device)
 
 
-def network(name: Literal["difix", "fixer", "none"], weights: Path, device: str, seed: int) -> Enhancer:
+def network(name: EnhancerName, weights: Path, device: str, seed: int) -> Enhancer:
     """The enhancer of that name that needs nothing but a picture and a photo; ``none`` leaves pictures as they are.
 
-    Raises Refusal when a network's weights, package or memory are missing.
+    Raises UserError when a network's weights, package or memory are missing.
     """
     if name == "none":
         return Unchanged()
-    from studiorecon.models.difix import Difix, Fixer
-
-    return Difix(weights, seed, device) if name == "difix" else Fixer(weights, device)
+    return load("picture enhancer", name, weights, device, seed=seed)

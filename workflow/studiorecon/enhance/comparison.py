@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.comparison``: two films that compare: side by side (render | enhanced | photo), and a wipe between the first and the last."""
+"""``enhance.comparison``: two films that compare: side by side (render | enhanced | photo), and a wipe between the
+first and the last."""
 
 from __future__ import annotations
 
@@ -10,11 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.streams import writing
-from studiorecon.images.video import read_frames, write_watchable
+from studiorecon.enhance.shared import Film
+from studiorecon.errors import UserError
+from studiorecon.footage.streams import writing
+from studiorecon.footage.video import read_frames, write_watchable
 from studiorecon.progress import progress, say
-from studiorecon.scene.path import Step, read_path
+from studiorecon.scene.path import PathStep, read_path
+from studiorecon.signature import Written
 
 _BAR_PX = 24
 _GAP_PX = 4
@@ -23,8 +26,8 @@ _WIPE_S = 4.0
 
 
 @dataclass(frozen=True)
-class Settings:
-    crf: int
+class Settings(Film):
+    """What the step is told."""
 
 
 def side_by_side(pictures: Sequence[np.ndarray], words: Sequence[str]) -> np.ndarray:
@@ -40,7 +43,8 @@ def side_by_side(pictures: Sequence[np.ndarray], words: Sequence[str]) -> np.nda
 
 
 def wiped(left: np.ndarray, right: np.ndarray, share: float, words: tuple[str, str]) -> np.ndarray:
-    """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a word on either side."""
+    """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a word on either
+    side."""
     width = left.shape[1]
     at = round(np.clip(share, 0, 1) * width)
     picture = right.copy()
@@ -53,12 +57,14 @@ def wiped(left: np.ndarray, right: np.ndarray, share: float, words: tuple[str, s
 
 
 def wipe_share(picture: int, fps: float) -> float:
-    """Where the line of the wipe stands: it starts in the middle and travels from side to side at an even, gentle pace."""
+    """Where the line of the wipe stands: it starts in the middle and travels from side to side at an even, gentle
+    pace."""
     return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * _WIPE_S)))
 
 
-def photos_of(steps: Sequence[Step], videos: Sequence[Path]) -> Iterator[np.ndarray | None]:
-    """The photo of every step whose camera has footage and whose time is a whole frame, else None; videos are ``<camera>.mkv``."""
+def photos_of(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[np.ndarray | None]:
+    """The photo of every step whose camera has footage and whose time is a whole frame, else None; videos are
+    ``<camera>.mkv``."""
     by_camera = {video.stem: video for video in videos}
     playing: tuple[str, int, Iterator[np.ndarray]] | None = None
     for step in steps:
@@ -73,8 +79,18 @@ def photos_of(steps: Sequence[Step], videos: Sequence[Path]) -> Iterator[np.ndar
         yield picture
 
 
-def run(settings: Settings, shot: str, render: Path, render_path: Path, video: Path, videos: list[Path], beside: Path, wipe: Path) -> None:
-    """Write both films; photos are shown where a camera of ``videos`` took one (the shots train and heldout), else render and enhanced."""
+def run(
+    settings: Settings,
+    shot: str,
+    render: Path,
+    render_path: Path,
+    video: Path,
+    videos: list[Path],
+    beside: Written,
+    wipe: Written,
+) -> None:
+    """Write both films; photos are shown where a camera of ``videos`` took one (the shots train and heldout), else
+    render and enhanced."""
     steps, fps = read_path(render_path)
     photos = list(photos_of(steps[:1], videos))
     with_photos = photos[0] is not None
@@ -83,9 +99,13 @@ def run(settings: Settings, shot: str, render: Path, render_path: Path, video: P
     real = photos_of(steps, videos) if with_photos else iter([None] * len(steps))
     writers = [lambda frames, p=p: write_watchable(p, frames, fps, settings.crf) for p in (beside, wipe)]
     with writing(writers) as put:
-        for number, (raw, output, photo) in enumerate(zip(progress(raws, f"comparison of {shot}", total=len(steps)), made, real)):
+        for number, (raw, output, photo) in enumerate(
+            zip(progress(raws, f"comparison of {shot}", total=len(steps)), made, real)
+        ):
             if with_photos and photo is None:
-                raise Refusal(f"picture {number} of shot {shot} has no photo though the first one has; render the shot again")
+                raise UserError(
+                    f"picture {number} of shot {shot} has no photo though the first one has; render the shot again"
+                )
             shown = [raw, output] if photo is None else [raw, output, _fitted(photo, raw.shape)]
             put(side_by_side(shown, words), wiped(shown[-2], shown[-1], wipe_share(number, fps), words[-2:]))
     say(f"{beside} and {wipe} compare {' | '.join(words)} of shot {shot}")

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.folder``: any method's rendered pictures, with any photos for reference, through an enhancer with consistency injection.
+"""``enhance.folder``: any method's rendered pictures, with any photos for reference, through an enhancer with
+consistency injection.
 
-    python -m studiorecon enhance.folder --settings config/config.yaml --pictures DIR --references DIR --output DIR [--first N --count M]
+    python -m studiorecon enhance.folder --settings config/config.yaml --pictures DIR --references DIR --output DIR
+    [--first N --count M]
 
-Pictures and references are folders of pictures (in the order of their names) or videos. A part of a clip goes on from what lies in the
-output folder already: the same bytes as one pass, so a long clip can be made in parts, and a killed one can be gone on with.
+Pictures and references are folders of pictures (in the order of their names) or videos. A part of a clip goes on from
+what lies in the output folder already: the same bytes as one pass, so a long clip can be made in parts, and a killed
+one can be gone on with.
 """
 
 from __future__ import annotations
@@ -13,52 +16,47 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 
-from studiorecon.enhance.backends import Preset, flow_of, network
-from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.backends import flow_of, network
 from studiorecon.enhance.recursion import enhanced, stands_still
-from studiorecon.errors import Refusal
-from studiorecon.images.video import read_frames
+from studiorecon.enhance.shared import Enhancing, Injecting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import complete
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 _VIDEOS = {".mkv", ".mp4", ".mov", ".avi", ".webm"}
 
 
 @dataclass(frozen=True)
-class Settings:
-    enhancer: Literal["residual", "difix", "fixer", "precomputed", "none"]
-    injection: Injection
-    flow: Literal["dis", "raft"]
-    flow_preset: Preset
-    seed: int
+class Settings(Enhancing, Injecting):
+    """What the step is told."""
 
 
 def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Iterator[np.ndarray]:
     """(H, W, 3) uint8 pictures ``first`` … of a folder, in the order of their names, or of a video.
 
-    Raises Refusal for a source that is missing, holds no pictures, or holds one that cannot be read.
+    Raises UserError for a source that is missing, holds no pictures, or holds one that cannot be read.
     """
     stop = None if count is None else first + count
     if source.is_file() and source.suffix.lower() in _VIDEOS:
         yield from islice(read_frames(source), first, stop)
         return
     if not source.is_dir():
-        raise Refusal(f"{source} is neither a folder of pictures nor a video")
+        raise UserError(f"{source} is neither a folder of pictures nor a video")
     files = sorted(p for p in source.iterdir() if p.suffix.lower() in _PICTURES)
     if not files:
-        raise Refusal(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
+        raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
     for file in files[first:stop]:
         picture = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR)
         if picture is None:
-            raise Refusal(f"{file} is not a readable picture")
+            raise UserError(f"{file} is not a readable picture")
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
@@ -74,39 +72,51 @@ def run(
 ) -> None:
     """Enhance pictures ``first`` … ``first + count - 1`` (0 = to the end) into ``output``/000000.png, 000001.png, …
 
-    References are one photo for all pictures, or one per picture. Raises Refusal where an enhancer needs what a folder does not have, where
-    the numbers of pictures and references do not fit, and where the outputs before ``first`` are missing.
+    References are one photo for all pictures, or one per picture. Raises UserError where an enhancer needs what a
+    folder does not have, where the numbers of pictures and references do not fit, and where the outputs before
+    ``first`` are missing.
     """
     if settings.enhancer == "residual":
-        raise Refusal(
-            "the enhancer residual needs cameras, depth and renders of the training photos, which a folder of pictures does not have; "
+        raise UserError(
+            "the enhancer residual needs cameras, depth and renders of the training photos, "
+            "which a folder of pictures does not have; "
             "set enhance.enhancer to none, which injects earlier outputs only, or to a network"
         )
     if settings.enhancer == "precomputed":
-        raise Refusal("the enhancer precomputed stands for films of a scene's shots; set enhance.enhancer to none or to a network")
+        raise UserError(
+            "the enhancer precomputed stands for films of a scene's shots; set enhance.enhancer to none or to a network"
+        )
     total = sum(1 for _ in pictures_of(pictures))
     wanted = min(count or total, total - first)
     if wanted < 1:
-        raise Refusal(f"{pictures} holds {total} pictures, so there is no picture {first}")
+        raise UserError(f"{pictures} holds {total} pictures, so there is no picture {first}")
     photos = list(pictures_of(references, 0, 1)) if references is not None else []
     given = sum(1 for _ in pictures_of(references)) if references is not None else 0
     if given not in (0, 1, total):
-        raise Refusal(f"{references} holds {given} references for {total} pictures of {pictures}; give one for all or one for each")
+        raise UserError(
+            f"{references} holds {given} references for {total} pictures of "
+            f"{pictures}; give one for all or one for each"
+        )
     injection = settings.injection
     unknown = Camera(pictures.name, (1, 1), np.eye(3), np.eye(4))
-    steps = [Step(unknown, float(index), "00") for index in range(total)]
+    steps = [PathStep(unknown, float(index), "00") for index in range(total)]
     if injection.history and stands_still(steps, pictures_of(pictures)):
         say(f"{pictures} stands still, so there is nothing to steady: no earlier outputs are injected")
         injection = replace(injection, history=0)
     overlap = min(injection.history, first)
-    before = list(zip(pictures_of(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True))
+    before = list(
+        zip(pictures_of(pictures, first - overlap, overlap), _earlier(output, first - overlap, overlap), strict=True)
+    )
     if settings.enhancer == "difix" and not given:
-        raise Refusal("the enhancer difix needs a photo for reference; give --references, or set enhance.enhancer to fixer or none")
+        raise UserError(
+            "the enhancer difix needs a photo for reference; give --references, or "
+            "set enhance.enhancer to fixer or none"
+        )
     enhancer = network(settings.enhancer, weights, device, settings.seed)
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
     each = pictures_of(references, first, wanted) if references is not None and given == total and total > 1 else None
 
-    def reference(step: Step) -> np.ndarray:
+    def reference(step: PathStep) -> np.ndarray:
         # ``enhanced`` asks once per picture, in order.
         return next(each) if each is not None else photos[0] if photos else np.zeros((1, 1, 3), np.uint8)
 
@@ -124,8 +134,9 @@ def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
         file = output / f"{index:06d}.png"
         stored = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR) if file.is_file() else None
         if stored is None:
-            raise Refusal(
-                f"{file} is missing; a part of a clip goes on from the outputs before it: make the pictures from {index} on first"
+            raise UserError(
+                f"{file} is missing; a part of a clip goes on from the outputs before it: "
+                f"make the pictures from {index} on first"
             )
         yield np.ascontiguousarray(stored[..., ::-1])
 
@@ -133,6 +144,6 @@ def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
 def _write(path: Path, picture: np.ndarray) -> None:
     done, data = cv2.imencode(".png", picture[..., ::-1])
     if not done:
-        raise Refusal(f"{path} could not be encoded as PNG")
+        raise UserError(f"{path} could not be encoded as PNG")
     with complete(path) as partial:
         partial.write_bytes(data.tobytes())

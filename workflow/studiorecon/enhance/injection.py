@@ -5,8 +5,8 @@ Paper, section Recursive Enhancement Module and its appendix; readings U01–U06
 
     Ĩ_t = (1 - w Σ w̄_i c_i) Î_t + w Σ w̄_i c_i warp(O_{t-1-i}, F_{t→t-1-i}),    c_i = max(0, 1 - e_i / τ_e)
 
-The paper prints 1 - w in front of Î_t, which darkens every pixel whose confidence is below one, by up to 46 of 255 levels
-(numerics E01); it is available as ``form="literal"``.
+The paper prints 1 - w in front of Î_t, which darkens every pixel whose confidence is below one, by up to 46 of 255
+levels (E01); it is available as ``form="literal"``.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numba
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.enhance.mixing import MEAN, NORM, SUM, add_share, difference_levels
+from studiorecon.configuration.setting import setting
 from studiorecon.images.blur import gaussian_blur
 
+MEAN, NORM, SUM = 0, 1, 2
 _ERRORS = {"mean": MEAN, "norm": NORM, "sum": SUM}
 
 
@@ -29,40 +31,77 @@ class Injection:
     """Settings of the injection.
 
     Attributes:
-        history: K, the number of earlier outputs.
-        strength: w, the overall share of history at full confidence.
-        moving_strength: w for films whose camera moves: every pixel of every picture is then read between pixels, which blurs all of it.
-        decay: weight of each frame relative to the one after it.
-        error: how the RGB difference of a pixel becomes one number: ``mean`` over channels, ``norm`` or ``sum`` (U04).
-        error_threshold: τ_e, that number in levels of 255 at which confidence reaches zero.
-        blurred: what the blur smooths: the ``confidence``, or the ``error`` before it becomes confidence (U05).
         blur_px, blur_sigma_px: kernel of that blur.
-        form: ``residual`` keeps constants constant; ``literal`` is the printed formula (U01).
-        settle: what is mixed in moves no value by a part of a level. Outputs are fed back in eight bits, and rounding would otherwise hold
-            a difference below 0.5 / (1 - w) levels for ever, a faint ghost of what has long moved on.
-        flow: ``direct`` from the current render to each earlier one, or ``chained`` over the renders between them (U06).
-        check: no confidence where the flow does not lead back (U06, numerics E10).
-        cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never. Needs ``check``.
+        cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never.
+            Needs ``check``.
     """
 
-    history: int
-    strength: float
-    moving_strength: float
-    decay: float
-    error: Literal["mean", "norm", "sum"]
-    error_threshold: float
-    blurred: Literal["confidence", "error"]
-    blur_px: int
-    blur_sigma_px: float
-    form: Literal["residual", "literal"]
-    settle: bool
-    flow: Literal["direct", "chained"]
-    check: bool
-    cut_share: float
+    history: int = setting(
+        3,
+        "Earlier outputs that enter the enhancer's input; 0 = every picture on its own.",
+        minimum=0,
+        maximum=30,
+        paper="3, appendix Recursive Enhancement Module; U03",
+        letter=3,
+    )
+    strength: float = setting(
+        0.9, "Overall share of history at full confidence.", minimum=0, below=1, paper="0.3; U02", letter=0.3
+    )
+    moving_strength: float = setting(
+        0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", letter=0.3
+    )
+    decay: float = setting(
+        0.5,
+        "Weight of each earlier frame relative to the one after it.",
+        above=0,
+        maximum=1,
+        paper="0.5; U03",
+        letter=0.5,
+    )
+    error: Literal["mean", "norm", "sum"] = setting(
+        "mean", "How the RGB difference of a pixel becomes one number.", paper='"RGB error"; U04', letter="mean"
+    )
+    error_threshold: float = setting(
+        60.0,
+        "Difference at which confidence reaches zero, levels of 255.",
+        above=0,
+        maximum=765,
+        paper="30; U04",
+        letter=30.0,
+    )
+    blurred: Literal["confidence", "error"] = setting(
+        "confidence",
+        "What is blurred: the confidence, or the error before it becomes confidence.",
+        paper="confidence; U05",
+        letter="confidence",
+    )
+    blur_px: int = 11
+    blur_sigma_px: float = 2.0
+    form: Literal["residual", "literal"] = setting(
+        "residual",
+        "residual keeps constants constant; literal is the printed formula, which darkens.",
+        paper="literal; U01",
+        letter="literal",
+    )
+    settle: bool = setting(
+        True,
+        "Inject whole levels only, so that eight-bit feedback forgets what has moved on.",
+        paper="false",
+        letter=False,
+    )
+    flow: Literal["direct", "chained"] = setting(
+        "direct",
+        "Flow of the raw renders, direct to each earlier picture, or chained over those between.",
+        paper="direct; U06",
+        letter="direct",
+    )
+    check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", letter=False)
+    cut_share: float = 0.1
 
 
 def history_weights(existing: int, decay: float) -> np.ndarray:
-    """(existing,) weights of the earlier frames, latest first, summing to 1 over those that exist (U03; numerics E03)."""
+    """(existing,) weights of the earlier frames, latest first, summing to 1 over those that exist (U03;
+    E03)."""
     weights = decay ** np.arange(existing, dtype=np.float64)
     return weights / weights.sum() if existing else weights
 
@@ -70,15 +109,19 @@ def history_weights(existing: int, decay: float) -> np.ndarray:
 def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, injection: Injection) -> np.ndarray:
     """(H, W) float32 confidence of one warped earlier output against the current render, both (H, W, 3) in [0, 1].
 
-    Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur cannot carry
-    confidence back into uncovered or undefined pixels (U05, numerics E04, E10). Raises ValueError for pictures of two sizes.
+    Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur
+    cannot carry confidence back into uncovered or undefined pixels (U05, E04, E10). Raises ValueError for
+    pictures of two sizes.
     """
     sizes = require("render", render, ("H", "W", 3))
     require("warped", warped, ("H", "W", 3), sizes)
     require("valid", valid, ("H", "W"), sizes)
-    error_levels = difference_levels(np.ascontiguousarray(warped), np.ascontiguousarray(render), _ERRORS[injection.error])
+    error_levels = difference_levels(
+        np.ascontiguousarray(warped), np.ascontiguousarray(render), _ERRORS[injection.error]
+    )
     usable = np.isfinite(error_levels) & valid
-    # What is not finite counts as certainly wrong: just past the threshold, so that a blurred error stays in proportion.
+    # What is not finite counts as certainly wrong: just past the threshold, so that a blurred error stays in
+    # proportion.
     error_levels = np.where(usable, np.where(usable, error_levels, 0.0), injection.error_threshold)
     if injection.blurred == "error":
         error_levels = gaussian_blur(error_levels, injection.blur_px, injection.blur_sigma_px)
@@ -90,10 +133,11 @@ def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, inject
 def inject(
     render: np.ndarray, warped: Sequence[np.ndarray], confidences: Sequence[np.ndarray], injection: Injection
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame first.
+    """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame
+    first.
 
-    Without earlier frames the render itself and zeros. Constants stay constant in the residual form whatever the confidences. Raises
-    ValueError for pictures of two sizes, or a confidence missing.
+    Without earlier frames the render itself and zeros. Constants stay constant in the residual form whatever the
+    confidences. Raises ValueError for pictures of two sizes, or a confidence missing.
     """
     sizes = require("render", render, ("H", "W", 3))
     for picture, trust in zip(warped, confidences, strict=True):
@@ -115,3 +159,36 @@ def whole_levels(change: np.ndarray) -> np.ndarray:
     # A change of a whole level stays one, although its float32 may lie just below.
     levels = 255 * change
     return np.trunc(levels + np.copysign(np.float32(1e-3), levels)).astype(np.float32) * np.float32(1 / 255)
+
+
+@numba.njit(cache=True, nogil=True)
+def difference_levels(first: np.ndarray, second: np.ndarray, kind: int) -> np.ndarray:
+    """(H, W) float32 difference of two pictures (H, W, 3) in [0, 1], in levels of 255; NaN where either is NaN.
+
+    E11: of a grey difference of 20 levels the MEAN over channels is 20, the NORM 34.6 and the SUM 60.
+    """
+    height, width = first.shape[:2]
+    levels = np.empty((height, width), np.float32)
+    for i in range(height):
+        for j in range(width):
+            a = np.float32(255) * abs(first[i, j, 0] - second[i, j, 0])
+            b = np.float32(255) * abs(first[i, j, 1] - second[i, j, 1])
+            c = np.float32(255) * abs(first[i, j, 2] - second[i, j, 2])
+            if kind == NORM:
+                levels[i, j] = np.sqrt(a * a + b * b + c * c)
+            else:
+                levels[i, j] = (a + b + c) / (np.float32(3) if kind == MEAN else np.float32(1))
+    return levels
+
+
+@numba.njit(cache=True, nogil=True)
+def add_share(added: np.ndarray, shares: np.ndarray, picture: np.ndarray, trust: np.ndarray, weight: float) -> None:
+    """Adds weight × trust (H, W) to ``shares`` and that times ``picture`` (H, W, 3) to ``added``; where trust is zero
+    the picture may be anything, NaN included."""
+    for i in range(shares.shape[0]):
+        for j in range(shares.shape[1]):
+            share = np.float32(weight) * trust[i, j]
+            if share > 0:
+                shares[i, j] += share
+                for c in range(3):
+                    added[i, j, c] += share * picture[i, j, c]

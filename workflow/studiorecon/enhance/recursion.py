@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A clip through an enhancer, picture by picture, with earlier outputs injected into its input.
 
-What is fed back is the picture as it is stored, in eight bits. So a clip can be cut anywhere and gone on with from the stored outputs
-of the K pictures before the cut: the bytes are those of one pass. Memory holds K pictures whatever the length of the clip.
+What is fed back is the picture as it is stored, in eight bits. So a clip can be cut anywhere and gone on with from the
+stored outputs of the K pictures before the cut: the bytes are those of one pass. Memory holds K pictures whatever the
+length of the clip.
 """
 
 from __future__ import annotations
@@ -17,18 +18,22 @@ from functools import partial
 import numpy as np
 
 from studiorecon.enhance.alignment import Past, backward_flow, flows_back
-from studiorecon.enhance.enhancer import check_gain, loop_gain
 from studiorecon.enhance.injection import Injection, confidence, inject
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
+from studiorecon.footage.video import to_bytes, to_float
 from studiorecon.images.flow import one_thread
-from studiorecon.images.video import to_bytes, to_float
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
 from studiorecon.progress import say, warn
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
-# Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands still.
+# Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands
+# still.
 _STILL_LEVELS = 0.25
+
+# An enhancer may brighten a flat field by this much before its recursion drifts visibly (E14: 5 % becomes 7
+# %).
+_LARGEST_GAIN = 1.02
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,8 @@ class Blend:
     Attributes:
         flows: per earlier picture, latest first, (H, W, 2) flow to it; ``valid``: (H, W) bool where that holds.
         confidences: per earlier picture (H, W) float32.
-        blended: (H, W, 3) float32 input of the enhancer; ``injected``: (H, W) share of it that comes from earlier outputs.
+        blended: (H, W, 3) float32 input of the enhancer; ``injected``: (H, W) share of it that comes from earlier
+            outputs.
     """
 
     flows: Sequence[np.ndarray]
@@ -49,7 +55,8 @@ class Blend:
 
 
 def blend(picture: np.ndarray, history: Sequence[Past], injection: Injection, search: Flow, pool: Executor) -> Blend:
-    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a cut.
+    """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a
+    cut.
 
     A cut is where less than ``injection.cut_share`` of the picture is found again in the one before it.
     """
@@ -63,19 +70,21 @@ def blend(picture: np.ndarray, history: Sequence[Past], injection: Injection, se
 
 
 def enhanced(
-    steps: Sequence[Step],
+    steps: Sequence[PathStep],
     pictures: Iterable[np.ndarray],
     depths_mm: Iterable[np.ndarray],
-    reference: Callable[[Step], np.ndarray],
+    reference: Callable[[PathStep], np.ndarray],
     enhancer: Enhancer,
     injection: Injection,
     search: Flow,
     before: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> Iterator[np.ndarray]:
-    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every cut.
+    """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every
+    cut.
 
-    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment: what a part of a
-    clip starts from. Raises Refusal for pictures of different sizes and for an enhancer whose outputs may not be fed back.
+    ``before``: raw picture and stored output of the pictures before the first one, oldest first, of the same segment:
+    what a part of a clip starts from. Raises UserError for pictures of different sizes and for an enhancer whose
+    outputs may not be fed back.
     """
     history: deque[Past] = deque(maxlen=injection.history)
     segment = steps[0].segment if steps and before else None
@@ -94,15 +103,18 @@ def enhanced(
                 segment = step.segment
             if history and history[0].output.shape != picture.shape:
                 old, new = (f"{shape[1]}x{shape[0]}" for shape in (history[0].output.shape, picture.shape))
-                raise Refusal(
-                    f"picture {number} of segment {segment} is {new} and the one before it {old}; pictures of a clip have one size"
+                raise UserError(
+                    f"picture {number} of segment {segment} is {new} and the one before it "
+                    f"{old}; pictures of a clip have one size"
                 )
             mixed = blend(picture, history, injection, search, pool)
             if history and not mixed.flows:
                 say(f"picture {number} of segment {segment} follows a cut: injection starts anew")
                 history.clear()
             output = _finite(
-                enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)), picture, step
+                enhancer.enhance(mixed.blended, photo, Moment(step.camera, step.frame, depth_m, mixed.injected)),
+                picture,
+                step,
             )
             link = (mixed.flows[0], mixed.valid[0]) if mixed.flows else (None, None)
             history.appendleft(Past(to_float(output), picture, *link))
@@ -110,7 +122,8 @@ def enhanced(
 
 
 def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injection, search: Flow) -> list[Past]:
-    """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs ``before`` it.
+    """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs
+    ``before`` it.
 
     Nothing from before a cut. Deterministic inside ``one_thread``.
     """
@@ -125,8 +138,9 @@ def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injec
     return history
 
 
-def for_path(injection: Injection, steps: Sequence[Step]) -> Injection:
-    """The injection for a film along ``steps``: with ``moving_strength`` where the camera moves or zooms within a segment."""
+def for_path(injection: Injection, steps: Sequence[PathStep]) -> Injection:
+    """The injection for a film along ``steps``: with ``moving_strength`` where the camera moves or zooms within a
+    segment."""
     for one, other in itertools.pairwise(steps):
         if one.segment == other.segment and not (
             np.array_equal(one.camera.camera_from_world, other.camera.camera_from_world)
@@ -136,7 +150,7 @@ def for_path(injection: Injection, steps: Sequence[Step]) -> Injection:
     return injection
 
 
-def stands_still(steps: Sequence[Step], pictures: Iterable[np.ndarray]) -> bool:
+def stands_still(steps: Sequence[PathStep], pictures: Iterable[np.ndarray]) -> bool:
     """Whether no picture of a clip differs from the one before it in its segment: there is nothing to steady then.
 
     Reads on only until two pictures differ. A clip of single pictures stands still.
@@ -150,16 +164,39 @@ def stands_still(steps: Sequence[Step], pictures: Iterable[np.ndarray]) -> bool:
     return True
 
 
-def _aligned(render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _aligned(
+    render: np.ndarray, injection: Injection, past: Past, flow: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """An earlier output on the current picture, and its confidence there."""
     backward, valid = flow
     warped, inside = warp(past.output, backward)
     return warped, confidence(render, warped, inside & valid, injection)
 
 
-def _finite(output: np.ndarray, picture: np.ndarray, step: Step) -> np.ndarray:
+def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarray:
     """(H, W, 3) uint8: the output, as rendered where the enhancer made something that is no number."""
     bad = ~np.isfinite(output).all(axis=-1)
     if bad.any():
-        warn(f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not finite after the enhancer, left as rendered")
+        warn(
+            f"picture {step.frame:g} of {step.camera.name}: {int(bad.sum())} pixels not "
+            "finite after the enhancer, left as rendered"
+        )
     return np.where(bad[..., None], picture, to_bytes(np.where(bad[..., None], 0, output)))
+
+
+def loop_gain(enhancer: Enhancer, reference: np.ndarray, moment: Moment) -> float:
+    """How much the enhancer amplifies a change of a flat field: the mean response to +0.2, as a multiple of 0.2."""
+    flat = np.full((*moment.depth_m.shape, 3), 0.4, np.float32)
+    low, high = enhancer.enhance(flat, reference, moment), enhancer.enhance(flat + np.float32(0.2), reference, moment)
+    return float((high.astype(np.float64) - low).mean() / 0.2)
+
+
+def check_gain(gain: float, strength: float) -> None:
+    """Raises UserError when outputs fed back with share ``strength`` would diverge (w·g ≥ 1) or visibly drift (g >
+    1.02)."""
+    if not np.isfinite(gain) or strength * gain >= 1 or (strength > 0 and gain > _LARGEST_GAIN):
+        raise UserError(
+            f"the enhancer multiplies a flat field by {gain:.3f}, so feeding its outputs "
+            f"back with share {strength} would brighten "
+            "the film frame by frame; set enhance.injection.history to 0 or use another enhancer"
+        )

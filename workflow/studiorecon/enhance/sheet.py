@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.sheet``: how one picture of a film was made: the render, what was injected into it from where, and what came out.
+"""``enhance.sheet``: how one picture of a film was made: the render, what was injected into it from where, and what
+came out.
 
 Computed again from the stored films: what is fed back is what is stored, so the sheet shows exactly what happened.
 """
@@ -9,21 +10,20 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 
-from studiorecon.enhance.backends import Preset, flow_of
-from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.backends import flow_of
 from studiorecon.enhance.recursion import Blend, blend, for_path, history_of
-from studiorecon.errors import Refusal
+from studiorecon.enhance.shared import Injecting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames_from, to_bytes
 from studiorecon.images.flow import one_thread
-from studiorecon.images.seeking import read_frames_from
-from studiorecon.images.video import to_bytes
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
 from studiorecon.scene.path import read_path
+from studiorecon.signature import Place, Written
 
 _BAR_PX = 22
 _INK, _PAPER = (30, 30, 30), (255, 255, 255)
@@ -32,14 +32,13 @@ _GAIN = 8
 
 
 @dataclass(frozen=True)
-class Settings:
-    injection: Injection
-    flow: Literal["dis", "raft"]
-    flow_preset: Preset
+class Settings(Injecting):
+    """What the step is told."""
 
 
 def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float]:
-    """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = not to be trusted; and the longest, pixels."""
+    """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = not to be trusted; and the
+    longest, pixels."""
     length = np.hypot(flow[..., 0], flow[..., 1])
     longest = float(np.percentile(length[valid], 99)) if valid.any() else 0.0
     hue = (np.degrees(np.arctan2(flow[..., 1], flow[..., 0])) % 360 / 2).astype(np.uint8)
@@ -49,7 +48,8 @@ def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float
 
 
 def sheet(render: np.ndarray, mixed: Blend, output: np.ndarray) -> np.ndarray:
-    """(H', W', 3) uint8 contact sheet: render, input, output and change; below, flow and confidence of each earlier output."""
+    """(H', W', 3) uint8 contact sheet: render, input, output and change; below, flow and confidence of each earlier
+    output."""
     change = np.clip(128 + _GAIN * (output.astype(np.int16) - render), 0, 255).astype(np.uint8)
     share = to_bytes(mixed.injected)
     top = [
@@ -89,14 +89,14 @@ def run(
     render: Path,
     render_path: Path,
     video: Path,
-    image: Path,
-    weights: Path = Path("resources/weights"),
+    image: Written,
+    weights: Place = Path("resources/weights"),
     device: str = "cpu",
 ) -> None:
-    """Write the sheet of one picture; raises Refusal when the shot has no such picture."""
+    """Write the sheet of one picture; raises UserError when the shot has no such picture."""
     steps, _ = read_path(render_path)
     if not 0 <= picture < len(steps):
-        raise Refusal(f"shot {shot} has pictures 0 to {len(steps) - 1}, not {picture}")
+        raise UserError(f"shot {shot} has pictures 0 to {len(steps) - 1}, not {picture}")
     segment = steps[picture].segment
     first = next(i for i in range(picture, -1, -1) if i == 0 or steps[i - 1].segment != segment)
     start = max(first, picture - settings.injection.history)

@@ -5,12 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.configuration.setting import setting
 from studiorecon.geometry.rotations import cross_matrix, exp, log
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 _NEAR_M = 0.05
 # Standard deviation of a lens number that stays as it is: its column keeps its place and does not move.
@@ -23,20 +28,21 @@ class BundleSettings:
 
     Attributes:
         iterations: Levenberg-Marquardt steps.
-        prior_deg, prior_m: standard deviations of the given rotations and centres, of all cameras or of each (V,). They hold what
-            the points cannot see: the common rotation, translation and scale.
     """
 
-    iterations: int
-    prior_deg: float | np.ndarray
-    prior_m: float | np.ndarray
+    iterations: int = 30
+    prior_deg: float | np.ndarray = setting(
+        0.3, "Standard deviation of the given rotations: how far a calibration is trusted.", unit="degrees", above=0
+    )
+    prior_m: float | np.ndarray = setting(0.03, "Standard deviation of the given centres.", unit="m", above=0)
 
 
 @dataclass(frozen=True)
 class LensPrior:
-    """How far lenses may move: standard deviations of the focal length's logarithm and of a radial term k1 that starts at 0."""
+    """How far lenses may move: standard deviations of the focal length's logarithm, of all or of each (V,), and of a
+    radial term k1 that starts at 0."""
 
-    log_focal: float
+    log_focal: float | np.ndarray
     radial: float
 
 
@@ -48,15 +54,16 @@ class Adjusted:
         cameras: with their new poses and focal lengths.
         points_m: (N, 3).
         radial: (V,) k1 on undistorted normalised coordinates, beyond what was already removed.
-        sigma: (V, 8) standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term. Poses are
-            relative to one another (the common rotation, translation and scale are taken out); noise is the residuals' own.
+        sigma: (V, 8) standard deviations: turn about camera axes (rad), centre (m), log focal length, radial term.
+            Poses are relative to one another (the common rotation, translation and scale are taken out); noise is the
+            residuals' own.
         error_units: root mean square residual per coordinate, in error units, Huber-weighted.
     """
 
     cameras: list[Camera]
-    points_m: np.ndarray
-    radial: np.ndarray
-    sigma: np.ndarray
+    points_m: Num[np.ndarray, "N 3"]
+    radial: Num[np.ndarray, " V"]
+    sigma: Num[np.ndarray, "V 8"]
     error_units: float
 
 
@@ -68,33 +75,25 @@ class _State:
     points: np.ndarray
 
 
-def adjust(
-    cameras: Sequence[Camera], pixels: np.ndarray, weights: np.ndarray, points_m: np.ndarray, huber_px: np.ndarray, settings: BundleSettings
-) -> tuple[list[Camera], np.ndarray]:
-    """Cameras and points (N, 3) that lower the Huber cost of ``pixels`` (V, N, 2); ``weights`` (V, N), 0 = not seen.
-
-    Six numbers per camera; points are eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of
-    the two-dimensional residual (T11) with the delta ``huber_px`` (V,), so residuals are in error units and the priors
-    count as one unit per standard deviation. Intrinsics stay. 0.1 s for 400 points and 4 views. Pixels that are not finite are not
-    seen; raises ValueError that names the argument for other shapes, and for points that are seen and not finite.
-    """
-    state, _ = _solve(_Problem(cameras, pixels, weights, huber_px, settings, LensPrior(0.0, 0.0)), points_m, settings.iterations)
-    return [moved(camera, state.rotations[v], state.centres[v]) for v, camera in enumerate(cameras)], state.points
-
-
 def adjust_with_lenses(
     cameras: Sequence[Camera],
-    pixels: np.ndarray,
-    weights: np.ndarray,
+    pixels: Num[np.ndarray, "V N 2"],
+    weights: Num[np.ndarray, "V N"],
     points_m: np.ndarray,
-    huber_px: np.ndarray,
+    huber_px: Num[np.ndarray, " V"],
     settings: BundleSettings,
     lens: LensPrior,
     given: Sequence[Camera] | None = None,
 ) -> Adjusted:
-    """As ``adjust``, with one focal factor and one radial term per camera where ``lens`` leaves them free, and what is known how well.
+    """Cameras and points (N, 3) that lower the Huber cost of ``pixels`` (V, N, 2), and how well they are known;
+    ``weights`` (V, N), 0 = not seen.
 
-    ``given``: the cameras that the priors are about, where the search does not start at them. Raises ValueError as ``adjust`` does.
+    Six numbers per camera, and one focal factor and one radial term where ``lens`` leaves them free; points are
+    eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of the two-dimensional
+    residual (T11) with the delta ``huber_px`` (V,), so residuals are in error units and the priors count as one unit
+    per standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors are about, where
+    the search does not start at them, lenses included. Pixels that are not finite are not seen; raises ValueError that
+    names the argument for other shapes, and for points that are seen and not finite.
     """
     problem = _Problem(cameras, pixels, weights, huber_px, settings, lens, given)
     state, _ = _solve(problem, points_m, settings.iterations)
@@ -114,12 +113,15 @@ def moved(camera: Camera, rotation_camera_from_world: np.ndarray, centre_m: np.n
     return replace(camera, camera_from_world=pose)
 
 
-def without_drift(adjusted: Sequence[Camera], given: Sequence[Camera]) -> tuple[list[Camera], tuple[np.ndarray, np.ndarray, float]]:
-    """The adjusted cameras without their common rotation, translation and scale against the given ones, and that similarity.
+def without_drift(
+    adjusted: Sequence[Camera], given: Sequence[Camera]
+) -> tuple[list[Camera], tuple[np.ndarray, np.ndarray, float]]:
+    """The adjusted cameras without their common rotation, translation and scale against the given ones, and that
+    similarity.
 
-    Cameras that were not adjusted (held-out ones) stay consistent with them. The rotation is fitted to centres and viewing
-    axes together, which also holds two cameras, or cameras in a line. The similarity (rotation, translation, scale) takes
-    adjusted world points to given ones: X' = scale · rotation · X + translation.
+    Cameras that were not adjusted (held-out ones) stay consistent with them. The rotation is fitted to centres and
+    viewing axes together, which also holds two cameras, or cameras in a line. The similarity (rotation, translation,
+    scale) takes adjusted world points to given ones: X' = scale · rotation · X + translation.
     """
     new, old = np.stack([c.centre_m for c in adjusted]), np.stack([c.centre_m for c in given])
     new_off, old_off = new - new.mean(0), old - old.mean(0)
@@ -130,7 +132,10 @@ def without_drift(adjusted: Sequence[Camera], given: Sequence[Camera]) -> tuple[
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     scale = float((old_off * (new_off @ rotation.T)).sum() / max((new_off**2).sum(), 1e-12)) if len(new) > 1 else 1.0
     translation = old.mean(0) - scale * rotation @ new.mean(0)
-    back = [moved(c, c.camera_from_world[:3, :3] @ rotation.T, scale * rotation @ c.centre_m + translation) for c in adjusted]
+    back = [
+        moved(c, c.camera_from_world[:3, :3] @ rotation.T, scale * rotation @ c.centre_m + translation)
+        for c in adjusted
+    ]
     return back, (rotation, translation, scale)
 
 
@@ -154,26 +159,40 @@ class _Problem:
         self.centres = np.stack([c.centre_m for c in cameras])
         self.given_rotations = np.stack([c.camera_from_world[:3, :3] for c in given or cameras])
         self.given_centres = np.stack([c.centre_m for c in given or cameras])
+        longer = [np.log(g.focal_px[0] / c.focal_px[0]) for g, c in zip(given or cameras, cameras)]
+        self.given_lens = np.stack([longer, np.zeros(len(longer))], axis=1)
         self.focal = np.stack([c.focal_px for c in cameras]) / huber_px[:, None]
         principal = np.stack([c.principal_px for c in cameras])
         self.seen = (weights > 0) & np.isfinite(pixels).all(-1)
-        self.measured = (np.where(self.seen[..., None], pixels, principal[:, None]) - principal[:, None]) / huber_px[:, None, None]
+        self.measured = (np.where(self.seen[..., None], pixels, principal[:, None]) - principal[:, None]) / huber_px[
+            :, None, None
+        ]
         self.weights = np.where(self.seen, weights, 0.0)
-        columns = [np.radians(settings.prior_deg)] * 3 + [settings.prior_m] * 3 + [lens.log_focal or _FIXED, lens.radial or _FIXED]
+        columns = (
+            [np.radians(settings.prior_deg)] * 3
+            + [settings.prior_m] * 3
+            + [np.maximum(lens.log_focal, _FIXED), lens.radial or _FIXED]
+        )
         self.sigma = np.stack([np.broadcast_to(c, len(cameras)) for c in columns], axis=1)
 
     def start(self, points_m: np.ndarray) -> _State:
         require("points_m", points_m, (self.seen.shape[1], 3))
         require("points_m that are seen", np.asarray(points_m)[self.seen.any(0)], ("n", 3), finite=True)
-        return _State(self.rotations.copy(), self.centres.copy(), np.zeros((len(self.centres), 2)), np.array(points_m, dtype=np.float64))
+        return _State(
+            self.rotations.copy(),
+            self.centres.copy(),
+            np.zeros((len(self.centres), 2)),
+            np.array(points_m, dtype=np.float64),
+        )
 
-    def prior(self, state: _State) -> np.ndarray:
+    def prior(self, state: _State) -> Num[np.ndarray, "V 8"]:
         """(V, 8) deviations from what was given."""
         turned = log(state.rotations @ np.swapaxes(self.given_rotations, 1, 2))
-        return np.concatenate([turned, state.centres - self.given_centres, state.lens], axis=1)
+        return np.concatenate([turned, state.centres - self.given_centres, state.lens - self.given_lens], axis=1)
 
     def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, float]:
-        """(V, N, 3) points in the cameras, (V, N, 2) errors in error units, and the cost: inf when a seen point is behind."""
+        """(V, N, 3) points in the cameras, (V, N, 2) errors in error units, and the cost: inf when a seen point is
+        behind."""
         in_camera = np.einsum("vij,vnj->vni", state.rotations, state.points[None] - state.centres[:, None])
         if (self.seen & ~(in_camera[..., 2] > _NEAR_M)).any():
             return in_camera, np.zeros_like(self.measured), np.inf
@@ -187,14 +206,18 @@ class _Problem:
         return in_camera, error, float(cost + ((self.prior(state) / self.sigma) ** 2).sum())
 
     def normal_equations(self, state: _State, in_camera: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Camera blocks (V, 8, 8) and sides, point blocks (N, 3, 3) and sides, mixed blocks (V, N, 8, 3); priors included."""
+        """Camera blocks (V, 8, 8) and sides, point blocks (N, 3, 3) and sides, mixed blocks (V, N, 8, 3); priors
+        included."""
         robust = self.weights / np.maximum(np.linalg.norm(error, axis=-1), 1.0)
         depth = np.where(self.seen, in_camera[..., 2], 1.0)
         normal = np.where(self.seen[..., None], in_camera[..., :2], 0.0) / depth[..., None]
         squared = (normal**2).sum(-1)
         factor = (self.focal * np.exp(state.lens[:, :1]))[:, None]  # (V, 1, 2)
         bent = 1 + state.lens[:, None, 1] * squared
-        of_normal = bent[..., None, None] * np.eye(2) + 2 * state.lens[:, 1, None, None, None] * normal[..., None] * normal[..., None, :]
+        of_normal = (
+            bent[..., None, None] * np.eye(2)
+            + 2 * state.lens[:, 1, None, None, None] * normal[..., None] * normal[..., None, :]
+        )
         of_normal = factor[..., None] * of_normal
         rows = np.concatenate([of_normal, -(of_normal @ normal[..., None])], axis=-1) / depth[..., None, None]
         rows = np.where(self.seen[..., None, None], rows, 0.0)
@@ -214,14 +237,16 @@ class _Problem:
         )
 
     def accuracy(self, state: _State) -> tuple[np.ndarray, float]:
-        """(V, 8) standard deviations without the common similarity, and the robust residual per coordinate in error units."""
+        """(V, 8) standard deviations without the common similarity, and the robust residual per coordinate in error
+        units."""
         in_camera, error, _ = self.residuals(state)
         blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
         reduced = _reduced(blocks, point_blocks + 1e-9 * np.eye(3), mixed)
         norm = np.linalg.norm(error, axis=-1)
         counted = (self.weights / np.maximum(norm, 1.0)).sum()
         variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
-        # Scaled by likely sizes so that radians, metres and lens numbers can share one inverse; what is fixed takes no part.
+        # Scaled by likely sizes so that radians, metres and lens numbers can share one inverse; what is fixed takes no
+        # part.
         unit = np.tile(np.array([0.01] * 3 + [0.03] * 3 + [0.05, 0.05]), len(blocks))
         free = (self.sigma > _FIXED).reshape(-1)
         scaled = (reduced * unit[:, None] * unit[None])[np.ix_(free, free)]
@@ -287,7 +312,9 @@ def _step(equations: tuple[np.ndarray, ...], damping: float) -> tuple[np.ndarray
     blocks, camera_side, point_blocks, point_side, mixed = equations
     views = len(blocks)
     blocks = blocks + damping * np.einsum("vii->vi", blocks)[:, None] * np.eye(8)
-    point_blocks = point_blocks + (damping * np.trace(point_blocks, axis1=1, axis2=2) / 3 + 1e-9)[:, None, None] * np.eye(3)
+    point_blocks = point_blocks + (damping * np.trace(point_blocks, axis1=1, axis2=2) / 3 + 1e-9)[
+        :, None, None
+    ] * np.eye(3)
     inverse = np.linalg.inv(point_blocks)
     side = camera_side - np.einsum("vnij,nj->vi", mixed @ inverse, point_side)
     # Columns of radians, metres and fixed numbers differ by 18 powers of ten: solved with a unit diagonal.

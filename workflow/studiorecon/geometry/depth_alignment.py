@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 
-# Relief (robust spread over median) below which a shift cannot be told from a scale (numerics D02).
+# Relief (robust spread over median) below which a shift cannot be told from a scale (D02).
 _LEAST_RELIEF = 0.05
 _LEAST_PIXELS = 50
 # Pairs of pixels that vote for the slope; more does not move their median.
@@ -23,14 +23,16 @@ _HUBER = 1.5
 
 @dataclass(frozen=True)
 class Alignment:
-    """aligned = scale · predicted + shift_m; ``model`` says what was fitted: "affine", "scale" or "undetermined" (scale 1, shift 0)."""
+    """aligned = scale · predicted + shift_m; ``model`` says what was fitted: "affine", "scale" or "undetermined" (scale
+    1, shift 0)."""
 
     scale: float
     shift_m: float
     model: str
 
     def apply(self, predicted: np.ndarray, near_m: float) -> np.ndarray:
-        """Aligned depth in metres; 0 (unknown) where the prediction is unknown, not finite, or falls nearer than ``near_m`` (D04)."""
+        """Aligned depth in metres; 0 (unknown) where the prediction is unknown, not finite, or falls nearer than
+        ``near_m`` (D04)."""
         known = np.isfinite(predicted) & (predicted > 0)
         aligned = self.scale * np.where(known, predicted, 1.0) + self.shift_m
         return np.where(known & (aligned >= near_m), aligned, 0.0)
@@ -45,15 +47,22 @@ def align_depth(
 ) -> Alignment:
     """Robust fit of ``predicted`` to ``reference_m`` (metres) over ``static`` pixels, all of one shape.
 
-    In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds stand up to
-    45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their scale, the slope is the geometric
-    mean of the fits in both directions; with noise in the prediction only it is the fit of prediction to reference, turned round: the
-    other direction flattens it to 0.9 or 0.67 (D07). Values that are not finite or not positive count as unknown (D05). A scale ≤ 0
-    is never returned. Raises ValueError that names the argument when shapes differ.
+    In depth, not in disparity, whose fit to near pixels turns far ones negative (D03). Theil-Sen start and Huber rounds
+    stand up to 45 % of moved pixels (D01); more need the mask. With both maps ``noisy``, in proportion to their scale,
+    the slope is the geometric mean of the fits in both directions; with noise in the prediction only it is the fit of
+    prediction to reference, turned round: the other direction flattens it to 0.9 or 0.67 (D07). Values that are not
+    finite or not positive count as unknown (D05). A scale ≤ 0 is never returned. Raises ValueError that names the
+    argument when shapes differ.
     """
     require("reference_m", reference_m, np.shape(predicted))
     require("static", static, np.shape(predicted))
-    usable = np.asarray(static, dtype=bool) & np.isfinite(predicted) & np.isfinite(reference_m) & (predicted > 0) & (reference_m > 0)
+    usable = (
+        np.asarray(static, dtype=bool)
+        & np.isfinite(predicted)
+        & np.isfinite(reference_m)
+        & (predicted > 0)
+        & (reference_m > 0)
+    )
     x, y = predicted[usable].astype(np.float64), reference_m[usable].astype(np.float64)
     if len(x) < _LEAST_PIXELS:
         return Alignment(1.0, 0.0, "undetermined")
@@ -89,7 +98,8 @@ def align_depth(
 
 
 def shared_alignment(frames: Sequence[Alignment]) -> Alignment:
-    """One alignment for a static camera: median scale and shift of its frames, so that depth does not flicker (D06, U22).
+    """One alignment for a static camera: median scale and shift of its frames, so that depth does not flicker (D06,
+    U22).
 
     Affine when most determined frames are; undetermined without any.
     """
@@ -98,7 +108,9 @@ def shared_alignment(frames: Sequence[Alignment]) -> Alignment:
     if not known:
         return Alignment(1.0, 0.0, "undetermined")
     chosen = affine if 2 * len(affine) > len(known) else [f for f in known if f.model == "scale"] or known
-    return Alignment(float(np.median([f.scale for f in chosen])), float(np.median([f.shift_m for f in chosen])), chosen[0].model)
+    return Alignment(
+        float(np.median([f.scale for f in chosen])), float(np.median([f.shift_m for f in chosen])), chosen[0].model
+    )
 
 
 def _relief(depth_m: np.ndarray) -> float:

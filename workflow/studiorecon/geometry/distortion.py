@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lens distortion in both directions, with an answer that says where there is none.
 
-Two models: ``"opencv"`` (k1 k2 p1 p2 k3 [k4 k5 k6]) and ``"fisheye"`` (k1 k2 k3 k4), both on normalised image coordinates
-(camera rays at z = 1). Undistortion brackets the radius below the lens's fold and checks its own result by distorting again
-(numerics C09, C10); fixed-point iteration, the usual shortcut, diverges for strong lenses without saying so.
+Two models: ``"opencv"`` (k1 k2 p1 p2 k3 [k4 k5 k6]) and ``"fisheye"`` (k1 k2 k3 k4), both on normalised image
+coordinates (camera rays at z = 1). Undistortion brackets the radius below the lens's fold and checks its own result by
+distorting again (C09, C10); fixed-point iteration, the usual shortcut, diverges for strong lenses without
+saying so.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 _RESIDUAL = 1e-9
 _COEFFICIENTS = {"opencv": 8, "fisheye": 4}
 
 
-def distort(points: np.ndarray, model: str, coefficients: np.ndarray) -> np.ndarray:
-    """Distorted normalised coordinates (..., 2) of undistorted ones (..., 2). Says nothing about the fold: see ``fold_radius``.
+def distort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.ndarray) -> np.ndarray:
+    """Distorted normalised coordinates (..., 2) of undistorted ones (..., 2). Says nothing about the fold: see
+    ``fold_radius``.
 
     Raises ValueError for another model, too many coefficients or ones that are not finite, or points of another shape.
     """
@@ -40,25 +47,35 @@ def distort(points: np.ndarray, model: str, coefficients: np.ndarray) -> np.ndar
     )
 
 
-def undistort(points: np.ndarray, model: str, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def undistort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Undistorted normalised coordinates (..., 2), NaN where the lens has no such ray, and where they are valid (...,).
 
-    Valid means: distorting the answer gives the question to 1e-9, and the answer lies inside the fold (C09, C10). Newton per radius
-    inside a bracket, then in the plane for tangential terms. Raises ValueError as ``distort`` does.
+    Valid means: distorting the answer gives the question to 1e-9, and the answer lies inside the fold (C09, C10).
+    Newton per radius inside a bracket, then in the plane for tangential terms. Raises ValueError as ``distort`` does.
     """
     points = np.asarray(points, dtype=np.float64)
     require("points", points, (..., 2))
-    # Loaded here: most steps that read this module only distort, and numba takes longer to import than they take to start.
+    # Loaded here: most steps that read this module only distort, and numba takes longer to import than they take to
+    # start.
     from studiorecon.geometry import distortion_kernels as kernels
 
     flat = np.ascontiguousarray(points.reshape(-1, 2))
     answers, valid = np.empty_like(flat), np.empty(len(flat), dtype=bool)
-    kernels.undistort(flat, _full(model, coefficients), model == "fisheye", fold_radius(model, coefficients), _RESIDUAL, answers, valid)
+    kernels.undistort(
+        flat,
+        _full(model, coefficients),
+        model == "fisheye",
+        fold_radius(model, coefficients),
+        _RESIDUAL,
+        answers,
+        valid,
+    )
     return answers.reshape(points.shape), valid.reshape(points.shape[:-1])
 
 
 def fold_radius(model: str, coefficients: np.ndarray) -> float:
-    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never does.
+    """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never
+    does.
 
     Raises ValueError for another model or coefficients that are not finite.
     """
@@ -82,7 +99,9 @@ def _full(model: str, coefficients: np.ndarray) -> np.ndarray:
         raise ValueError(f"model must be one of {sorted(_COEFFICIENTS)}, not {model!r}")
     given = np.asarray(coefficients, dtype=np.float64).reshape(-1)
     if len(given) > most or not np.isfinite(given).all():
-        raise ValueError(f"coefficients of the {model} model must be at most {most} finite numbers, not {given.tolist()}")
+        raise ValueError(
+            f"coefficients of the {model} model must be at most {most} finite numbers, not {given.tolist()}"
+        )
     full = np.zeros(8)
     full[: len(given)] = given
     return full

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The inner loop of undistortion, one point at a time, compiled; read ``distortion.py`` for what it means.
 
-A lens is (k (8,), fisheye): k1 k2 p1 p2 k3 k4 k5 k6 of the opencv model, or k1 k2 k3 k4 of the fisheye model in the first four places.
+A lens is (k (8,), fisheye): k1 k2 p1 p2 k3 k4 k5 k6 of the opencv model, or k1 k2 k3 k4 of the fisheye model in the
+first four places.
 """
 
 from __future__ import annotations
@@ -11,17 +12,20 @@ from numba import njit
 
 _RADIAL_STEPS = 100
 _PLANE_STEPS = 12
-# Newton squares its relative error: what is left after steps this small is 1e-13 or less on the radius and in the plane.
+# Newton squares its relative error: what is left after steps this small is 1e-13 or less on the radius and in the
+# plane.
 _SETTLED, _PLANE_SETTLED = 2e-7, 1e-6
 # Lenses with tangential terms: points settled together, and the residual above which one is settled alone.
 _BLOCK, _BLOCK_SETTLED = 512, 1e-13
-# Starts are read from a table of the radial inverse, even in the squared radius, up to this one (63° off axis without distortion).
+# Starts are read from a table of the radial inverse, even in the squared radius, up to this one (63° off axis without
+# distortion).
 _TABLE_SIZE, _TABLE_SPAN = 2048, 2.0
 
 
 @njit(cache=True, nogil=True)
 def undistort(points, k, fisheye, limit, tolerance, answers, valid):
-    """Fill answers (N, 2), NaN where there is none, and valid (N,) for distorted ``points`` (N, 2); ``limit`` is the fold radius."""
+    """Fill answers (N, 2), NaN where there is none, and valid (N,) for distorted ``points`` (N, 2); ``limit`` is the
+    fold radius."""
     # A division is most of a step's time, and most lenses have no denominator.
     rational = k[5] != 0.0 or k[6] != 0.0 or k[7] != 0.0
     tangential = not fisheye and (k[2] != 0.0 or k[3] != 0.0)
@@ -89,10 +93,11 @@ def undistort(points, k, fisheye, limit, tolerance, answers, valid):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _plane_block(points, k, rational, table, span, block):
-    """Undistorted points and what is off into the rows u, v, off of ``block``; off is large where this was not enough, inf off the table.
+    """Undistorted points and what is off into the rows u, v, off of ``block``; off is large where this was not enough,
+    inf off the table.
 
-    Two Newton steps from two readings of the table, no branches: the processor works on several points at once, which a loop until
-    each has settled does not let it do.
+    Two Newton steps from two readings of the table, no branches: the processor works on several points at once, which a
+    loop until each has settled does not let it do.
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7]
     reach = span * span
@@ -143,7 +148,9 @@ def _plane_miss(u, v, x, y, k, rational):
     gain = 1 + s * (k[0] + s * (k[1] + s * k[4]))
     if rational:
         gain /= 1 + s * (k[5] + s * (k[6] + s * k[7]))
-    return u * gain + 2 * k[2] * u * v + k[3] * (s + 2 * u * u) - x, v * gain + k[2] * (s + 2 * v * v) + 2 * k[3] * u * v - y
+    return u * gain + 2 * k[2] * u * v + k[3] * (s + 2 * u * u) - x, v * gain + k[2] * (s + 2 * v * v) + 2 * k[
+        3
+    ] * u * v - y
 
 
 @njit(cache=True, nogil=True)
@@ -161,7 +168,8 @@ def _radial(radius, k, fisheye):
 
 @njit(cache=True, nogil=True)
 def _ratio(square, table, reach):
-    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: in the square it is nearly straight."""
+    """Undistorted over distorted radius at a squared distorted one up to ``reach``, interpolated: in the square it is
+    nearly straight."""
     position = square * (_TABLE_SIZE / reach)
     i = min(int(position), _TABLE_SIZE - 1)
     return table[i] + (position - i) * (table[i + 1] - table[i])
@@ -169,7 +177,8 @@ def _ratio(square, table, reach):
 
 @njit(cache=True, nogil=True)
 def _invert(target, radius, k, fisheye, limit, farthest):
-    """Radius up to ``limit`` whose distortion is ``target``: Newton from ``radius`` inside a bracket, else bisection (C09)."""
+    """Radius up to ``limit`` whose distortion is ``target``: Newton from ``radius`` inside a bracket, else bisection
+    (C09)."""
     if target >= farthest:
         return limit
     low, high = 0.0, limit

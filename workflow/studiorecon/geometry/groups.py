@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of nodes that belong together, chosen whole by the sum of their affinities: beam search, piece by piece of the graph."""
+"""Groups of nodes that belong together, chosen whole by the sum of their affinities: beam search, piece by piece of the
+graph."""
 
 from __future__ import annotations
 
 import heapq
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -11,19 +13,25 @@ from scipy.sparse.csgraph import connected_components
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
 _BEAM = 200
-# Candidates looked at before duplicates are dropped; a group of n nodes is reached from up to n others. Doubled until it suffices.
+# Candidates looked at before duplicates are dropped; a group of n nodes is reached from up to n others. Doubled until
+# it suffices.
 _CANDIDATES = 16 * _BEAM
 # Sums of one group in another order differ in their last digits: scores count to so many, so that ties are ties.
 _DIGITS = 9
 
 
-def groups_by_affinity(affinity: np.ndarray, forbidden: np.ndarray) -> list[list[int]]:
-    """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not linked.
+def groups_by_affinity(affinity: Num[np.ndarray, "M M"], forbidden: Bool[np.ndarray, "M M"]) -> list[list[int]]:
+    """Groups of nodes, best first, by greedy choice of the group with the largest sum of ``affinity`` (M, M), 0 = not
+    linked.
 
-    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. What no chain of links connects is
-    searched apart: a detector that loses people brings hundreds of short tracks, and one search over all of them took minutes.
-    Raises ValueError for other shapes, and for affinities that are not finite: a pair that was not measured has 0 (A02).
+    No two nodes of a group are ``forbidden`` (M, M) together; nodes without a link are left out. What no chain of links
+    connects is searched apart: a detector that loses people brings hundreds of short tracks, and one search over all of
+    them took minutes. Raises ValueError for other shapes, and for affinities that are not finite: a pair that was not
+    measured has 0 (A02).
     """
     require("forbidden", forbidden, ("M", "M"), require("affinity", affinity, ("M", "M"), finite=True))
     forbidden = forbidden | np.eye(len(affinity), dtype=bool)
@@ -37,9 +45,9 @@ def groups_by_affinity(affinity: np.ndarray, forbidden: np.ndarray) -> list[list
                 heapq.heappush(heap, (-round(score, _DIGITS), piece[group].tolist(), piece))
         pieces = []
         if heap:
-            _, group, piece = heapq.heappop(heap)
-            found.append(group)
-            pieces = [np.setdiff1d(piece, group)]
+            _, best, piece = heapq.heappop(heap)
+            found.append(best)
+            pieces = [np.setdiff1d(piece, best)]
     return found
 
 
@@ -51,9 +59,11 @@ def _connected(nodes: np.ndarray, affinity: np.ndarray, forbidden: np.ndarray) -
 
 
 def _best_group(affinity: np.ndarray, forbidden: np.ndarray) -> tuple[float, np.ndarray]:
-    """(score, nodes) by beam search over groups, grown one node at a time from every linked pair; ties go to the lower nodes."""
+    """(score, nodes) by beam search over groups, grown one node at a time from every linked pair; ties go to the lower
+    nodes."""
     count = len(affinity)
-    # A group's name whatever order it grew in: chance makes two of a million groups the same once in ten million searches.
+    # A group's name whatever order it grew in: chance makes two of a million groups the same once in ten million
+    # searches.
     names = np.random.default_rng(0).integers(1, 2**63, count, dtype=np.uint64)
     first, second = np.nonzero(np.triu((affinity > 0) & ~forbidden, 1))
     members = np.zeros((len(first), count), dtype=bool)
@@ -98,5 +108,7 @@ def _leaders(scores: np.ndarray, members: np.ndarray) -> np.ndarray:
         candidates = np.arange(len(scores))
     order = candidates[np.argsort(-scores[candidates], kind="stable")]
     if len(np.unique(scores[order])) < len(order):
-        order = np.array(sorted(order.tolist(), key=lambda i: (-scores[i], np.flatnonzero(members[i]).tolist())), dtype=int)
+        order = np.array(
+            sorted(order.tolist(), key=lambda i: (-scores[i], np.flatnonzero(members[i]).tolist())), dtype=int
+        )
     return order[:_BEAM]

@@ -5,14 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.scene.camera import Lens
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
@@ -30,13 +34,14 @@ class WorkingView:
     """
 
     wh: tuple[int, int]
-    intrinsics: np.ndarray
+    intrinsics: Num[np.ndarray, "3 3"]
     oversampling: int
     map_x: np.ndarray
     map_y: np.ndarray
 
     def picture(self, source: np.ndarray) -> np.ndarray:
-        """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the oversampling."""
+        """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the
+        oversampling."""
         # The maps stay inside the footage; replication only serves the half pixel beyond the outermost centres.
         sampled = cv2.remap(source, self.map_x, self.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return sampled if self.oversampling == 1 else cv2.resize(sampled, self.wh, interpolation=cv2.INTER_AREA)
@@ -52,9 +57,10 @@ def working_wh(source_wh: tuple[int, int], width: int) -> tuple[int, int]:
 def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -> WorkingView:
     """Intrinsics and sampling maps of the largest undistorted picture of size ``wh`` without black borders.
 
-    The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the calibrated
-    frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics are only scaled.
-    Raises Refusal for a lens that cannot be undone at its edge, and as ``calibration_from_video_pixels``.
+    The picture shows the largest axis-aligned rectangle that the lens covers inside both the video frame and the
+    calibrated frame, cut to the aspect of ``wh``; a lens without distortion keeps its whole frame and its intrinsics
+    are only scaled. Raises UserError for a lens that cannot be undone at its edge, and as
+    ``calibration_from_video_pixels``.
     """
     calibration_from_video = calibration_from_video_pixels(lens, source_wh)
     left, top, right, bottom = _covered(lens, source_wh, calibration_from_video)
@@ -73,29 +79,34 @@ def working_view(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) ->
     n = max(1, int(np.floor(min(np.sqrt(abs(np.linalg.det(calibration_from_video[:, :2]))) ** -1 / scale) + 0.5)))
     columns, rows = np.meshgrid((np.arange(n * wh[0]) + 0.5) / n, (np.arange(n * wh[1]) + 0.5) / n)
     video = video_from_working(np.stack([columns, rows], axis=-1), lens, source_wh, intrinsics)
-    return WorkingView(wh, intrinsics, n, (video[..., 0] - 0.5).astype(np.float32), (video[..., 1] - 0.5).astype(np.float32))
+    return WorkingView(
+        wh, intrinsics, n, (video[..., 0] - 0.5).astype(np.float32), (video[..., 1] - 0.5).astype(np.float32)
+    )
 
 
-def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> np.ndarray:
+def calibration_from_video_pixels(lens: Lens, source_wh: tuple[int, int]) -> Num[np.ndarray, "2 3"]:
     """(2, 3) map from video pixels to calibration pixels.
 
-    The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises Refusal when
-    the two sizes have different shapes: then the footage was cropped or padded, and only the user knows how.
+    The lens's own map where one was given; else the scaling from the video's size to the calibrated one. Raises
+    UserError when the two sizes have different shapes: then the footage was cropped or padded, and only the user knows
+    how.
     """
     given = np.asarray(lens.calibration_from_video, dtype=np.float64)
     if not np.array_equal(given, np.eye(2, 3)) or 0 in lens.wh or tuple(lens.wh) == tuple(source_wh):
         return given
     scale = np.array(lens.wh) / np.array(source_wh)
     if abs(scale[0] / scale[1] - 1) > _ASPECT_TOLERANCE:
-        raise Refusal(
-            f"camera {lens.name}: the calibration is for {lens.wh[0]}×{lens.wh[1]} but the footage is {source_wh[0]}×{source_wh[1]}, "
+        raise UserError(
+            f"camera {lens.name}: the calibration is for {lens.wh[0]}×{lens.wh[1]} but the "
+            f"footage is {source_wh[0]}×{source_wh[1]}, "
             "another shape; give its place in capture.yaml: pixel_maps: {camera: {scale: …, offset: [x, y]}}"
         )
     return np.array([[scale[0], 0, 0], [0, scale[1], 0]])
 
 
-def calibration_from_video(pixel_map: Sequence[float] | None) -> np.ndarray:
-    """(2, 3) inverse of p_video = s · p_calibration + (x, y), given as (s, x, y); the identity when there is no such map."""
+def calibration_from_video(pixel_map: Sequence[float] | None) -> Num[np.ndarray, "2 3"]:
+    """(2, 3) inverse of p_video = s · p_calibration + (x, y), given as (s, x, y); the identity when there is no such
+    map."""
     if not pixel_map:
         return np.eye(2, 3)
     scale, x, y = (float(v) for v in pixel_map)
@@ -112,18 +123,23 @@ def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
     return replace(lens, wh=(round(corner[0]), round(corner[1])), intrinsics=intrinsics, calibration_from_video=affine)
 
 
-def normalised_from_calibration(pixels: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+def normalised_from_calibration(pixels: Num[np.ndarray, "... 2"], lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Undistorted normalised coordinates (..., 2) and validity (...,) of calibration pixels (..., 2).
 
     Raises ValueError for another shape.
     """
     require("pixels", pixels, (..., 2))
     focal = np.array([lens.intrinsics[0, 0], lens.intrinsics[1, 1]])
-    return undistort((np.asarray(pixels, dtype=np.float64) - lens.intrinsics[:2, 2]) / focal, lens.model, lens.distortion)
+    return undistort(
+        (np.asarray(pixels, dtype=np.float64) - lens.intrinsics[:2, 2]) / focal, lens.model, lens.distortion
+    )
 
 
-def working_from_calibration(pixels: np.ndarray, lens: Lens, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working picture.
+def working_from_calibration(
+    pixels: np.ndarray, lens: Lens, intrinsics: Num[np.ndarray, "3 3"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working
+    picture.
 
     Raises ValueError for another shape.
     """
@@ -132,18 +148,25 @@ def working_from_calibration(pixels: np.ndarray, lens: Lens, intrinsics: np.ndar
     return normalised * np.array([intrinsics[0, 0], intrinsics[1, 1]]) + intrinsics[:2, 2], valid
 
 
-def working_from_video(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def working_from_video(
+    pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Working pixels (..., 2) and validity (...,) of pixels of the video file (..., 2), centres at +0.5.
 
     Raises ValueError for another shape.
     """
     require("pixels", pixels, (..., 2))
     affine = calibration_from_video_pixels(lens, source_wh)
-    return working_from_calibration(np.asarray(pixels, dtype=np.float64) @ affine[:, :2].T + affine[:, 2], lens, intrinsics)
+    return working_from_calibration(
+        np.asarray(pixels, dtype=np.float64) @ affine[:, :2].T + affine[:, 2], lens, intrinsics
+    )
 
 
-def video_from_working(pixels: np.ndarray, lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray) -> np.ndarray:
-    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5. Raises ValueError for another shape."""
+def video_from_working(
+    pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
+) -> np.ndarray:
+    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5. Raises ValueError for another
+    shape."""
     require("pixels", pixels, (..., 2))
     require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised = (pixels - intrinsics[:2, 2]) / np.array([intrinsics[0, 0], intrinsics[1, 1]])
@@ -160,8 +183,11 @@ def _pixel_aspect(lens: Lens, source_wh: tuple[int, int], wh: tuple[int, int]) -
     return stretch * (source_wh[0] / source_wh[1]) / (wh[0] / wh[1])
 
 
-def _covered(lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.ndarray) -> tuple[float, float, float, float]:
-    """Left, top, right, bottom (undistorted calibration pixels) of the largest rectangle inside the undistorted footage."""
+def _covered(
+    lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.ndarray
+) -> tuple[float, float, float, float]:
+    """Left, top, right, bottom (undistorted calibration pixels) of the largest rectangle inside the undistorted
+    footage."""
     corners = np.array([[0.0, 0.0], source_wh]) @ calibration_from_video[:, :2].T + calibration_from_video[:, 2]
     low, high = corners.min(0), corners.max(0)
     if 0 not in lens.wh:
@@ -180,8 +206,9 @@ def _covered(lens: Lens, source_wh: tuple[int, int], calibration_from_video: np.
     for side, edge in edges.items():
         normalised, valid = normalised_from_calibration(edge, lens)
         if not valid.all():
-            raise Refusal(
-                f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} ({lens.model}) cannot be undone at the "
+            raise UserError(
+                f"camera {lens.name}: its distortion {np.round(lens.distortion, 4).tolist()} "
+                f"({lens.model}) cannot be undone at the "
                 f"{side} edge of its frame; the coefficients belong to another lens or another model"
             )
         flat[side] = normalised * focal + principal

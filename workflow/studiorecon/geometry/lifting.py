@@ -6,22 +6,29 @@ Depth is z in metres; 0, negative, not finite or masked out means unknown, and u
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.geometry.surface import depth_breaks
 from studiorecon.scene.camera import Camera
 
-# A depth map shows the skin; the pelvis joint lies this far behind it along the ray (numerics C11, U26).
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# A depth map shows the skin; the pelvis joint lies this far behind it along the ray (C11, U26).
 SURFACE_TO_PELVIS_M = 0.13
 
 
-def sample_depth(depth_m: np.ndarray, pixels: np.ndarray, jump: float, near_m: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def sample_depth(
+    depth_m: Num[np.ndarray, "H W"], pixels: Num[np.ndarray, "... 2"], jump: float, near_m: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Depth (...,) of a map (H, W) at pixels (..., 2), NaN where there is none, and where there is one (...,) bool.
 
-    The nearest pixel is read: at the silhouette of a person at 2 m before a wall at 6 m a linear read says 4 (numerics C12). Pixels
-    outside the map, beside unknown depth or beside a step of the share ``jump`` (0.03 in Pi3's own examples; inf keeps them) are
-    invalid, and so are depths of ``near_m`` or less. Raises ValueError for other shapes.
+    The nearest pixel is read: at the silhouette of a person at 2 m before a wall at 6 m a linear read says 4 (
+    C12). Pixels outside the map, beside unknown depth or beside a step of the share ``jump`` (0.03 in Pi3's own
+    examples; inf keeps them) are invalid, and so are depths of ``near_m`` or less. Raises ValueError for other shapes.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
     require("pixels", pixels, (..., 2))
@@ -38,13 +45,18 @@ def sample_depth(depth_m: np.ndarray, pixels: np.ndarray, jump: float, near_m: f
 
 
 def patch_depth(
-    depth_m: np.ndarray, valid_mask: np.ndarray, pixels: np.ndarray, patch_px: int, near_m: float
+    depth_m: Num[np.ndarray, "H W"],
+    valid_mask: Num[np.ndarray, "H W"],
+    pixels: Num[np.ndarray, "D 2"],
+    patch_px: int,
+    near_m: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Median depth (D,) of the valid pixels of a square patch around each of ``pixels`` (D, 2), and whether there is any (D,) bool.
+    """Median depth (D,) of the valid pixels of a square patch around each of ``pixels`` (D, 2), and whether there is
+    any (D,) bool.
 
-    ``depth_m`` (H, W); ``valid_mask`` (H, W) or one per pixel (D, H, W): the person, where the depth is measured. The lower of two
-    middle values is taken, never their mean, which may lie on neither surface (C12). Depths that are not finite or not past
-    ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
+    ``depth_m`` (H, W); ``valid_mask`` (H, W) or one per pixel (D, H, W): the person, where the depth is measured. The
+    lower of two middle values is taken, never their mean, which may lie on neither surface (C12). Depths that are not
+    finite or not past ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
     sizes = require("pixels", pixels, ("D", 2), sizes)
@@ -80,11 +92,12 @@ def lift_pelvis(
     patch_px: int = 9,
     near_m: float = 0.1,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and where they are determined (D,) or () bool.
+    """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and where they are determined (D,) or
+    () bool.
 
-    The paper's p_world = Rᵀ(d K⁻¹p − t), with d from ``patch_depth`` and ``surface_to_joint_m`` added along the ray, not in z: the
-    skin seen from two sides is up to 0.34 m apart (numerics C11, U26). Raises ValueError as ``patch_depth`` does, and when the
-    depth map has another size than the camera.
+    The paper's p_world = Rᵀ(d K⁻¹p − t), with d from ``patch_depth`` and ``surface_to_joint_m`` added along the ray,
+    not in z: the skin seen from two sides is up to 0.34 m apart (C11, U26). Raises ValueError as
+    ``patch_depth`` does, and when the depth map has another size than the camera.
     """
     require("depth_m", depth_m, camera.hw)
     one = np.ndim(pixels) == 1
@@ -94,8 +107,11 @@ def lift_pelvis(
     return (points[0], valid[0]) if one else (points, valid)
 
 
-def lift_joint(surface_depth_m: np.ndarray, pixels: np.ndarray, camera: Camera, surface_to_joint_m: float) -> np.ndarray:
-    """World points (..., 3) that lie ``surface_to_joint_m`` behind the surface seen at ``pixels`` (..., 2) at z-depth (...,).
+def lift_joint(
+    surface_depth_m: np.ndarray, pixels: Num[np.ndarray, "... 2"], camera: Camera, surface_to_joint_m: float
+) -> np.ndarray:
+    """World points (..., 3) that lie ``surface_to_joint_m`` behind the surface seen at ``pixels`` (..., 2) at z-depth
+    (...,).
 
     NaN where the depth is not finite and positive, or the pixel not finite (C04). Raises ValueError for other shapes.
     """

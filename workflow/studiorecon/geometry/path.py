@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,14 +14,18 @@ from studiorecon.geometry.rotations import half_turn, slerp
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 # How far in front of the rig the scene is taken to be when the optical axes do not say (parallel axes, one camera).
 _ASSUMED_DISTANCE_M = 3.0
 # Weight of that assumption against one optical axis: decides only what the axes leave open.
 _ASSUMPTION_WEIGHT = 1e-3
 
 
-def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave it open.
+def scene_centre(cameras: Sequence[Camera]) -> Num[np.ndarray, " 3"]:
+    """(3,) the point nearest to all optical axes in least squares; three metres ahead of the rig where the axes leave
+    it open.
 
     Raises ValueError without a camera.
     """
@@ -35,7 +39,7 @@ def scene_centre(cameras: Sequence[Camera]) -> np.ndarray:
     return np.linalg.solve(normal, right)
 
 
-def azimuths_rad(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+def azimuths_rad(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, " V"]:
     """(V,) direction of each camera seen from the centre, counter-clockwise from x, in [0, 2 pi).
 
     Raises ValueError for a ``centre_m`` that is no point.
@@ -48,8 +52,8 @@ def azimuths_rad(cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
 def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) -> tuple[list[int], float]:
     """Camera indices counter-clockwise around the centre (U18), and the largest gap between neighbours in radians.
 
-    A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown through.
-    Raises ValueError for a ``centre_m`` that is no point.
+    A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown
+    through. Raises ValueError for a ``centre_m`` that is no point.
     """
     azimuth = azimuths_rad(cameras, centre_m)
     order = np.argsort(azimuth, kind="stable")
@@ -58,8 +62,9 @@ def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) 
     return [int(i) for i in np.roll(order, -start)], float(gaps.max())
 
 
-def look_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down looks along y.
+def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
+    """(3, 3) world_from_camera of a level camera at ``eye_m`` whose optical axis meets ``target_m``; straight down
+    looks along y.
 
     Raises ValueError for places that are not (3,) finite numbers.
     """
@@ -75,7 +80,7 @@ def look_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
-def with_pose(camera: Camera, world_from_camera: np.ndarray, centre_m: np.ndarray) -> Camera:
+def with_pose(camera: Camera, world_from_camera: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]) -> Camera:
     """The camera turned to the (3, 3) rotation ``world_from_camera`` and moved to ``centre_m``.
 
     Raises ValueError for another shape or numbers that are not finite.
@@ -88,7 +93,9 @@ def with_pose(camera: Camera, world_from_camera: np.ndarray, centre_m: np.ndarra
     return replace(camera, camera_from_world=camera_from_world)
 
 
-def straight(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray) -> np.ndarray:
+def straight(
+    start_m: Num[np.ndarray, " 3"], end_m: Num[np.ndarray, " 3"], shares: Num[np.ndarray, " N"]
+) -> Num[np.ndarray, "N 3"]:
     """(N, 3) points on the chord at ``shares`` (N,) of the way. Raises ValueError for other shapes."""
     require("start_m", start_m, (3,))
     require("end_m", end_m, (3,))
@@ -96,7 +103,9 @@ def straight(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray) -> np.n
     return start_m + shares[:, None] * (end_m - start_m)
 
 
-def arc(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray, centre_m: np.ndarray) -> np.ndarray:
+def arc(
+    start_m: np.ndarray, end_m: np.ndarray, shares: Num[np.ndarray, " N"], centre_m: np.ndarray
+) -> Num[np.ndarray, "N 3"]:
     """(N, 3) points around the vertical through the centre, the short way: angle, radius and height change evenly.
 
     Exactly opposite ends go counter-clockwise. Raises ValueError for other shapes.
@@ -114,7 +123,7 @@ def arc(start_m: np.ndarray, end_m: np.ndarray, shares: np.ndarray, centre_m: np
     return np.stack([centre_m[0] + radius * np.cos(angle), centre_m[1] + radius * np.sin(angle), height], axis=1)
 
 
-def clearance_share(points_m: np.ndarray, centre_m: np.ndarray) -> float:
+def clearance_share(points_m: Num[np.ndarray, "N 3"], centre_m: np.ndarray) -> float:
     """Least horizontal distance of a path (N, 3) to the centre, over the smaller of its two ends' distances.
 
     Raises ValueError for other shapes or points that are not finite.
@@ -125,8 +134,9 @@ def clearance_share(points_m: np.ndarray, centre_m: np.ndarray) -> float:
     return float(distance.min() / ends) if ends > 0 else 1.0
 
 
-def axis_miss_rad(camera: Camera, target_m: np.ndarray) -> float:
-    """Angle between the optical axis and the direction to ``target_m`` (3,), by atan2. Raises ValueError for another shape."""
+def axis_miss_rad(camera: Camera, target_m: Num[np.ndarray, " 3"]) -> float:
+    """Angle between the optical axis and the direction to ``target_m`` (3,), by atan2. Raises ValueError for another
+    shape."""
     require("target_m", target_m, (3,))
     direction = target_m - camera.centre_m
     return float(np.arctan2(np.linalg.norm(np.cross(camera.forward, direction)), camera.forward @ direction))
@@ -136,32 +146,34 @@ def between(
     start: Camera,
     end: Camera,
     count: int,
-    centre_m: np.ndarray,
+    centre_m: Num[np.ndarray, " 3"],
     *,
-    centres: Literal["linear", "arc"],
     rotations: Literal["slerp", "look_at"],
     clearance: float,
 ) -> tuple[list[Camera], bool]:
     """``count`` cameras from ``start`` to ``end``, both included, and whether the chord was bent to an arc.
 
-    Rotations by slerp (half turns go about the world's up), centres along the chord, as the paper writes. A chord that passes the
-    centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would fly through the people).
-    ``look_at`` keeps the centre where the two cameras have it in their pictures, which slerp does not for unlike cameras (R08).
-    Cameras that look exactly half a turn apart are named in the log: which way to turn was a choice (R05). Raises ValueError for a
-    ``centre_m`` that is no point or fewer than one camera.
+    Rotations by slerp (half turns go about the world's up), centres along the chord, as the paper writes. A chord that
+    passes the centre nearer than ``clearance`` times its nearer end is replaced by the arc (R07: opposite cameras would
+    fly through the people). ``look_at`` keeps the centre where the two cameras have it in their pictures, which slerp
+    does not for unlike cameras (R08). Cameras that look exactly half a turn apart are named in the log: which way to
+    turn was a choice (R05). Raises ValueError for a ``centre_m`` that is no point or fewer than one camera.
     """
     require("centre_m", centre_m, (3,), finite=True)
     if count < 1:
         raise ValueError(f"count must be at least 1, not {count}")
     shares = np.arange(count) / max(count - 1, 1)
     points = straight(start.centre_m, end.centre_m, shares)
-    bent = centres == "arc" or clearance_share(points, centre_m) < clearance
+    bent = clearance_share(points, centre_m) < clearance
     if bent:
         points = arc(start.centre_m, end.centre_m, shares, centre_m)
     turned_a, turned_b = start.world_from_camera[:3, :3], end.world_from_camera[:3, :3]
     if rotations == "slerp":
         if half_turn(turned_a, turned_b):
-            say(f"cameras {start.name} and {end.name} look exactly half a turn apart; the path turns counter-clockwise about the vertical")
+            say(
+                f"cameras {start.name} and {end.name} look exactly half a turn apart; the path "
+                "turns counter-clockwise about the vertical"
+            )
         turned = slerp(turned_a, turned_b, shares)
     else:
         frames = np.stack([look_at(point, centre_m) for point in points])
@@ -172,4 +184,4 @@ def between(
     poses[:, :3, 3] = -np.einsum("nji,nj->ni", turned, points)
     share = shares[:, None, None]
     lenses = (1 - share) * start.intrinsics + share * end.resized(start.wh).intrinsics
-    return [Camera(start.name, start.wh, lens, pose) for lens, pose in zip(lenses, poses)], bent and centres == "linear"
+    return [Camera(start.name, start.wh, lens, pose) for lens, pose in zip(lenses, poses)], bent

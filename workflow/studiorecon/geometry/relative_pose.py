@@ -3,24 +3,31 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.geometry.rotations import cross_matrix, exp
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 _LEAST_PAIRS = 12
 _CONFIDENCE = 0.9999
 _ROUNDS = 3
 
 
-def relative_pose(first: np.ndarray, second: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def relative_pose(
+    first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"], unit: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Rotation (3, 3), unit translation (3,) and inliers (N,) with x_second = R x_first + t, or None.
 
-    ``first`` and ``second`` are undistorted normalised coordinates (N, 2) of the same points, ``unit`` the Sampson distance that
-    still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least squares of the
-    Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is no answer.
-    Raises ValueError for other shapes and coordinates that are not finite.
+    ``first`` and ``second`` are undistorted normalised coordinates (N, 2) of the same points, ``unit`` the Sampson
+    distance that still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least
+    squares of the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when
+    there is no answer. Raises ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _LEAST_PAIRS:
@@ -34,35 +41,48 @@ def relative_pose(first: np.ndarray, second: np.ndarray, unit: float) -> tuple[n
         if agreed.sum() < _LEAST_PAIRS:
             continue
         _, rotation, translation, ahead = cv2.recoverPose(
-            essential[start : start + 3], first[agreed], second[agreed], np.eye(3), mask=np.ones((int(agreed.sum()), 1), np.uint8)
+            essential[start : start + 3],
+            first[agreed],
+            second[agreed],
+            np.eye(3),
+            mask=np.ones((int(agreed.sum()), 1), np.uint8),
         )
         if best is None or int((ahead > 0).sum()) > best[0]:
             best = int((ahead > 0).sum()), rotation, translation[:, 0]
     if best is None or best[0] < _LEAST_PAIRS:
         return None
     rotation, translation = _refined(best[1], best[2], first, second, unit)
-    inliers = (np.abs(sampson(essential_of(rotation, translation), first, second)) < unit) & in_front(rotation, translation, first, second)
+    inliers = (np.abs(sampson(essential_of(rotation, translation), first, second)) < unit) & in_front(
+        rotation, translation, first, second
+    )
     return (rotation, translation, inliers) if inliers.sum() >= _LEAST_PAIRS else None
 
 
-def essential_of(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def essential_of(rotation: np.ndarray, translation: np.ndarray) -> Num[np.ndarray, "3 3"]:
     """(3, 3) E = [t]x R, with second^T E first = 0."""
     return cross_matrix(translation) @ rotation
 
 
-def sampson(essential: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def sampson(
+    essential: np.ndarray, first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"]
+) -> Num[np.ndarray, " N"]:
     """(N,) signed Sampson distance: to first order, how far the two points (N, 2) are from a consistent pair.
 
     Raises ValueError for other shapes.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2)))
-    one, two = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0), np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
+    one, two = (
+        np.pad(first, ((0, 0), (0, 1)), constant_values=1.0),
+        np.pad(second, ((0, 0), (0, 1)), constant_values=1.0),
+    )
     line, back = one @ essential.T, two @ essential
     scale = np.sqrt((line[:, :2] ** 2).sum(-1) + (back[:, :2] ** 2).sum(-1))
     return (two * line).sum(-1) / np.maximum(scale, 1e-12)
 
 
-def in_front(rotation: np.ndarray, translation: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def in_front(
+    rotation: np.ndarray, translation: np.ndarray, first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"]
+) -> Num[np.ndarray, " N"]:
     """(N,) whether the rays of a pair (N, 2) come closest before both cameras. Raises ValueError for other shapes."""
     require("second", second, ("N", 2), require("first", first, ("N", 2)))
     one = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0) @ rotation.T
@@ -98,18 +118,28 @@ def _refined(
     return rotation, translation
 
 
-def resection(points_m: np.ndarray, normalised: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """``camera_from_world`` (4, 4) and inliers (N,) of a camera that sees world points (N, 3) at ``normalised`` (N, 2), or None.
+def resection(
+    points_m: Num[np.ndarray, "N 3"], normalised: Num[np.ndarray, "N 2"], unit: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """``camera_from_world`` (4, 4) and inliers (N,) of a camera that sees world points (N, 3) at ``normalised`` (N, 2),
+    or None.
 
-    Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above. Raises ValueError for other shapes and numbers
-    that are not finite.
+    Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above. Raises ValueError for other shapes
+    and numbers that are not finite.
     """
     require("normalised", normalised, ("N", 2), require("points_m", points_m, ("N", 3), finite=True), finite=True)
     if len(points_m) < _LEAST_PAIRS:
         return None
     points, pixels = np.ascontiguousarray(points_m), np.ascontiguousarray(normalised)
     found, turn, shift, chosen = cv2.solvePnPRansac(
-        points, pixels, np.eye(3), None, iterationsCount=300, reprojectionError=unit, confidence=_CONFIDENCE, flags=cv2.SOLVEPNP_AP3P
+        points,
+        pixels,
+        np.eye(3),
+        None,
+        iterationsCount=300,
+        reprojectionError=unit,
+        confidence=_CONFIDENCE,
+        flags=cv2.SOLVEPNP_AP3P,
     )
     if not found or chosen is None or len(chosen) < _LEAST_PAIRS:
         return None
@@ -125,8 +155,11 @@ def resection(points_m: np.ndarray, normalised: np.ndarray, unit: float) -> tupl
     return pose, inliers
 
 
-def misses(camera_from_world: np.ndarray, points_m: np.ndarray, normalised: np.ndarray) -> np.ndarray:
-    """(N,) distance between world points (N, 3) as a camera (4, 4) shows them and ``normalised`` (N, 2); inf behind the camera."""
+def misses(
+    camera_from_world: np.ndarray, points_m: np.ndarray, normalised: Num[np.ndarray, "N 2"]
+) -> Num[np.ndarray, " N"]:
+    """(N,) distance between world points (N, 3) as a camera (4, 4) shows them and ``normalised`` (N, 2); inf behind the
+    camera."""
     in_camera = points_m @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
     ahead = in_camera[:, 2] > 1e-6
     error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - normalised, axis=-1)

@@ -1,36 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations as (..., 3, 3) float64 matrices: to and from axis-angle and quaternions, between, on average.
 
-Stable at 0 and at π without thresholds that lose digits: exp by half-angle sincs, log by quaternions with the largest pivot.
-Every function raises ValueError that names the argument when its last axes are others than stated. Where rotations do not depend on
-one another NaN gives NaN for that one alone; where one decomposition takes them all, what is not finite is refused.
+Stable at 0 and at π without thresholds that lose digits: exp by half-angle sincs, log by quaternions with the largest
+pivot. Every function raises ValueError that names the argument when its last axes are others than stated. Where
+rotations do not depend on one another NaN gives NaN for that one alone; where one decomposition takes them all, what is
+not finite is refused.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
 # Within this of half a turn the sign of the axis is decided by rounding; slerp then decides it by a direction instead.
 _HALF_TURN_RAD = 1e-6
-# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, for a mean to mean anything (numerics R17).
+# Smallest gap between the two largest eigenvalues of Σ w q qᵀ, relative to Σ w, for a mean to mean anything (
+# R17).
 _MEAN_GAP = 1e-6
 
 
-def cross_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) matrices [v]× with [v]× u = v × u of ``vectors`` (..., 3). Raises ValueError for another last axis."""
+def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
+    """(..., 3, 3) matrices [v]× with [v]× u = v × u of ``vectors`` (..., 3). Raises ValueError for another last
+    axis."""
     require("vectors", vectors, (..., 3))
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
 
 
-def exp(axis_angle_rad: np.ndarray) -> np.ndarray:
+def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
     """(..., 3, 3) rotations of axis-angles (..., 3).
 
     I + sin θ/θ [w]× + 2 sin²(θ/2)/θ² [w]×²; ``np.sinc`` is exact at 0, and the half angle keeps the digits that
-    (1 − cos θ)/θ² loses (numerics R09, R10). Raises ValueError for another last axis.
+    (1 − cos θ)/θ² loses (R09, R10). Raises ValueError for another last axis.
     """
     w = np.asarray(axis_angle_rad, dtype=np.float64)
     require("axis_angle_rad", w, (..., 3))
@@ -39,7 +47,7 @@ def exp(axis_angle_rad: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sinc(turns) * cross + 0.5 * np.sinc(0.5 * turns) ** 2 * (cross @ cross)
 
 
-def log(rotations: np.ndarray) -> np.ndarray:
+def log(rotations: np.ndarray) -> Num[np.ndarray, "... 3"]:
     """(..., 3) axis-angles, angle in [0, π], of rotations (..., 3, 3); 1e-8 rad or better also at 0 and π (R11, R12).
 
     Raises ValueError for other last axes.
@@ -52,16 +60,29 @@ def log(rotations: np.ndarray) -> np.ndarray:
     return factor[..., None] * q[..., 1:]
 
 
-def angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(...,) angle in radians between rotations a and b (..., 3, 3), in [0, π], without arccos. Raises ValueError for other last axes."""
+def angle(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, " ..."]:
+    """(...,) angle in radians between rotations a and b (..., 3, 3), in [0, π], without arccos. Raises ValueError for
+    other last axes."""
     require("a", a, (..., 3, 3))
     require("b", b, (..., 3, 3))
     relative = np.swapaxes(np.asarray(a, dtype=np.float64), -1, -2) @ np.asarray(b, dtype=np.float64)
     return np.linalg.norm(log(relative), axis=-1)
 
 
-def to_quaternion(rotations: np.ndarray) -> np.ndarray:
-    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots (R13).
+def to_quaternion(rotations: np.ndarray) -> Num[np.ndarray, "... 4"]:
+    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots
+    (R13).
+
+    Raises ValueError for other last axes.
+    """
+    q = largest_quaternion_row(rotations).reshape(-1, 4)
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    q[q[:, 0] < 0] *= -1
+    return q.reshape(*np.shape(rotations)[:-2], 4)
+
+
+def largest_quaternion_row(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 4"]:
+    """(..., 4) quaternions w, x, y, z of either sign and a length between 2 and 4, of rotations (..., 3, 3).
 
     Raises ValueError for other last axes.
     """
@@ -79,14 +100,12 @@ def to_quaternion(rotations: np.ndarray) -> np.ndarray:
         ]
     )
     pivot = np.argmax(rows[range(4), range(4)], axis=0)
-    q = rows[pivot, :, np.arange(len(pivot))]
-    q /= np.linalg.norm(q, axis=-1, keepdims=True)
-    q[q[:, 0] < 0] *= -1
-    return q.reshape(*r.shape[:-2], 4)
+    return rows[pivot, :, np.arange(len(pivot))].reshape(*r.shape[:-2], 4)
 
 
-def from_quaternion(quaternions: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity (R14).
+def from_quaternion(quaternions: Num[np.ndarray, "... 4"]) -> Num[np.ndarray, "... 3 3"]:
+    """(..., 3, 3) rotations of quaternions (..., 4) w, x, y, z of any length; a length below 1e-12 gives the identity
+    (R14).
 
     Raises ValueError for another last axis.
     """
@@ -95,41 +114,21 @@ def from_quaternion(quaternions: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(q, axis=-1, keepdims=True)
     q = np.where(length < 1e-12, np.array([1.0, 0, 0, 0]), q / np.where(length < 1e-12, 1.0, length))
     w, x, y, z = np.moveaxis(q, -1, 0)
-    entries = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-               2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-               2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]  # fmt: skip
+    entries = [
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return np.stack(entries, axis=-1).reshape(*q.shape[:-1], 3, 3)
 
 
-def from_two_vectors(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (..., 3, 3) whose x axis is along ``first`` (..., 3) and whose xy plane holds ``second``, and whether they are determined.
-
-    The six numbers of the continuous representation that networks return, made orthonormal by Gram-Schmidt. Where the two are
-    parallel, zero or not finite, a rotation all the same (R20), its free axes chosen by the smallest coordinate, and not determined.
-    Raises ValueError for another last axis.
-    """
-    require("first", first, (..., 3))
-    require("second", second, (..., 3))
-    a, b = np.broadcast_arrays(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
-    length_a, length_b = np.linalg.norm(a, axis=-1, keepdims=True), np.linalg.norm(b, axis=-1, keepdims=True)
-    known = np.isfinite(length_a) & (length_a > 1e-12)
-    x = np.where(known, a, [1.0, 0, 0]) / np.where(known, length_a, 1.0)
-    spans = known & np.isfinite(length_b) & (length_b > 1e-12)
-    direction = np.where(spans, b, 0.0) / np.where(spans, length_b, 1.0)
-    across = direction - (direction * x).sum(-1, keepdims=True) * x
-    height = np.linalg.norm(across, axis=-1, keepdims=True)
-    # Below this the direction across is rounding (f32 vectors have 1e-7 of it).
-    spans &= height > 1e-6
-    spare = np.eye(3)[np.argmin(np.abs(x), axis=-1)]
-    across = np.where(spans, across, spare - (spare * x).sum(-1, keepdims=True) * x)
-    y = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    # Once more: after a short difference the first pass leaves an angle of 1e-16 over its length.
-    y = y - (y * x).sum(-1, keepdims=True) * x
-    y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-    return np.stack([x, y, np.cross(x, y)], axis=-1), spans[..., 0]
-
-
-def project_to_so3(matrices: np.ndarray) -> np.ndarray:
+def project_to_so3(matrices: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3 3"]:
     """(..., 3, 3) nearest rotations in the Frobenius norm; the sign fix keeps the determinant at +1 (R18, R19, C01).
 
     Raises ValueError for other last axes and for values that are not finite, which would end the decomposition of all.
@@ -141,11 +140,16 @@ def project_to_so3(matrices: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-def slerp(a: np.ndarray, b: np.ndarray, share: np.ndarray | float, up: np.ndarray | None = None) -> np.ndarray:
+def slerp(
+    a: Num[np.ndarray, "... 3 3"],
+    b: Num[np.ndarray, "... 3 3"],
+    share: np.ndarray | float,
+    up: np.ndarray | None = None,
+) -> Num[np.ndarray, "... 3 3"]:
     """(..., 3, 3) the rotation ``share`` (...,) of the shortest way from a to b, both world_from_… rotations.
 
-    Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the world's
-    z when None), whatever the rounding (R01-R06); ``half_turn`` tells. Raises ValueError for other last axes.
+    Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the
+    world's z when None), whatever the rounding (R01-R06); ``half_turn`` tells. Raises ValueError for other last axes.
     """
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     require("a", a, (..., 3, 3))
@@ -160,21 +164,26 @@ def slerp(a: np.ndarray, b: np.ndarray, share: np.ndarray | float, up: np.ndarra
     return exp(np.asarray(share, dtype=np.float64)[..., None] * turn) @ a
 
 
-def half_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(...,) bool: a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises ValueError as ``angle``."""
+def half_turn(a: np.ndarray, b: np.ndarray) -> Bool[np.ndarray, " ..."]:
+    """(...,) bool: a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises
+    ValueError as ``angle``."""
     return angle(a, b) > np.pi - _HALF_TURN_RAD
 
 
-def mean(rotations: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def mean(rotations: Num[np.ndarray, "... N 3 3"], weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Mean (..., 3, 3) over the axis of N in (..., N, 3, 3), and whether it is determined (...,).
 
-    Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues meet,
-    as for thirds of a turn (R17); the rotation returned there is one of many. Raises ValueError for other last axes and for
-    rotations or weights that are not finite.
+    Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues
+    meet, as for thirds of a turn (R17); the rotation returned there is one of many. Raises ValueError for other last
+    axes and for rotations or weights that are not finite.
     """
     require("rotations", rotations, (..., "N", 3, 3), finite=True)
     q = to_quaternion(rotations)
-    w = np.ones(q.shape[:-1]) if weights is None else np.broadcast_to(np.asarray(weights, dtype=np.float64), q.shape[:-1])
+    w = (
+        np.ones(q.shape[:-1])
+        if weights is None
+        else np.broadcast_to(np.asarray(weights, dtype=np.float64), q.shape[:-1])
+    )
     require("weights", w, q.shape[:-1], finite=True)
     values, vectors = np.linalg.eigh(np.einsum("...n,...ni,...nj->...ij", w, q, q))
     total = w.sum(-1)
@@ -182,12 +191,14 @@ def mean(rotations: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.n
     return from_quaternion(vectors[..., :, 3]), determined
 
 
-def kabsch(source_m: np.ndarray, target_m: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def kabsch(
+    source_m: Num[np.ndarray, "... N 3"], target_m: Num[np.ndarray, "... N 3"], weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotation (..., 3, 3) and translation (..., 3) with target ≈ R source + t, and whether they are determined (...,).
 
     Weighted least squares over N points (..., N, 3); determinant +1 also for planar sets (R19). Undetermined with fewer
-    than three points of positive weight or with points on a line. Points of weight 0 may be NaN. Raises ValueError for other shapes,
-    and for points of positive weight that are not finite.
+    than three points of positive weight or with points on a line. Points of weight 0 may be NaN. Raises ValueError for
+    other shapes, and for points of positive weight that are not finite.
     """
     require("source_m", source_m, (..., "N", 3))
     require("target_m", target_m, (..., "N", 3))
@@ -198,7 +209,9 @@ def kabsch(source_m: np.ndarray, target_m: np.ndarray, weights: np.ndarray) -> t
     require("target_m where it has weight", target, (..., "N", 3), finite=True)
     total = np.maximum(w.sum(-1), 1e-300)[..., None]
     centre_s, centre_t = (np.einsum("...n,...ni->...i", w, p) / total for p in (source, target))
-    covariance = np.einsum("...n,...ni,...nj->...ij", w, target - centre_t[..., None, :], source - centre_s[..., None, :])
+    covariance = np.einsum(
+        "...n,...ni,...nj->...ij", w, target - centre_t[..., None, :], source - centre_s[..., None, :]
+    )
     u, s, vt = np.linalg.svd(covariance)
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
     rotation = u @ vt

@@ -2,17 +2,22 @@
 """How many scene units a metre is, from the bones of people of known size; or the knowledge that bones do not tell.
 
 The paper's s* = argmin Σ ρ(‖Jʷᵢ − Jʷⱼ‖ − s ‖Jˢᵢ − Jˢⱼ‖), with a Huber ρ whose delta grows with the bone and the scale
-(numerics S01), solved by reweighting from the median ratio instead of L-BFGS (S02, U35). One scale per scene; every person's own
-ratio is returned beside it as a check (U36), because a free scale per person cannot be told from their height (S06).
+(S01), solved by reweighting from the median ratio instead of L-BFGS (S02, U35). One scale per scene; every
+person's own ratio is returned beside it as a check (U36), because a free scale per person cannot be told from their
+height (S06).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.arrays import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
 
 # Share of a bone's expected length within which a residual counts as noise.
 _DELTA_SHARE = 0.1
@@ -29,15 +34,15 @@ class SceneScale:
         world_per_metre: scene units per metre; NaN when undetermined. Divide scene coordinates by it to get metres.
         spread: robust relative standard deviation of single bones about the scale; NaN when undetermined.
         bones: number of different bones that were measured at least once.
-        per_person: (P,) every person's own ratio to the scene's scale, NaN where undetermined: far from 1 hints at a wrong
-            height or identity, not at another scale.
+        per_person: (P,) every person's own ratio to the scene's scale, NaN where undetermined: far from 1 hints at a
+            wrong height or identity, not at another scale.
         reason: one clause why the scale is undetermined; empty when it is determined.
     """
 
     world_per_metre: float
     spread: float
     bones: int
-    per_person: np.ndarray
+    per_person: Num[np.ndarray, " P"]
     reason: str
 
     @property
@@ -46,20 +51,21 @@ class SceneScale:
 
 
 def scene_scale(
-    joints: np.ndarray,
-    template_joints_m: np.ndarray,
-    bones: np.ndarray,
-    valid: np.ndarray,
+    joints: Num[np.ndarray, "P T J 3"],
+    template_joints_m: Num[np.ndarray, "P J 3"],
+    bones: Num[np.ndarray, "B 2"],
+    valid: Bool[np.ndarray, "P T J"],
     sigma: np.ndarray | float = 0.0,
     least_bone_m: float = 0.2,
 ) -> SceneScale:
     """Scale of triangulated ``joints`` (P, T, J, 3) in scene units against template joints (P, J, 3) in metres.
 
-    ``bones`` (B, 2) are pairs of joints, ``valid`` (P, T, J) says which joints were measured; joints that are not finite count as
-    not measured. ``sigma`` is their standard deviation per coordinate in scene units, a number or (P, T, J): noise makes bones
-    longer by (σᵢ² + σⱼ²)/b on average, which is taken off (S05). Bones shorter than ``least_bone_m`` in the template are left out,
-    where the noise would be most of the length (S04, S05). Undetermined with fewer than 4 different bones or a scale outside
-    1e-6 to 1e6 (S03). Raises ValueError that names the argument when shapes do not fit or the template is not finite.
+    ``bones`` (B, 2) are pairs of joints, ``valid`` (P, T, J) says which joints were measured; joints that are not
+    finite count as not measured. ``sigma`` is their standard deviation per coordinate in scene units, a number or (P,
+    T, J): noise makes bones longer by (σᵢ² + σⱼ²)/b on average, which is taken off (S05). Bones shorter than
+    ``least_bone_m`` in the template are left out, where the noise would be most of the length (S04, S05). Undetermined
+    with fewer than 4 different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError that names the argument
+    when shapes do not fit or the template is not finite.
     """
     sizes = require("joints", joints, ("P", "T", "J", 3))
     sizes = require("template_joints_m", template_joints_m, ("P", "J", 3), sizes, finite=True)
@@ -67,7 +73,7 @@ def scene_scale(
     require("valid", valid, ("P", "T", "J"), sizes)
     sigma = np.broadcast_to(np.asarray(sigma, dtype=np.float64), np.shape(valid))
     measured = np.asarray(valid, dtype=bool) & np.isfinite(joints).all(-1) & np.isfinite(sigma)
-    # Replace the input, not the output (numerics rule 3).
+    # Replace the input, not the output.
     place, sigma = np.where(measured[..., None], joints, 0.0).astype(np.float64), np.where(measured, sigma, 0.0)
     first, second = np.asarray(bones).T
     template = np.linalg.norm(template_joints_m[:, first] - template_joints_m[:, second], axis=-1)  # (P, B)
@@ -83,7 +89,9 @@ def scene_scale(
     expected, seen = template[person, bone], length[usable]
     scale = fit_scale(seen, expected, variance)
     if not _SMALLEST < scale < _LARGEST:
-        return SceneScale(np.nan, np.nan, kinds, ratios, f"the bones would give a scale of {scale:.3g}, which is no length")
+        return SceneScale(
+            np.nan, np.nan, kinds, ratios, f"the bones would give a scale of {scale:.3g}, which is no length"
+        )
     for p in range(sizes["P"]):
         own = person == p
         if len(np.unique(bone[own])) >= _LEAST_BONES:
@@ -92,12 +100,16 @@ def scene_scale(
     return SceneScale(scale, 1.4826 * float(np.median(np.abs(off))), kinds, ratios, "")
 
 
-def fit_scale(lengths: np.ndarray, template_m: np.ndarray, variance: np.ndarray) -> float:
-    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones (N,) of template length b; 0 when the lengths are 0.
+def fit_scale(
+    lengths: Num[np.ndarray, " N"], template_m: Num[np.ndarray, " N"], variance: Num[np.ndarray, " N"]
+) -> float:
+    """The s that minimises Σ ρ(length − variance / (s b) − s b) over bones (N,) of template length b; 0 when the
+    lengths are 0.
 
-    ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b + v/b up to exp(−b²/2v). Delta is a tenth of
-    the bone's expected length at the median ratio. Iteratively reweighted from the median; 1e-9 or better, at any scale. Lengths
-    must be finite and template lengths positive. Raises ValueError for other shapes and numbers that are not finite.
+    ``variance`` (N,) is the sum of the two ends' variances per coordinate: E‖b + n‖ = b + v/b up to exp(−b²/2v). Delta
+    is a tenth of the bone's expected length at the median ratio. Iteratively reweighted from the median; 1e-9 or
+    better, at any scale. Lengths must be finite and template lengths positive. Raises ValueError for other shapes and
+    numbers that are not finite.
     """
     sizes = require("lengths", lengths, ("N",), finite=True)
     require("template_m", template_m, ("N",), sizes, finite=True)

@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Smoothing over time as in the paper's appendix: exponential forwards and backwards, then Gaussian; vectors and rotations.
+"""Smoothing over time as in the paper's appendix: exponential forwards and backwards, then Gaussian; vectors and
+rotations.
 
-The two exponential passes are a cascade (numerics U40), whose response is α/(2−α) (1−α)^|d|; together with the Gaussian that
-is one symmetric kernel, cut where it has faded and renormalised at the ends, so that constants stay and the first frame has no
-more say than others (F03, F06, F08). Rotations are smoothed on SO(3), in the tangent space of each window's own frame (F01, F02,
-F09). What it costs in motion is ``gain``: with α = 0.5, σ = 1 a motion of 8 frames' period keeps 0.34, of 15 0.68, of 30 0.90.
+The two exponential passes are a cascade (U40), whose response is α/(2−α) (1−α)^|d|; together with the Gaussian
+that is one symmetric kernel, cut where it has faded and renormalised at the ends, so that constants stay and the first
+frame has no more say than others (F03, F06, F08). Rotations are smoothed on SO(3), in the tangent space of each
+window's own frame (F01, F02, F09). What it costs in motion is ``gain``: with α = 0.5, σ = 1 a motion of 8 frames'
+period keeps 0.34, of 15
+0.68, of 30 0.90.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.configuration.setting import setting
 from studiorecon.geometry import rotations
 
-# Where the kernel is cut, relative to its centre; and the Gaussian's reach in deviations (numerics U41).
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# Where the kernel is cut, relative to its centre; and the Gaussian's reach in deviations (U41).
 _FADED = 1e-4
 _GAUSS_REACH = 4.0
 _MEAN_STEPS = 2
@@ -24,23 +32,42 @@ _MEAN_STEPS = 2
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How strongly to smooth.
+    """How strongly to smooth."""
 
-    Attributes:
-        memory_s: time in which an exponential pass forgets to 1/e, seconds; 0 = no exponential smoothing (paper: α = 0.5 per frame).
-        sigma_s: deviation of the Gaussian in seconds; 0 = none (paper: 1 frame).
-        passes: "cascade" runs the second pass over the first one's result, "average" takes the mean of the two (numerics U40).
-        root: also the pelvis's turn and position, not the body's pose alone (U42).
-        turns_on: "rotations" (SO(3)), or "axis_angles": their components, as the paper's predecessor does (U42), wrong near half a turn.
-    """
+    memory_s: float = setting(
+        0.0277,
+        "Time in which a sample is forgotten to 1/e; 0 = none.",
+        unit="s",
+        minimum=0,
+        paper="0.0481, 0.5 per frame at 30 fps, appendix; U40",
+        letter=0.0481,
+    )
+    sigma_s: float = setting(
+        0.0233,
+        "Deviation of the Gaussian; 0 = none.",
+        unit="s",
+        minimum=0,
+        paper="0.0333, 1 frame at 30 fps, appendix; U41",
+        letter=0.0333,
+    )
+    passes: Literal["cascade", "average"] = setting(
+        "cascade",
+        "cascade = the second exponential pass runs over the first one's result; average = the average of the"
+        " two (U40).",
+        paper="bidirectional, appendix B; U40",
+        letter="cascade",
+    )
+    root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", letter=False)
+    turns_on: Literal["rotations", "axis_angles"] = setting(
+        "rotations",
+        "rotations on SO(3), or the components of axis_angles, which break near half a turn (U42).",
+        paper="of the fitted pose parameters, appendix B; U42",
+        letter="axis_angles",
+    )
 
-    memory_s: float
-    sigma_s: float
-    passes: str
-    root: bool
-    turns_on: str
-
-    def smooth_body(self, local: np.ndarray, trans_m: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    def smooth_body(
+        self, local: Num[np.ndarray, "T 24 3 3"], trans_m: Num[np.ndarray, "T 3"], fps: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Joints' rotations (T, 24, 3, 3), root first, and pelvis positions (T, 3), smoothed as these settings say.
 
         Raises ValueError for other shapes, values that are not finite, and a frame rate that is not positive.
@@ -58,7 +85,8 @@ class Smoothing:
 
 
 def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
-    """(α, σ in frames) at ``fps``: the share of the new sample is what an exponential of ``memory_s`` forgets in one frame.
+    """(α, σ in frames) at ``fps``: the share of the new sample is what an exponential of ``memory_s`` forgets in one
+    frame.
 
     Raises ValueError for a frame rate that is not positive.
     """
@@ -96,8 +124,9 @@ def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = 
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
 
 
-def fill_vectors(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(T, ...) with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the ends.
+def fill_vectors(values: np.ndarray, valid: np.ndarray) -> Num[np.ndarray, "T ..."]:
+    """(T, ...) with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the
+    ends.
 
     Raises ValueError when no frame is valid or the shapes do not fit.
     """
@@ -107,8 +136,9 @@ def fill_vectors(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return (1 - share) * values[before] + share * values[after]
 
 
-def fill_rotations(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(T, ..., 3, 3) with invalid frames replaced by slerps between valid ones; raises as ``fill_vectors`` does (F05)."""
+def fill_rotations(values: Num[np.ndarray, "T ... 3 3"], valid: np.ndarray) -> Num[np.ndarray, "T ... 3 3"]:
+    """(T, ..., 3, 3) with invalid frames replaced by slerps between valid ones; raises as ``fill_vectors`` does
+    (F05)."""
     require("values", values, ("T", ..., 3, 3))
     require("valid", valid, (len(values),))
     before, after, share = _neighbours(valid)
@@ -119,7 +149,9 @@ def fill_rotations(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return np.where(valid.reshape(-1, *(1,) * (values.ndim - 1)), values, filled)
 
 
-def smooth_vectors(values: np.ndarray, alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
+def smooth_vectors(
+    values: Num[np.ndarray, "T ..."], alpha: float, sigma_frames: float, passes: str = "cascade"
+) -> Num[np.ndarray, "T ..."]:
     """(T, ...) smoothed along the first axis; fewer than three frames pass through (F04).
 
     Raises ValueError for values that are not finite: one would spread over the whole clip (F05); fill gaps first.
@@ -135,12 +167,15 @@ def smooth_vectors(values: np.ndarray, alpha: float, sigma_frames: float, passes
     return out
 
 
-def smooth_rotations(values: np.ndarray, alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
-    """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the mean quaternion.
+def smooth_rotations(
+    values: Num[np.ndarray, "T ... 3 3"], alpha: float, sigma_frames: float, passes: str = "cascade"
+) -> Num[np.ndarray, "T ... 3 3"]:
+    """(T, ..., 3, 3) smoothed along the first axis on SO(3): weighted Karcher mean of each window, two steps from the
+    mean quaternion.
 
-    Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17 frames at
-    the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through (F04).
-    Raises ValueError for other shapes and values that are not finite.
+    Differences are taken from the frame at the window's centre, so turns of any size pass; within one window (± 17
+    frames at the paper's values) the body must not turn by more than half a turn. Fewer than three frames pass through
+    (F04). Raises ValueError for other shapes and values that are not finite.
     """
     values = np.asarray(values, dtype=np.float64)
     require("values", values, ("T", ..., 3, 3), finite=True)
@@ -173,10 +208,12 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn_per_vector(dot: np.ndarray) -> np.ndarray:
-    """Angle of the shorter turn between unit quaternions over the length of its quaternion's vector, θ / sin(θ/2), from their product.
+    """Angle of the shorter turn between unit quaternions over the length of its quaternion's vector, θ / sin(θ/2), from
+    their product.
 
-    Turns of a window then add up before the one product with the centre. Near equality both angle and sine are those of the same rounded
-    product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way round (numerics R03).
+    Turns of a window then add up before the one product with the centre. Near equality both angle and sine are those of
+    the same rounded product, so their ratio, 2 in the limit, is exact to rounding; a negative product is the longer way
+    round (R03).
     """
     cosine = np.minimum(np.abs(dot), 1 - 1e-15)
     sine = np.sqrt((1 - cosine) * (1 + cosine))

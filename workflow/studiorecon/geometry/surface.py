@@ -3,19 +3,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
 
-def depth_breaks(depth_m: np.ndarray, jump: float) -> np.ndarray:
+
+def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: pixels beside a jump in depth, and pixels beside unknown depth.
 
-    The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear in
-    pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such pixels
-    (numerics C12). Raises ValueError for a ``depth_m`` that is no map (H, W).
+    The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear
+    in pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such
+    pixels (C12). Raises ValueError for a ``depth_m`` that is no map (H, W).
     """
     require("depth_m", depth_m, ("H", "W"))
     known = np.isfinite(depth_m) & (depth_m > 0)
@@ -34,19 +39,22 @@ def depth_breaks(depth_m: np.ndarray, jump: float) -> np.ndarray:
     return broken | unknown_near
 
 
-def points_and_normals(depth_m: np.ndarray, camera: Camera, jump: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def points_and_normals(
+    depth_m: np.ndarray, camera: Camera, jump: float = np.inf
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """World points (H, W, 3), unit normals (H, W, 3) towards the camera, and (H, W) bool where both are measured.
 
-    Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its neighbours,
-    and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth is taken as 1 m.
-    Raises ValueError for a map of another size than the camera's.
+    Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its
+    neighbours, and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth
+    is taken as 1 m. Raises ValueError for a map of another size than the camera's.
     """
     require("depth_m", depth_m, camera.hw)
     height, width = camera.hw
     known = np.isfinite(depth_m) & (depth_m > 0)
     inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 1.0).astype(np.float64)
     points = camera.unproject(camera.pixel_centres(), 1.0 / inverse)
-    # On the plane n·X = o in camera axes, 1/z = n·ray/o is affine in the pixel: its gradient and value give n up to length.
+    # On the plane n·X = o in camera axes, 1/z = n·ray/o is affine in the pixel: its gradient and value give n up to
+    # length.
     along_row, along_column = np.gradient(inverse, axis=1), np.gradient(inverse, axis=0)
     (fx, fy), (cx, cy) = camera.focal_px, camera.principal_px
     columns, rows = np.meshgrid(np.arange(width) + 0.5 - cx, np.arange(height) + 0.5 - cy)

@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """World points from pixels of several cameras, batched over points, with "undetermined" as a possible answer.
 
-All pairs of views propose a point, truncated cost picks one, and only the views that agree refine it (numerics T07-T10).
-A point is undetermined when fewer than two views see it, rays are nearly parallel or opposite, it lies behind a camera that
-uses it, or too few views agree: a lone pair must be half of the views, any number a third (three of ten agree by chance, T09).
+All pairs of views propose a point, truncated cost picks one, and only the views that agree refine it (
+T07-T10). A point is undetermined when fewer than two views see it, rays are nearly parallel or opposite, it lies behind
+a camera that uses it, or too few views agree: a lone pair must be half of the views, any number a third (three of ten
+agree by chance, T09).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
 
 Solver = Literal["robust", "huber", "dlt"]
 
@@ -26,17 +30,18 @@ class Limits:
 
     Attributes:
         min_confidence: keypoints below it are not used.
-        huber_share: one error unit, as a share of the longer image side (numerics U34: 0.005 = 6 px at 1280).
-        outlier_units: a view further off than this many units is left out (U34: 3; 5 where the calibration is a few pixels off).
+        huber_share: one error unit, as a share of the longer image side (U34: 0.005 = 6 px at 1280).
+        outlier_units: a view further off than this many units is left out (U34: 3; 5 where the calibration is a few
+            pixels off).
         min_angle_deg: smallest largest angle between two rays, and between a ray and the reverse of another (T01, T02).
         near_m: smallest depth in front of every camera that is used (T06).
     """
 
-    min_confidence: float
-    huber_share: float
-    outlier_units: float
-    min_angle_deg: float
-    near_m: float
+    min_confidence: float = 0.4
+    huber_share: float = 0.005
+    outlier_units: float = 3.0
+    min_angle_deg: float = 2.0
+    near_m: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,50 +51,54 @@ class Triangulated:
     Attributes:
         points_m: (N, 3) world points, NaN where undetermined.
         valid: (N,) bool.
-        verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair says nothing (T13).
+        verified: (N,) bool: at least three views agree within ``outlier_units``. The residual of a pair says nothing
+            (T13).
         inliers: (V, N) bool: views the point rests on.
         covariance_m2: (N, 3, 3) for the given noise or the seen residual, whichever is larger; inf where undetermined.
         error_px: (V, N) reprojection error in every view that has the point, NaN elsewhere.
     """
 
-    points_m: np.ndarray
-    valid: np.ndarray
-    verified: np.ndarray
-    inliers: np.ndarray
-    covariance_m2: np.ndarray
-    error_px: np.ndarray
+    points_m: Num[np.ndarray, "N 3"]
+    valid: Bool[np.ndarray, " N"]
+    verified: Bool[np.ndarray, " N"]
+    inliers: Bool[np.ndarray, "V N"]
+    covariance_m2: Num[np.ndarray, "N 3 3"]
+    error_px: Num[np.ndarray, "V N"]
 
     @property
-    def sigma_m(self) -> np.ndarray:
+    def sigma_m(self) -> Num[np.ndarray, " N"]:
         """(N,) root mean square 3D error to expect: the root of the covariance's trace."""
         return np.sqrt(np.trace(self.covariance_m2, axis1=-2, axis2=-1))
 
 
-def unit_px(cameras: Sequence[Camera], limits: Limits) -> np.ndarray:
+def unit_px(cameras: Sequence[Camera], limits: Limits) -> Num[np.ndarray, " V"]:
     """(V,) one error unit of every camera in pixels."""
     return np.array([limits.huber_share * max(camera.wh) for camera in cameras])
 
 
 def triangulate(
-    pixels: np.ndarray,
-    confidence: np.ndarray,
+    pixels: Num[np.ndarray, "V ... 2"],
+    confidence: Num[np.ndarray, "V ..."],
     cameras: Sequence[Camera],
     limits: Limits,
     noise_px: float | None = None,
     solver: Solver = "robust",
 ) -> Triangulated:
-    """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...), by V cameras; pixels not finite are missing views.
+    """World points of ``pixels`` (V, ..., 2), seen with ``confidence`` (V, ...), by V cameras; pixels not finite are
+    missing views.
 
-    Any axes between the views and the two coordinates (people, frames, joints) come back in the result, N standing for all of them.
-    ``noise_px`` is the standard deviation that ``covariance_m2`` assumes; by default a third of an error unit. Confidences
-    weigh the squared residuals. float64 throughout, every point on its own: the same answer in any batch and any order.
+    Any axes between the views and the two coordinates (people, frames, joints) come back in the result, N standing for
+    all of them. ``noise_px`` is the standard deviation that ``covariance_m2`` assumes; by default a third of an error
+    unit. Confidences weigh the squared residuals. float64 throughout, every point on its own: the same answer in any
+    batch and any order.
 
-    ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a ring of 4 m
-    with 0, 1 and 2 of 4 views 200 px off (tests/bench/geometry.py):
+    ``solver``, with microseconds a point for 4 views on one core and the median / 95 % error in cm at 1 px noise on a
+    ring of 4 m with 0, 1 and 2 of 4 views 200 px off (tests/bench/geometry.py):
 
     - "robust": all pairs propose, truncated cost picks, only agreeing views refine, under the Huber norm. ≤ 10 µs;
       0.38 / 0.71, 0.45 / 0.88, 0.64 / 3.0.
-    - "huber": the paper's confidence-weighted Huber refinement from DLT (delta one unit, U34), outliers kept. Bounds their pull, does not
+    - "huber": the paper's confidence-weighted Huber refinement from DLT (delta one unit, U34), outliers kept. Bounds
+    their pull, does not
       end it, and cannot start where DLT lies behind a camera. ≤ 22 µs;
       0.38 / 0.71, 1.7 / 8.4, 20 / 77.
     - "dlt": homogeneous least squares, no refinement. ≤ 7 µs; 0.39 / 0.73, 30 / 44, 44 / 66.
@@ -107,12 +116,16 @@ def triangulate(
     batch = pixels.shape[1:-1]
     seen, weights = pixels.reshape(len(cameras), -1, 2), confidence.reshape(len(cameras), -1)
     usable = np.isfinite(seen).all(-1) & np.isfinite(weights) & (weights > max(limits.min_confidence, 0))
-    # Replace the input, not the output: NaN * 0 is NaN (numerics rule 3).
+    # Replace the input, not the output: NaN * 0 is NaN.
     seen, weights = np.where(usable[..., None], seen, 0.0), np.where(usable, weights, 0.0)
     units = unit_px(cameras, limits)
     views, count = usable.shape
     points, covariance = np.full((count, 3), np.nan), np.full((count, 3, 3), np.inf)
-    error_px, inliers, state = np.full((views, count), np.nan), np.zeros((views, count), dtype=bool), np.zeros(count, dtype=np.int64)
+    error_px, inliers, state = (
+        np.full((views, count), np.nan),
+        np.zeros((views, count), dtype=bool),
+        np.zeros(count, dtype=np.int64),
+    )
     noise = float(np.mean(units)) / 3 if noise_px is None else float(noise_px)
     # All floats: an integer setting would compile the kernels again.
     gates = (float(limits.outlier_units), float(limits.near_m), float(np.sin(np.radians(limits.min_angle_deg))), noise)

@@ -11,11 +11,12 @@ _SWEEPS = 30
 
 @njit(cache=True, nogil=True)
 def dlt(rig, seen, weights, n, used, rows, turned, point):
-    """Homogeneous least squares over the used views into ``point``; False where the views share one centre or the point is at infinity.
+    """Homogeneous least squares over the used views into ``point``; False where the views share one centre or the point
+    is at infinity.
 
-    Rows carry √w, because they enter squared (numerics T05); the world is centred and scaled to the used
-    views, so that no other view has a say (T15). One-sided Jacobi on the rows themselves: the eigenvalues of AᵀA would lose half of the
-    digits (T14).
+    Rows carry √w, because they enter squared (T05); the world is centred and scaled to the used
+    views, so that no other view has a say (T15). One-sided Jacobi on the rows themselves: the eigenvalues of AᵀA would
+    lose half of the digits (T14).
     """
     rotations, translations, centres, focal, principal, _ = rig
     centre, total, spread = np.zeros(3), 0.0, 0.0
@@ -77,7 +78,7 @@ def dlt(rig, seen, weights, n, used, rows, turned, point):
             least, next_least, which = square, least, a
         elif square < next_least:
             next_least = square
-    # Two vanishing singular values: a whole line of points fits as well (numerics T03).
+    # Two vanishing singular values: a whole line of points fits as well (T03).
     if not next_least > 1e-12 * most or abs(turned[3, which]) < 1e-12:
         return False
     for a in range(3):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The inner loops of triangulation, one point at a time, compiled; read ``triangulation.py`` for what they mean.
 
-A rig is the tuple (rotations (V, 3, 3), translations (V, 3), centres (V, 3), focal (V, 2), principal (V, 2), units (V,)), all
-float64. After a change in ``triangulation_dlt.py`` touch this file: numba's cache does not notice changes in what it imports.
+A rig is the tuple (rotations (V, 3, 3), translations (V, 3), centres (V, 3), focal (V, 2), principal (V, 2), units
+(V,)), all float64. After a change in ``triangulation_dlt.py`` touch this file: numba's cache does not notice changes in
+what it imports.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ def robust(rig, seen, weights, gates, filled):
     """Write ``filled``, the tuple (points (N, 3), covariance (N, 3, 3), error_px (V, N), inliers (V, N), state (N,)).
 
     State 0 is undetermined, 1 a point, 2 a verified one; undetermined points keep what the arrays held.
-    All-pairs midpoints, truncated cost, damped Gauss-Newton under the Huber norm on the agreeing views only. ``seen`` (V, N, 2) has no NaN;
-    ``weights`` (V, N) are 0 where a view has no pixel. ``gates``: outliers in error units, near plane in metres, sine of the
-    smallest angle, noise in pixels.
+    All-pairs midpoints, truncated cost, damped Gauss-Newton under the Huber norm on the agreeing views only. ``seen``
+    (V, N, 2) has no NaN; ``weights`` (V, N) are 0 where a view has no pixel. ``gates``: outliers in error units, near
+    plane in metres, sine of the smallest angle, noise in pixels.
     """
     gate, near, min_sine, _ = gates
     views, count = weights.shape
@@ -69,14 +70,15 @@ def robust(rig, seen, weights, gates, filled):
             v = used[k]
             agreed[v] = _error_units(rig, seen, v, n, best, near) < gate
             support += agreed[v]
-        # Two views of four are reported, unverified; two of ten agree by chance, and so do three (numerics T09).
+        # Two views of four are reported, unverified; two of ten agree by chance, and so do three (T09).
         if (2 * support >= usable) if support < 3 else (3 * support >= usable):
             _report(rig, seen, weights, n, used[:usable], agreed, gates, best, filled)
 
 
 @njit(cache=True, nogil=True)
 def linear(rig, seen, weights, gates, huber, filled):
-    """The same outputs from plain DLT over all usable views, with ``huber`` refined under the Huber norm, outliers kept."""
+    """The same outputs from plain DLT over all usable views, with ``huber`` refined under the Huber norm, outliers
+    kept."""
     near = gates[1]
     views, count = weights.shape
     used, everyone, room = np.empty(views, np.int64), np.ones(views, np.bool_), np.empty(9)
@@ -122,7 +124,7 @@ def _midpoint(rig, rays, a, b, near, min_sine, point):
         along_a += rays[a, i] * baseline
         along_b += rays[b, i] * baseline
         j, k = (i + 1) % 3, (i + 2) % 3
-        # The sine from the cross product: 1 - cosine² has no digits left for rays 0.05° apart (numerics T14).
+        # The sine from the cross product: 1 - cosine² has no digits left for rays 0.05° apart (T14).
         cross += (rays[a, j] * rays[b, k] - rays[a, k] * rays[b, j]) ** 2
     if not cross > min_sine**2:
         return False
@@ -137,7 +139,8 @@ def _midpoint(rig, rays, a, b, near, min_sine, point):
 
 @njit(cache=True, nogil=True)
 def _error_units(rig, seen, v, n, point, near):
-    """Reprojection error of a point in one view in error units; inf behind the near plane, where there is no projection (C05)."""
+    """Reprojection error of a point in one view in error units; inf behind the near plane, where there is no projection
+    (C05)."""
     rotations, translations, _, focal, principal, units = rig
     r = rotations[v]
     z = r[2, 0] * point[0] + r[2, 1] * point[1] + r[2, 2] * point[2] + translations[v, 2]
@@ -152,9 +155,10 @@ def _error_units(rig, seen, v, n, point, near):
 
 @njit(cache=True, nogil=True)
 def _normal(rig, seen, weights, n, used, chosen, mode, near, point, room):
-    """Cost over the chosen views in error units; the upper triangle of JᵀWJ and JᵀWr into ``room`` (9,). inf behind a camera.
+    """Cost over the chosen views in error units; the upper triangle of JᵀWJ and JᵀWr into ``room`` (9,). inf behind a
+    camera.
 
-    With ``_HUBER`` the norm of the two-dimensional residual has delta 1 unit: r² inside, 2r - 1 outside (numerics T11).
+    With ``_HUBER`` the norm of the two-dimensional residual has delta 1 unit: r² inside, 2r - 1 outside (T11).
     """
     rotations, translations, _, focal, principal, units = rig
     cost = 0.0
@@ -216,7 +220,7 @@ def _solve(room, lift, b0, b1, b2):
 
 @njit(cache=True, nogil=True)
 def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room):
-    """Damped Gauss-Newton in place; a step that raises the cost or crosses a near plane is not taken (numerics T12)."""
+    """Damped Gauss-Newton in place; a step that raises the cost or crosses a near plane is not taken (T12)."""
     cost = _normal(rig, seen, weights, n, used, chosen, mode, near, point, room)
     if cost == np.inf:
         return
@@ -240,7 +244,8 @@ def _refine(rig, seen, weights, n, used, chosen, mode, steps, near, point, room)
 
 @njit(cache=True, nogil=True)
 def _report(rig, seen, weights, n, used, chosen, gates, point, filled):
-    """Write point n where at least two chosen views see it ahead of them, with rays neither parallel nor opposite (T01, T02, T06)."""
+    """Write point n where at least two chosen views see it ahead of them, with rays neither parallel nor opposite (T01,
+    T02, T06)."""
     centres, units = rig[2], rig[5]
     gate, near, min_sine, noise_px = gates
     points, covariance, error_px, inliers, state = filled

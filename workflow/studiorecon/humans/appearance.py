@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The temporal network's part in a person's training: from which step, whether it is called for, and how it moves (paper, appendix D)."""
+"""The temporal network's part in a person's training: from which step, whether it is called for, and how it moves
+(paper, appendix D)."""
 
 from __future__ import annotations
 
@@ -9,22 +10,37 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.body.temporal import TemporalNetwork, with_residuals
+from studiorecon.body.avatar.temporal import TemporalNetwork, with_residuals
+from studiorecon.configuration.setting import setting
 from studiorecon.scene.decisions import Decision
-from studiorecon.splatting.adam import Adam
+from studiorecon.splatting.train.optimiser import Adam
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-15
 
 
 @dataclass(frozen=True)
 class OverTime:
-    """When and how appearance may change over time; see config.yaml."""
+    """When and how appearance may change over time."""
 
-    use: Literal["auto", "always", "never"]
-    start: int
-    width: int
-    layers: int
-    rate: float
+    use: Literal["auto", "always", "never"] = setting(
+        "auto",
+        "Colour and opacity that change over time beside the pose; auto = when the colours of a tenth of the "
+        "body drift over time once the poses are refined.",
+        paper="always, appendix D; U47 to U49",
+        letter="always",
+    )
+    start: int = setting(450, "Step from which it takes part.", minimum=0, paper="3,000 of 10,000", letter=3000)
+    width: int = setting(64, "Units of a hidden layer.", minimum=1, paper="256", letter=256)
+    points: int = setting(
+        512,
+        "Points on the body where the network is asked; its answers are spread over the Gaussians between them. "
+        "0 = at every Gaussian, which takes about twice as long.",
+        minimum=0,
+        paper="at every Gaussian",
+        letter=0,
+    )
+    layers: int = 8
+    rate: float = 0.0005
 
 
 class Appearance:
@@ -33,10 +49,13 @@ class Appearance:
     Attributes:
         network: what is trained; its last layer is zero until the first step.
         seen: (N,) bool, the Gaussians it acts on: nothing teaches it what those are like that no camera saw.
-        decision: what was measured when it was asked whether the network is called for; None before, and when nobody asked.
+        decision: what was measured when it was asked whether the network is called for; None before, and when nobody
+            asked.
     """
 
-    def __init__(self, settings: OverTime, network: TemporalNetwork, seen: np.ndarray, judge: Callable[[Callable], Decision]) -> None:
+    def __init__(
+        self, settings: OverTime, network: TemporalNetwork, seen: np.ndarray, judge: Callable[[Callable], Decision]
+    ) -> None:
         self.settings, self.network, self.seen = settings, network, seen
         self.decision: Decision | None = None
         self._judge, self._active = judge, False
@@ -53,19 +72,25 @@ class Appearance:
             self.decision = self._judge(draw)
         self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
 
-    def added(self, means_m: np.ndarray, colour: np.ndarray, logits: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    def added(
+        self, means_m: np.ndarray, colour: np.ndarray, logits: np.ndarray, frame: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame."""
         return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
 
     def step(self, by_colour: np.ndarray, by_logit: np.ndarray) -> None:
-        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the frame last ``added``."""
+        """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the frame last
+        ``added``."""
         if self._active:
             slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
             self._adam.step({"network": slope}, {"network": self.settings.rate})
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The network and Adam's state, for a checkpoint."""
-        return {f"network.{name}": value for name, value in (self._adam.arrays() | {"active": np.array(self._active)}).items()}
+        return {
+            f"network.{name}": value
+            for name, value in (self._adam.arrays() | {"active": np.array(self._active)}).items()
+        }
 
     def resume(self, held: Mapping[str, np.ndarray], decision: Decision | None) -> None:
         """Puts ``arrays`` back, in place."""

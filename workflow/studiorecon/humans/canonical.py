@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``humans.canonical``: a person of the capture in a rest pose by LHM, from the best photo there is of them. On request only.
+"""``humans.canonical``: a person of the capture in a rest pose by a network, from the best photo there is of them. On
+request only.
 
 Writes a canonical ``.ply`` (3DGS layout, SMPL's body axes), for replacing somebody, and the photo it was made from.
 """
@@ -12,13 +13,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.seeking import read_frame_at
-from studiorecon.images.video import read_frames
-from studiorecon.models.lhm import Lhm
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frame, read_frames
+from studiorecon.models.catalogue.selection import CANONICAL
+from studiorecon.models.loading import load
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import write_ply
 from studiorecon.scene.people import read_people
+from studiorecon.signature import Place, Written
 
 # Photos are compared at every so many frames.
 _STEP = 5
@@ -27,7 +29,7 @@ _STEP = 5
 def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
     """(camera index, frame) in which the person covers most pixels without touching the border or somebody else's mask.
 
-    Raises Refusal when there is no such frame.
+    Raises UserError when there is no such frame.
     """
     best, found = 0, None
     for index, path in enumerate(masks):
@@ -44,19 +46,23 @@ def best_photo(masks: Sequence[Path], label: int) -> tuple[int, int]:
                 continue
             best, found = size, (index, frame)
     if found is None:
-        raise Refusal("there is no frame in which this person is whole and alone in the picture; bring a photo of your own to LHM")
+        raise UserError(
+            "there is no frame in which this person is whole and alone in the picture; bring a photo of your own to LHM"
+        )
     return found
 
 
-def run(person: str, people: Path, videos: list[Path], masks: list[Path], weights: Path, gaussians: Path, photo: Path) -> None:
+def run(
+    person: str, people: Path, videos: list[Path], masks: list[Path], weights: Place, gaussians: Written, photo: Written
+) -> None:
     """Write the canonical Gaussians of ``person`` and the photo they come from."""
     names = read_people(people)
     if person not in names:
-        raise Refusal(f"{people} has no {person}; it holds {', '.join(names)}")
+        raise UserError(f"{people} has no {person}; it holds {', '.join(names)}")
     label = names.index(person) + 1
-    network = Lhm(weights)
+    network = load("canonical avatar", CANONICAL, weights, "cuda")
     index, frame = best_photo(masks, label)
-    picture, mask = read_frame_at(videos[index], frame), read_frame_at(masks[index], frame) == label
+    picture, mask = read_frame(videos[index], frame), read_frame(masks[index], frame) == label
     say(f"{person}: the best photo is frame {frame} of {videos[index].stem}")
     made = network.avatar(picture, mask)
     say(f"{person}: {made.count} Gaussians in the rest pose, {np.ptp(made.means_m[:, 1]):.2f} m high")

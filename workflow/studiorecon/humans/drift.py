@@ -1,26 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a person's colour change over time beside the pose, so that a temporal network is worth its time? (evaluation §3, effect 2)
+"""Does a person's colour change over time beside the pose, so that a temporal network is worth its time? (evaluation
+§3, effect 2)
 
-Photo minus render is followed at every Gaussian over the clip. Noise and a pose that jitters change their sign from frame to frame;
-cloth that folds and light that one walks through keep it. What shows both a large and a lasting residual drifts.
+Photo minus render is followed at every Gaussian over the clip. Noise and a pose that jitters change their sign from
+frame to frame; cloth that folds and light that one walks through keep it. What shows both a large and a lasting
+residual drifts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.body.posing import Posing
-from studiorecon.humans.colouring import in_view, nearest_surface, sampled
-from studiorecon.humans.footage import OUTSIDE, PERSON, Crop
-from studiorecon.humans.motion import Motion
-from studiorecon.scene.decisions import Decision, decide
-from studiorecon.scene.intervals import NOTHING, Estimate, share
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.geometry.statistics import NOTHING, Estimate, share
+from studiorecon.humans.colours import in_view, nearest_surface, sampled
+from studiorecon.humans.crops import OUTSIDE, PERSON, Crop
+from studiorecon.humans.motion import RefinedMotion
+from studiorecon.scene.decisions import Decision
+from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 
-_DRIFTING, _NOISE_RATIO, _MEMORY = 0.1, 3.0, 0.3
+_NOISE_RATIO, _MEMORY = 3.0, 0.3
 _LEAST_FRAMES, _LEAST_POINTS = 12, 50
 # Nobody sees a shade that wanders by less than this (standard deviation, of 1).
 _VISIBLE = 2 / 255
@@ -31,10 +35,16 @@ _OUTLINE_PX = 3
 
 
 def followed(
-    crops: Sequence[Crop], draw: Callable[[Crop], np.ndarray], posing: Posing, motion: Motion, means_m: np.ndarray, normals: np.ndarray,
+    crops: Sequence[Crop],
+    draw: Callable[[Crop], np.ndarray],
+    posing: Posing,
+    motion: RefinedMotion,
+    means_m: np.ndarray,
+    normals: np.ndarray,
     spacing_m: float,
-) -> np.ndarray:  # fmt: skip
-    """(N, T) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where none does.
+) -> np.ndarray:
+    """(N, T) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where
+    none does.
 
     ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N, 3) are canonical.
     """
@@ -45,7 +55,9 @@ def followed(
     for crop in crops:
         missing = (crop.rgb.astype(np.float32) / 255 - draw(crop)).mean(axis=2, keepdims=True)
         inner = cv2.erode((crop.verdict == PERSON).astype(np.uint8), kernel, borderType=cv2.BORDER_REPLICATE) > 0
-        means = posing.out(np.asarray(means_m, np.float32), still, nothing, motion.transforms(crop.frame))[0].astype(np.float64)
+        means = posing.out(np.asarray(means_m, np.float32), still, nothing, motion.transforms(crop.frame))[0].astype(
+            np.float64
+        )
         pixels, depth_m = crop.camera.project(means)
         reach = int(np.ceil(spacing_m * np.mean(crop.camera.focal_px) / max(float(np.median(depth_m)), 0.1)))
         trusted = Crop(crop.frame, crop.view, crop.camera, crop.rgb, np.where(inner, PERSON, OUTSIDE).astype(np.uint8))
@@ -59,9 +71,9 @@ def followed(
 def drifting_share(residual: np.ndarray) -> Estimate:
     """Share of body points whose residual (N, T) varies three times as much as its noise and keeps its sign over time.
 
-    Noise is half the mean square of successive differences, which holds whatever does not last: the camera's noise and the jitter of
-    the pose. Memory is the lag-1 autocorrelation, above 0.3. A shade of less than two grey levels of 255 counts as none. Points need
-    twelve frames with a successor; NaN is not seen.
+    Noise is half the mean square of successive differences, which holds whatever does not last: the camera's noise and
+    the jitter of the pose. Memory is the lag-1 autocorrelation, above 0.3. A shade of less than two grey levels of 255
+    counts as none. Points need twelve frames with a successor; NaN is not seen.
 
     Raises:
         ValueError: ``residual`` is not (N, T).
@@ -86,5 +98,6 @@ def decide_appearance(person: str, estimate: Estimate) -> Decision:
     reason = f"too few points of {person}'s body are followed long enough"
     if estimate.value is not None:
         reason = f"the colour of {estimate.value:.0%} of {person}'s body drifts over time after posing"
-    statistic = "share of body points whose colour residual exceeds 3 times its noise and keeps its sign over time"
-    return decide("temporal_appearance", statistic, estimate.value, estimate.interval, _DRIFTING, reason)
+    # Who acts on it is said where all people's decisions become one (report.audit).
+    measured = TEMPORAL_APPEARANCE.decide(estimate.value, estimate.interval, reason)
+    return replace(measured, obeyed_by="")

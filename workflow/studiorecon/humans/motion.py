@@ -1,26 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """The person's motion while it is being refined on the pictures: joint turns per frame, moved by image gradients.
 
-The paper refines SMPL poses jointly with the Gaussians under a temporal smoothness term (appendix D, weight 50). Turns live on
-SO(3): each step is a small rotation put in front of the joint's own, so nothing wraps or needs an Euler angle.
+The paper refines SMPL poses jointly with the Gaussians under a temporal smoothness term (appendix D, weight 50). Turns
+live on SO(3): each step is a small rotation put in front of the joint's own, so nothing wraps or needs an Euler angle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numba
 import numpy as np
 
+from studiorecon.body.skinning import world_from_rest
 from studiorecon.geometry import rotations
 
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
 _HELD = (10, 11, 15, 22, 23)  # feet (toes), head, hands
 
-_STORED = {"local": "local", "trans_m": "trans_m", "turn_first": "_first", "turn_second": "_second", "turn_steps": "_steps"}
+_STORED = {
+    "local": "local",
+    "trans_m": "trans_m",
+    "turn_first": "_first",
+    "turn_second": "_second",
+    "turn_steps": "_steps",
+}
 
 
-class Motion:
+class RefinedMotion:
     """Local joint rotations and pelvis positions of T frames, with Adam's state per frame.
 
     Attributes:
@@ -54,27 +62,21 @@ class Motion:
 
     def transforms(self, frame: int) -> np.ndarray:
         """(24, 4, 4) world_from_rest of one frame."""
-        world, joints = self._chain(frame)
-        transforms = np.tile(np.eye(4), (24, 1, 1))
-        transforms[:, :3, :3] = world
-        transforms[:, :3, 3] = joints - np.einsum("jab,jb->ja", world, self.rest_joints_m)
-        return transforms
+        world, joints = self._posed(frame)
+        return world_from_rest(world, joints, self.rest_joints_m)[0]
 
-    def _chain(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        world, joints = np.empty((24, 3, 3)), np.empty((24, 3))
-        world[0], joints[0] = self.local[frame, 0], self.trans_m[frame]
-        for joint in range(1, 24):
-            parent = self.parents[joint]
-            world[joint] = world[parent] @ self.local[frame, joint]
-            joints[joint] = joints[parent] + world[parent] @ (self.rest_joints_m[joint] - self.rest_joints_m[parent])
+    def _posed(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """World rotations (1, 24, 3, 3) and joints (1, 24, 3) of one frame."""
+        world, joints = np.empty((1, 24, 3, 3)), np.empty((1, 24, 3))
+        _down_the_tree(self.local[frame], self.rest_joints_m, self.parents, self.trans_m[frame], world[0], joints[0])
         return world, joints
 
     def gradient(self, frame: int, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """(25, 3) gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
 
-        ``force``, ``torque`` (24, 3) per bone as in ``body.posing.bone_wrenches``.
+        ``force``, ``torque`` (24, 3) per bone as in ``body.avatar.posing.bone_wrenches``.
         """
-        world, joints = self._chain(frame)
+        world, joints = (whole[0] for whole in self._posed(frame))
         total_force, total_torque = self._subtree @ force, self._subtree @ torque
         in_world = total_torque - np.cross(joints, total_force)
         gradient = np.zeros((25, 3))
@@ -84,7 +86,8 @@ class Motion:
         return gradient
 
     def smoothness_gradient(self, frame: int, weight: float) -> np.ndarray:
-        """(25, 3) gradient of weight · mean(squared geodesic first difference) + the same of translation in metres (numerics U51)."""
+        """(25, 3) gradient of weight · mean(squared geodesic first difference) + the same of translation in metres
+        (U51)."""
         gradient = np.zeros((25, 3))
         for other in (frame - 1, frame + 1):
             if 0 <= other < len(self.local):
@@ -95,7 +98,8 @@ class Motion:
         return gradient
 
     def step(self, frame: int, gradient: np.ndarray, rate: float) -> None:
-        """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not move (O04)."""
+        """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not
+        move (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
         gradient[list(_HELD)] = 0.0
         self._steps[frame] += 1
@@ -106,3 +110,24 @@ class Motion:
         change = -rate * (first / (1 - _FIRST_DECAY**count)) / (np.sqrt(second / (1 - _SECOND_DECAY**count)) + 1e-12)
         self.local[frame] = rotations.project_to_so3(rotations.exp(change[:24]) @ self.local[frame])
         self.trans_m[frame] += change[24]
+
+
+@numba.njit(cache=True)
+def _down_the_tree(local, rest_joints_m, parents, root_m, world, joints):
+    """``body.skinning.forward_kinematics`` of one frame: a loop over joints in Python takes longer than posing all
+    Gaussians."""
+    for joint in range(len(local)):
+        parent = parents[joint]
+        for r in range(3):
+            reach = root_m[r] if parent < 0 else joints[parent, r]
+            for k in range(3):
+                if parent < 0:
+                    world[joint, r, k] = local[joint, r, k]
+                    continue
+                reach += world[parent, r, k] * (rest_joints_m[joint, k] - rest_joints_m[parent, k])
+                world[joint, r, k] = (
+                    world[parent, r, 0] * local[joint, 0, k]
+                    + world[parent, r, 1] * local[joint, 1, k]
+                    + world[parent, r, 2] * local[joint, 2, k]
+                )
+            joints[joint, r] = reach

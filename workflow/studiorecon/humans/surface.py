@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from studiorecon.scene.discs import discs
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.discs import discs
 
-# A disc's standard deviation as a share of the spacing, so that neighbours just overlap, and its thickness as a share of that.
+# A disc's standard deviation as a share of the spacing, so that neighbours just overlap, and its thickness as a share
+# of that.
 _WIDTH, _FLATNESS = 0.6, 0.33
 _OPACITY = 0.9
 
@@ -33,11 +34,13 @@ class SurfaceSamples:
     spacing_m: float
 
 
-def sample_surface(vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, count: int, rng: np.random.Generator) -> SurfaceSamples:
+def sample_surface(
+    vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, count: int, rng: np.random.Generator
+) -> SurfaceSamples:
     """``count`` points over the mesh, evenly by area: one in every ``count``-th of the area in face order, jittered.
 
-    Faces that follow each other in a body mesh lie beside each other, so equal steps along the summed area leave neither clumps
-    nor gaps, which independent draws would.
+    Faces that follow each other in a body mesh lie beside each other, so equal steps along the summed area leave
+    neither clumps nor gaps, which independent draws would.
     """
     corners = vertices_m[faces]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -65,7 +68,8 @@ def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
 
 
 def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
-    """(N, count) indices of the nearest samples whose normals agree, so that a palm does not border on the thigh beside it.
+    """(N, count) indices of the nearest samples whose normals agree, so that a palm does not border on the thigh beside
+    it.
 
     Samples with fewer agreeing neighbours repeat themselves.
     """
@@ -78,16 +82,20 @@ def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
 
 
 def mirrored(samples: SurfaceSamples, within_m: float) -> np.ndarray:
-    """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond ``within_m``."""
+    """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
+    ``within_m``."""
     distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
     return np.where(distance <= within_m, index, -1)
 
 
-def fill_unseen(values: np.ndarray, seen: np.ndarray, near: np.ndarray, twin: np.ndarray, passes: int = 400) -> np.ndarray:
-    """``values`` (N, C) with the unseen rows replaced: from the body's other side where that was seen, else spread from seen neighbours.
+def fill_unseen(
+    values: np.ndarray, seen: np.ndarray, near: np.ndarray, twin: np.ndarray, passes: int = 400
+) -> np.ndarray:
+    """``values`` (N, C) with the unseen rows replaced: from the body's other side where that was seen, else spread from
+    seen neighbours.
 
-    Spreading is repeated averaging over ``near`` (the discrete Laplace equation with seen rows held), started from the mean of
-    all seen rows. Rows stay as they are when nothing was seen.
+    Spreading is repeated averaging over ``near`` (the discrete Laplace equation with seen rows held), started from the
+    mean of all seen rows. Rows stay as they are when nothing was seen.
     """
     if not seen.any() or seen.all():
         return values

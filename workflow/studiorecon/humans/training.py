@@ -1,207 +1,267 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training one person's canonical Gaussians on crops of all training cameras and frames.
+"""What the training of one person is: canonical Gaussians, crops of all training cameras and frames, terms and hooks.
 
-Every iteration draws one crop, poses the Gaussians, renders them over a random colour, and carries the gradients back through
-the skinning (paper, section 3.3 and appendix D). The random colour stands for the background the mask has cut away: what is
-opaque there, or transparent on the person, is wrong whatever the colour (numerics U52).
+Every step draws one crop, poses the Gaussians, renders them over a random colour, and carries the gradients back
+through the skinning (paper, section 3.3 and appendix D). The random colour stands for the background the mask has cut
+away: what is opaque there, or transparent on the person, is wrong whatever the colour (U52). The hooks are the
+temporal network, which begins late, and the pose, which moves with the Gaussians.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
 
-from studiorecon.body.posing import Posing
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.configuration.setting import setting
 from studiorecon.humans.appearance import Appearance
-from studiorecon.humans.footage import IGNORED, PERSON, Crop
-from studiorecon.humans.motion import Motion
-from studiorecon.progress import progress, say, warn
+from studiorecon.humans.crops import IGNORED, PERSON, Crop
+from studiorecon.humans.motion import RefinedMotion
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.adam import Adam
-from studiorecon.splatting.checkpoint import Checkpoint
 from studiorecon.splatting.device import rasteriser as rasteriser_on
-from studiorecon.splatting.feedback import Feedback
-from studiorecon.splatting.losses import coverage, photometric
-from studiorecon.splatting.perceptual import Perceptual, PerceptualSettings, perceptual
-from studiorecon.splatting.rendering import Rendering
+from studiorecon.splatting.train.optimiser import Adam
+from studiorecon.splatting.train.perceptual import PerceptualSettings
+from studiorecon.splatting.train.targets import Target
+from studiorecon.splatting.train.terms import PlaneView
+from studiorecon.splatting.train.trainer import Preview
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-15
+_GREY = np.full(3, 0.5)
 
 
 @dataclass(frozen=True)
 class Losses:
-    """Weights of the terms of a person's loss; see config.yaml."""
+    """Weights of the terms of a person's loss (``splatting/train/terms``); ``surface`` and ``pose`` hold the Gaussians
+    to the body and the poses to their neighbours in time."""
 
-    l1: float
-    ssim: float
-    lpips: PerceptualSettings
-    mask: float
-    density: float
-    surface: float
-    pose: float
+    l1: float = 0.8
+    ssim: float = 0.2
+    lpips: PerceptualSettings = setting(PerceptualSettings(), "The perceptual term.")
+    mask: float = setting(0.1, "L1 on the silhouette.", minimum=0, paper="0.01, appendix D; U50", letter=0.01)
+    density: float = setting(
+        0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", letter=0.1
+    )
+    surface: float = 0.01
+    pose: float = setting(
+        0.05,
+        "Smoothness of refined poses over time, at 30 frames per second; scaled to keep speeds alike at others.",
+        minimum=0,
+        paper="50, appendix D; U51",
+        letter=50.0,
+    )
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Learning rates; see config.yaml."""
+    """Learning rates."""
 
-    position_m: float
-    position_end_m: float
-    rotation: float
-    scale: float
-    opacity: float
-    colour: float
-    harmonics: float
-    pose_rad: float
+    position_m: float = setting(
+        0.0005, "Step of positions at the start.", unit="m", above=0, paper="1e-3, appendix D", letter=1e-3
+    )
+    position_end_m: float = setting(
+        5e-06, "Step of positions at the end.", unit="m", above=0, paper="2e-6, appendix D", letter=2e-6
+    )
+    rotation: float = 0.001
+    scale: float = 0.005
+    opacity: float = 0.02
+    colour: float = 0.005
+    harmonics: float = 0.00025
+    pose_rad: float = setting(
+        0.0005, "Step of joints, metres for the pelvis; 0 keeps the fitted poses.", unit="rad", minimum=0
+    )
+
+    def at(self, done: float) -> dict[str, float]:
+        """The rate of every kind of parameter after this share of the iterations."""
+        ends = np.log([self.position_m, self.position_end_m])
+        return {
+            "means": float(np.exp(np.interp(done, [0, 1], ends))),
+            "quaternions": self.rotation,
+            "scales": self.scale,
+            "opacities": self.opacity,
+            "colour": self.colour,
+            "harmonics": self.harmonics,
+        }
 
 
 @dataclass(frozen=True)
-class Limits:
-    """How far a Gaussian may stray: standard deviations as shares of the spacing, distance from the surface in metres."""
+class GaussianLimits:
+    """How far a Gaussian may stray: standard deviations as shares of the spacing, distance from the surface in
+    metres."""
 
-    smallest: float
-    largest: float
-    surface_m: float
-
-
-@dataclass(frozen=True)
-class Support:
-    """What a training run is given beside its subject: networks, where it keeps its state, where pictures of it go."""
-
-    network: Perceptual | None = None
-    appearance: Appearance | None = None
-    checkpoint: Checkpoint | None = None
-    previews: Path | None = None
+    smallest: float = 0.08
+    largest: float = 1.6
+    surface_m: float = 0.03
 
 
-def wanted_picture(crop: Crop, behind_rgb: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float32: the person as filmed, ``behind_rgb`` everywhere else."""
-    person = (crop.verdict == PERSON)[..., None]
-    return np.where(person, crop.rgb.astype(np.float32) / np.float32(255), behind_rgb.astype(np.float32))
+def target_of(crop: Crop, behind_rgb: np.ndarray) -> Target:
+    """The person as filmed, ``behind_rgb`` (3,) everywhere else; what belongs to nobody for certain is masked."""
+    rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
+    _paint_target(crop.rgb, crop.verdict, behind_rgb.astype(np.float32), rgb, weight)
+    return Target(crop.camera, rgb, weight, background_rgb=tuple(behind_rgb), silhouette=crop.verdict == PERSON)
 
 
-def pixel_losses(
-    rgb: np.ndarray, alpha: np.ndarray, crop: Crop, behind_rgb: np.ndarray, losses: Losses
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """Loss of one rendered crop and its gradients by rgb (h, w, 3) and alpha (h, w); without the perceptual term."""
-    weight = (crop.verdict != IGNORED).astype(np.float32)
-    value, grad_rgb = photometric(rgb, wanted_picture(crop, behind_rgb), weight, losses.l1, losses.ssim)
-    counted = max(float(weight.sum()), 1.0)
-    miss = (alpha - (crop.verdict == PERSON)) * weight
-    value += losses.mask * float(np.abs(miss).sum()) / counted
-    grad_alpha = np.sign(miss) * np.float32(losses.mask / counted)
-    if losses.density > 0:
-        extra, grad_density = coverage(alpha, None, weight, 0.0, losses.density)
-        value += extra
-        grad_alpha += grad_density
-    return value, grad_rgb, grad_alpha
+@numba.njit(cache=True)
+def _paint_target(photo, verdict, behind_rgb, rgb, weight):
+    for y in range(verdict.shape[0]):
+        for x in range(verdict.shape[1]):
+            weight[y, x] = np.float32(verdict[y, x] != IGNORED)
+            for channel in range(3):
+                own = np.float32(photo[y, x, channel]) / np.float32(255)
+                rgb[y, x, channel] = own if verdict[y, x] == PERSON else behind_rgb[channel]
 
 
 def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) -> np.ndarray:
-    """(N, 3) gradient of mean(|Δ|²) / reach² for the way Δ from the surface each Gaussian started on: a person is where the body is."""
+    """(N, 3) gradient of mean(|Δ|²) / reach² for the way Δ from the surface each Gaussian started on: a person is where
+    the body is."""
     return (2 / (reach_m**2 * len(means_m)) * (means_m - start_m)).astype(np.float32)
 
 
-def train_gaussians(
-    start: Gaussians, spacing_m: float, posing: Posing, motion: Motion, crops: Sequence[Crop], iterations: int, pose_from: int,
-    losses: Losses, rates: Rates, limits: Limits, near_m: float, threads: int, rng: np.random.Generator, support: Support,
-    device: str = "cpu",
-) -> Gaussians:  # fmt: skip
-    """The trained canonical Gaussians; ``motion`` is refined in place from iteration ``pose_from`` on when its rate is above 0.
+class PersonInTraining:
+    """A person for ``splatting.train.trainer.train``; ``motion`` and ``appearance`` are refined in place.
 
-    The number of Gaussians stays the same: they start on the surface, where a person's pixels come from. A killed run taken up at
-    its checkpoint ends with the same bytes.
+    The number of Gaussians stays the same: they start on the surface, where a person's pixels come from. The pose moves
+    from iteration ``pose_from`` on when its rate is above 0.
+
+    Attributes:
+        adam: counts what it refused.
     """
-    own = {
-        "means": start.means_m.copy(), "quaternions": start.quaternions.copy(), "scales": start.log_scales.copy(),
-        "opacities": start.logit_opacities.copy(), "colour": start.sh[:, :1].copy(), "harmonics": start.sh[:, 1:].copy(),
-    }  # fmt: skip
-    adam = Adam(own, _BETAS, _EPSILON)
-    fixed = {
-        "quaternions": rates.rotation,
-        "scales": rates.scale,
-        "opacities": rates.opacity,
-        "colour": rates.colour,
-        "harmonics": rates.harmonics,
-    }
-    scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
-    rasteriser = rasteriser_on(device, near_m=near_m, threads=threads)
-    feedback, checkpoint = Feedback("person", 0, iterations, support.previews), support.checkpoint
-    appearance, grey = support.appearance, np.full(3, 0.5)
 
-    def draw(crop: Crop, behind: np.ndarray) -> tuple[Rendering, np.ndarray]:
-        transforms = motion.transforms(crop.frame)
+    def __init__(
+        self,
+        start: Gaussians,
+        spacing_m: float,
+        posing: Posing,
+        motion: RefinedMotion,
+        crops: Sequence[Crop],
+        iterations: int,
+        pose_from: int,
+        losses: Losses,
+        rates: Rates,
+        limits: GaussianLimits,
+        near_m: float,
+        threads: int,
+        rng: np.random.Generator,
+        appearance: Appearance | None = None,
+        device: str = "cpu",
+    ) -> None:
+        self._own = {
+            "means": start.means_m.copy(),
+            "quaternions": start.quaternions.copy(),
+            "scales": start.log_scales.copy(),
+            "opacities": start.logit_opacities.copy(),
+            "colour": start.sh[:, :1].copy(),
+            "harmonics": start.sh[:, 1:].copy(),
+        }
+        self.adam = Adam(self._own, _BETAS, _EPSILON)
+        self._start_m, self._limits = start.means_m, limits
+        self._scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
+        self._posing, self._motion, self._appearance, self._crops = posing, motion, appearance, crops
+        self._iterations, self._pose_from, self._losses, self._rates = iterations, pose_from, losses, rates
+        self._rng, self._rasteriser = rng, rasteriser_on(device, near_m=near_m, threads=threads)
+
+    def gaussians(self) -> Gaussians:
+        """The canonical Gaussians as they are now."""
+        own = self._own
+        sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
+        return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
+
+    def threads(self) -> AbstractContextManager[None]:
+        """The rasteriser's own."""
+        return self._rasteriser.own_threads()
+
+    def begin(self, iteration: int) -> None:
+        """The temporal network starts, or not, once the person is there to be measured."""
+        if self._appearance is not None and iteration == self._appearance.settings.start:
+            self._appearance.begin(self._shown)
+
+    def draw(self, iteration: int) -> PlaneView:
+        """A crop, posed and rendered over a random colour."""
+        self._crop = self._crops[self._rng.integers(len(self._crops))]
+        behind = self._rng.random(3)
+        planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind)
+        return PlaneView(target_of(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
+
+    def _shown(self, crop: Crop) -> np.ndarray:
+        """(h, w, 3) the person over grey."""
+        return self._rasteriser.forward(self._posed(crop), crop.camera, _GREY).rgb
+
+    def _posed(self, crop: Crop) -> Gaussians:
+        own = self._own
+        self._transforms = self._motion.transforms(crop.frame)
         colour, logits = own["colour"], own["opacities"]
-        if appearance is not None:
-            colour, logits = appearance.added(own["means"], colour, logits, crop.frame)
+        if self._appearance is not None:
+            colour, logits = self._appearance.added(own["means"], colour, logits, crop.frame)
         sh = np.concatenate([colour, own["harmonics"]], axis=1)
-        means, quaternions, sh = posing.out(own["means"], own["quaternions"], sh, transforms)
-        posed = Gaussians(means, quaternions, own["scales"], logits, sh)
-        return rasteriser.forward(posed, crop.camera, behind), transforms
+        means, quaternions, sh = self._posing.out(own["means"], own["quaternions"], sh, self._transforms)
+        return Gaussians(means, quaternions, own["scales"], logits, sh)
 
-    begin = 0
-    if checkpoint is not None and (stored := checkpoint.load()) is not None:
-        arrays, facts = stored
-        adam.resume(arrays)
-        motion.resume(arrays)
-        feedback.resume(arrays)
-        if appearance is not None:
-            appearance.resume(arrays, from_entry(facts["decision"]) if facts["decision"] else None)
-        begin, rng.bit_generator.state = facts["iteration"], facts["generator"]
-        say(f"training goes on at iteration {begin}, where it was interrupted")
-    with rasteriser.own_threads():
-        for iteration in progress(range(begin, iterations), "training", iterations - begin):
-            if appearance is not None and iteration == appearance.settings.start:
-                appearance.begin(lambda crop: draw(crop, grey)[0].rgb)
-            crop = crops[rng.integers(len(crops))]
-            behind = rng.random(3)
-            picture, transforms = draw(crop, behind)
-            loss, grad_rgb, grad_alpha = pixel_losses(picture.rgb, picture.alpha, crop, behind, losses)
-            if losses.lpips.weight > 0 and support.network is not None and iteration % losses.lpips.every == 0:
-                wanted, weight = wanted_picture(crop, behind), crop.verdict != IGNORED
-                distance, slope = perceptual(support.network, losses.lpips, picture.rgb, wanted, weight, rng)
-                loss += distance
-                grad_rgb += slope
-            back = rasteriser.backward(grad_rgb, grad_alpha)
-            grad_means, grad_quaternions, grad_sh = posing.back(back.means_m, back.quaternions, back.sh)
-            grad_means += losses.surface * held_near_surface(own["means"], start.means_m, limits.surface_m)
-            if rates.pose_rad > 0 and iteration >= pose_from:
-                turn = motion.gradient(crop.frame, *posing.wrenches(own["means"], back.means_m, transforms))
-                motion.step(crop.frame, turn + motion.smoothness_gradient(crop.frame, losses.pose), rates.pose_rad)
-            gradients = {
-                "means": grad_means, "quaternions": grad_quaternions, "scales": back.log_scales, "opacities": back.logit_opacities,
-                "colour": grad_sh[:, :1], "harmonics": grad_sh[:, 1:],
-            }  # fmt: skip
-            if appearance is not None:
-                appearance.step(grad_sh[:, :1], back.logit_opacities)
-            position_m = float(np.exp(np.interp(iteration / iterations, [0, 1], np.log([rates.position_m, rates.position_end_m]))))
-            adam.step(gradients, fixed | {"means": position_m}, back.screen > 0)
-            # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
-            np.clip(own["scales"], *scale_range, out=own["scales"])
-            if feedback.add(loss, crop_psnr_db(picture.rgb, crop)):
-                view = crops[len(crops) // 2]
-                name = f"frame {view.frame} of {view.camera.name}"
-                feedback.tell(start.count, name, draw(view, grey)[0].rgb, wanted_picture(view, grey), view.verdict != IGNORED)
-            if checkpoint is not None and checkpoint.due():
-                facts, state = {"iteration": iteration + 1, "generator": rng.bit_generator.state}, {}
-                if appearance is not None:
-                    facts["decision"] = asdict(appearance.decision) if appearance.decision else None
-                    state = appearance.arrays()
-                checkpoint.save({**adam.arrays(), **motion.arrays(), **feedback.record(), **state}, facts)
-    if adam.refused:
-        warn(f"{adam.refused} gradient entries were not finite and were skipped")
-    sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
-    return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
+    def step(self, iteration: int, view: PlaneView, loss: float) -> tuple[float, float]:
+        """Gradients back through the pose; pose, temporal network and Gaussians move."""
+        own, losses, rates, frame = self._own, self._losses, self._rates, self._crop.frame
+        back = self._rasteriser.backward_planes(view.gradient)
+        grad_means, grad_quaternions, grad_sh = self._posing.back(back.means_m, back.quaternions, back.sh)
+        grad_means += losses.surface * held_near_surface(own["means"], self._start_m, self._limits.surface_m)
+        if rates.pose_rad > 0 and iteration >= self._pose_from:
+            wrenches = self._posing.wrenches(own["means"], back.means_m, self._transforms)
+            turn = self._motion.gradient(frame, *wrenches) + self._motion.smoothness_gradient(frame, losses.pose)
+            self._motion.step(frame, turn, rates.pose_rad)
+        gradients = {
+            "means": grad_means,
+            "quaternions": grad_quaternions,
+            "scales": back.log_scales,
+            "opacities": back.logit_opacities,
+            "colour": grad_sh[:, :1],
+            "harmonics": grad_sh[:, 1:],
+        }
+        if self._appearance is not None:
+            self._appearance.step(grad_sh[:, :1], back.logit_opacities)
+        self.adam.step(gradients, rates.at(iteration / self._iterations), back.screen > 0)
+        # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
+        np.clip(own["scales"], *self._scale_range, out=own["scales"])
+        return loss, crop_psnr_db(view.planes, self._crop)
+
+    def preview(self) -> Preview:
+        """The crop in the middle, over grey."""
+        crop = self._crops[len(self._crops) // 2]
+        name, target = f"frame {crop.frame} of {crop.camera.name}", target_of(crop, _GREY)
+        return Preview(len(self._start_m), name, self._shown(crop), target.rgb, target.used)
+
+    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Gaussians, motion, temporal network, and Adam's state of each."""
+        arrays, facts = {**self.adam.arrays(), **self._motion.arrays()}, {}
+        if (appearance := self._appearance) is not None:
+            facts["decision"] = asdict(appearance.decision) if appearance.decision else None
+            arrays |= appearance.arrays()
+        return arrays, facts
+
+    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+        """Puts a ``snapshot`` back, in place."""
+        self.adam.resume(arrays)
+        self._motion.resume(arrays)
+        if self._appearance is not None:
+            self._appearance.resume(arrays, from_entry(facts["decision"]) if facts["decision"] else None)
 
 
-def crop_psnr_db(rgb: np.ndarray, crop: Crop) -> float:
-    """PSNR of a rendered crop (h, w, 3) on the person's own pixels; 0 when there are none."""
-    person = crop.verdict == PERSON
-    if not person.any():
-        return 0.0
-    errors = rgb[person] - crop.rgb[person].astype(np.float32) / np.float32(255)
-    return float(-10 * np.log10(max(float(np.mean(errors * errors)), 1e-12)))
+def crop_psnr_db(planes: np.ndarray, crop: Crop) -> float:
+    """PSNR of a crop drawn as planes (5, h, w) on the person's own pixels; 0 when there are none."""
+    squares, pixels = _squared_error(planes, crop.rgb, crop.verdict)
+    return float(-10 * np.log10(max(squares / (3 * pixels), 1e-12))) if pixels else 0.0
+
+
+@numba.njit(cache=True)
+def _squared_error(planes, photo, verdict):
+    total, pixels = 0.0, 0
+    for y in range(verdict.shape[0]):
+        for x in range(verdict.shape[1]):
+            if verdict[y, x] == PERSON:
+                pixels += 1
+                for channel in range(3):
+                    error = planes[channel, y, x] - np.float32(photo[y, x, channel]) / np.float32(255)
+                    total += error * error
+    return total, pixels

@@ -1,1 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Pictures as arrays: read between pixels, compared, moved, and taken apart.
+
+In come (H, W[, 3]) arrays; out come arrays and figures. No files but those of plates.
+
+* ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
+* ``plate``, ``difference``, ``exposure``, ``colours``: what stays put, what differs from it, and how cameras agree;
+* ``flow``, ``transfer`` (inner loops: ``lookup``): where pixels go, and what renders miss carried to other views;
+* ``metrics`` (inner loops: ``similarity``, ``temporal``), ``perceptual``: how close a picture is to the true one;
+* ``palette``: the colours of people in films and pages.
+"""

@@ -3,20 +3,27 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
-def gaussian_blur(image: np.ndarray, size_px: int, sigma_px: float) -> np.ndarray:
+
+def gaussian_blur(image: Num[np.ndarray, "H W ..."], size_px: int, sigma_px: float) -> np.ndarray:
     """``image`` (H, W[, C]) float32 blurred with a ``size_px`` × ``size_px`` Gaussian.
 
-    Borders are replicated: with zeros outside a constant 1 would fall to 0.60 at edges and 0.36 in corners (numerics E05). The
-    paper names the kernel, 11, and no sigma; 2.0 is the reading U05. Raises ValueError for an even or non-positive size, or an image
-    that is none.
+    Borders are replicated: with zeros outside a constant 1 would fall to 0.60 at edges and 0.36 in corners (
+    E05). The paper names the kernel, 11, and no sigma; 2.0 is the reading U05. Raises ValueError for an even or
+    non-positive size, or an image that is none.
     """
     require("image", image, ("H", "W", ...))
     if size_px < 1 or size_px % 2 == 0:
         raise ValueError(f"blur size must be odd and positive, not {size_px}")
-    return cv2.GaussianBlur(np.asarray(image, np.float32), (size_px, size_px), sigma_px, borderType=cv2.BORDER_REPLICATE)
+    return cv2.GaussianBlur(
+        np.asarray(image, np.float32), (size_px, size_px), sigma_px, borderType=cv2.BORDER_REPLICATE
+    )

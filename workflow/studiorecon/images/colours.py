@@ -3,16 +3,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 
 @numba.njit(cache=True, nogil=True)
 def colour_sums(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(4, 4) and (4, 3) int64: Σ d dᵀ and Σ d sᵀ over the pixels of two (H, W, 3) uint8 pictures, d = (first's colour, 1). Exact."""
+    """(4, 4) and (4, 3) int64: Σ d dᵀ and Σ d sᵀ over the pixels of two (H, W, 3) uint8 pictures, d = (first's colour,
+    1). Exact."""
     height, width, _ = first.shape
     own, both = np.zeros((4, 4), np.int64), np.zeros((4, 3), np.int64)
-    # A row of each channel by itself, and of ones: the compiler uses the processor's vector instructions for such sums only.
+    # A row of each channel by itself, and of ones: the compiler uses the processor's vector instructions for such sums
+    # only.
     rows = np.ones((7, width), np.int32)
     for y in range(height):
         _split(first[y], rows[:3])
@@ -44,8 +51,9 @@ def _add_products(factor, red, green, blue, total):
 
 
 @numba.njit(cache=True, nogil=True)
-def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) -> int:
-    """Σ over pixels and channels of the squared difference of levels once ``by`` (4, 3) has moved ``first``'s colours; clamped, rounded."""
+def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) -> np.int64:
+    """Σ over pixels and channels of the squared difference of levels once ``by`` (4, 3) has moved ``first``'s colours;
+    clamped, rounded."""
     total = np.int64(0)
     for y in range(first.shape[0]):
         for x in range(first.shape[1]):
@@ -57,10 +65,13 @@ def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) 
     return total
 
 
-def colour_map(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(4, 3) least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell it."""
+def colour_map(first: np.ndarray, second: np.ndarray) -> Num[np.ndarray, "4 3"]:
+    """(4, 3) least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell
+    it."""
     own, both = colour_sums(first, second)
     # In units of the range: sums of at most 1 over a million pixels are conditioned well enough in float64.
     unit = np.array([255.0, 255.0, 255.0, 1.0])
-    solution = np.linalg.pinv(own / np.outer(unit, unit), rcond=1e-10, hermitian=True) @ (both / np.outer(unit, np.full(3, 255.0)))
+    solution = np.linalg.pinv(own / np.outer(unit, unit), rcond=1e-10, hermitian=True) @ (
+        both / np.outer(unit, np.full(3, 255.0))
+    )
     return solution * 255 / unit[:, None]

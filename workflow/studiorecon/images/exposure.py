@@ -5,10 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.arrays import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # Colours outside this range are clipped or noise: their ratio says nothing about gains.
 DARKEST, BRIGHTEST = 0.03, 0.97
@@ -24,13 +28,18 @@ class Overlap:
     pixels: int
 
 
-def compare(first: int, second: int, first_rgb: np.ndarray, second_rgb: np.ndarray, least_pixels: int) -> Overlap | None:
-    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable ones.
+def compare(
+    first: int, second: int, first_rgb: Num[np.ndarray, "N 3"], second_rgb: Num[np.ndarray, "N 3"], least_pixels: int
+) -> Overlap | None:
+    """The overlap of two cameras from colours (N, 3) of the same surface points; None below ``least_pixels`` usable
+    ones.
 
     Colours that are not numbers are not usable. Raises ValueError for colours that do not belong together.
     """
     require("second_rgb", second_rgb, ("N", 3), require("first_rgb", first_rgb, ("N", 3)))
-    usable = ((first_rgb > DARKEST) & (first_rgb < BRIGHTEST) & (second_rgb > DARKEST) & (second_rgb < BRIGHTEST)).all(axis=-1)
+    usable = ((first_rgb > DARKEST) & (first_rgb < BRIGHTEST) & (second_rgb > DARKEST) & (second_rgb < BRIGHTEST)).all(
+        axis=-1
+    )
     count = int(usable.sum())
     if count < max(least_pixels, 1):
         return None
@@ -39,10 +48,11 @@ def compare(first: int, second: int, first_rgb: np.ndarray, second_rgb: np.ndarr
 
 
 def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> np.ndarray:
-    """(cameras, 3) factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without any.
+    """(cameras, 3) factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without
+    any.
 
-    Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their own
-    group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
+    Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their
+    own group's mean (minimum-norm solution). Raises ValueError for a ratio that is not three finite numbers.
     """
     for overlap in overlaps:
         require(f"log_ratio of cameras {overlap.first} and {overlap.second}", overlap.log_ratio, (3,), finite=True)

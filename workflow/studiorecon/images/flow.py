@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Optical flow between two pictures, and where it can be trusted.
 
-A flow (H, W, 2) float32 in pixels belongs to the first picture: its pixel p shows what the second picture shows at p + flow(p).
-So the *backward* flow t → t-1 is ``dis_flow(picture_t, picture_t_minus_1)``, and warping picture t-1 with it gives picture t.
+A flow (H, W, 2) float32 in pixels belongs to the first picture: its pixel p shows what the second picture shows at p +
+flow(p). So the *backward* flow t → t-1 is ``dis_flow(picture_t, picture_t_minus_1)``, and warping picture t-1 with it
+gives picture t.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.images.temporal import leads_back
 from studiorecon.images.warp import warp
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer, Num
 
 PRESETS = {
     "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
@@ -41,8 +46,9 @@ def one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def grey_levels(rgb: np.ndarray) -> np.ndarray:
-    """(H, W) uint8 luminance of an RGB picture (H, W, 3), uint8 or float in [0, 1]. Raises ValueError for another shape."""
+def grey_levels(rgb: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
+    """(H, W) uint8 luminance of an RGB picture (H, W, 3), uint8 or float in [0, 1]. Raises ValueError for another
+    shape."""
     require("rgb", rgb, ("H", "W", 3))
     levels = rgb if rgb.dtype == np.uint8 else np.rint(np.clip(np.nan_to_num(rgb), 0, 1) * 255).astype(np.uint8)
     return cv2.cvtColor(np.ascontiguousarray(levels), cv2.COLOR_RGB2GRAY)
@@ -51,20 +57,30 @@ def grey_levels(rgb: np.ndarray) -> np.ndarray:
 def dis_flow(first_grey: np.ndarray, second_grey: np.ndarray, preset: str) -> np.ndarray:
     """Flow (H, W, 2) from the first to the second uint8 picture by dense inverse search (Kroeger et al. 2016).
 
-    Deterministic inside ``one_thread``. Raises Refusal for pictures that differ in size or are too small to search.
+    Deterministic inside ``one_thread``. Raises UserError for pictures that differ in size or are too small to search.
     """
     if first_grey.shape != second_grey.shape:
-        raise Refusal(f"optical flow needs pictures of one size, not {first_grey.shape[::-1]} and {second_grey.shape[::-1]}")
+        raise UserError(
+            f"optical flow needs pictures of one size, not {first_grey.shape[::-1]} and {second_grey.shape[::-1]}"
+        )
     if min(first_grey.shape) < _SMALLEST_SIDE_PX:
-        raise Refusal(f"optical flow needs pictures of at least {_SMALLEST_SIDE_PX} pixels a side, not {first_grey.shape[::-1]}")
-    return cv2.DISOpticalFlow_create(PRESETS[preset]).calc(first_grey, second_grey, None)
+        raise UserError(
+            f"optical flow needs pictures of at least {_SMALLEST_SIDE_PX} pixels a side, not {first_grey.shape[::-1]}"
+        )
+    return cv2.DISOpticalFlow.create(PRESETS[preset]).calc(first_grey, second_grey, None)  # type: ignore[call-overload]
 
 
-def chained(flow: np.ndarray, valid: np.ndarray, further: np.ndarray, further_valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flow (H, W, 2) from a first picture to a third and (H, W) bool where it holds, from first to second and second to third.
+def chained(
+    flow: Num[np.ndarray, "H W 2"],
+    valid: Bool[np.ndarray, "H W"],
+    further: Num[np.ndarray, "H W 2"],
+    further_valid: Num[np.ndarray, "H W"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Flow (H, W, 2) from a first picture to a third and (H, W) bool where it holds, from first to second and second to
+    third.
 
-    F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises ValueError for flows
-    of two sizes.
+    F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises
+    ValueError for flows of two sizes.
     """
     sizes = require("flow", flow, ("H", "W", 2))
     require("further", further, ("H", "W", 2), sizes)
@@ -75,12 +91,12 @@ def chained(flow: np.ndarray, valid: np.ndarray, further: np.ndarray, further_va
     return flow + onward, valid & inside & known
 
 
-def consistent(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
+def consistent(flow: Num[np.ndarray, "H W 2"], reverse_flow: Num[np.ndarray, "H W 2"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: pixels whose flow leads back, inside the picture, within a motion-dependent tolerance.
 
-    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It is what
-    finds uncovered background, where colours may agree by chance (numerics E10). Non-finite flow is inconsistent (E13). Raises
-    ValueError for flows of two sizes.
+    |f + r(p + f)|² < 0.01 (|f|² + |r|²) + 0.5, the rule of Sundaram et al. 2010 that video-consistency measures use. It
+    is what finds uncovered background, where colours may agree by chance (E10). Non-finite flow is
+    inconsistent (E13). Raises ValueError for flows of two sizes.
     """
     require("reverse_flow", reverse_flow, ("H", "W", 2), require("flow", flow, ("H", "W", 2)))
     return leads_back(np.ascontiguousarray(flow), np.ascontiguousarray(reverse_flow))

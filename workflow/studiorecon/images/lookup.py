@@ -19,11 +19,12 @@ def seen_from(
     tolerance: float,
     power: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every pixel of a view: (H, W) whether a source sees its surface, (H, W, 2) where, and (H, W) cos^power of the angle, float32.
+    """Of every pixel of a view: (H, W) whether a source sees its surface, (H, W, 2) where, and (H, W) cos^power of the
+    angle, float32.
 
-    ``depth_m`` (H, W) is the view's z-depth with 0 (or what is no number) for unknown, ``ray_from_pixel`` (3, 3) takes (x, y, 1) at pixel
-    centres +0.5 to the world direction of one metre of depth; ``source_from_world`` (3, 4). Seen: the source's depth at the nearest
-    pixel differs by at most ``tolerance`` of the distance.
+    ``depth_m`` (H, W) is the view's z-depth with 0 (or what is no number) for unknown, ``ray_from_pixel`` (3, 3) takes
+    (x, y, 1) at pixel centres +0.5 to the world direction of one metre of depth; ``source_from_world`` (3, 4). Seen:
+    the source's depth at the nearest pixel differs by at most ``tolerance`` of the distance.
     """
     height, width = depth_m.shape
     rows, columns = source_depth_m.shape
@@ -67,10 +68,15 @@ def seen_from(
 
 @numba.njit(cache=True, nogil=True)
 def add_read(
-    picture: np.ndarray, pixels: np.ndarray, weight: np.ndarray, total: np.ndarray, weights: np.ndarray, cover: np.ndarray
+    picture: np.ndarray,
+    pixels: np.ndarray,
+    weight: np.ndarray,
+    total: np.ndarray,
+    weights: np.ndarray,
+    cover: np.ndarray,
 ) -> None:
-    """Adds weight × picture (h, w, 3), read bilinearly at ``pixels`` (H, W, 2), to ``total``; weight to ``weights``; and keeps the largest
-    weight in ``cover``. Pixels beyond the outermost centres read the border."""
+    """Adds weight × picture (h, w, 3), read bilinearly at ``pixels`` (H, W, 2), to ``total``; weight to ``weights``;
+    and keeps the largest weight in ``cover``. Pixels beyond the outermost centres read the border."""
     rows, columns = picture.shape[:2]
     for i in range(weight.shape[0]):
         for j in range(weight.shape[1]):

@@ -1,25 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """How close a picture is to the true one: PSNR, SSIM and change over time, each in the variant its name says.
 
-Pictures are (H, W, 3), uint8 or float in [0, 1]; floats are clamped and rounded to 8 bit first (what is not a number becomes black, as in
-a stored video), so that stored videos reproduce every number. The range is 1 (255 levels) and never inferred (numerics I02); sums are
-whole numbers or float64 (I05). A measure that cannot be taken (mask too small, picture too small) is None, never a number.
+Pictures are (H, W, 3), uint8 or float in [0, 1]; floats are clamped and rounded to 8 bit first (what is not a number
+becomes black, as in a stored video), so that stored videos reproduce every number. The range is 1 (255 levels) and
+never inferred (I02); sums are whole numbers or float64 (I05). A measure that cannot be taken (mask too small,
+picture too small) is None, never a number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
+from studiorecon.footage.video import to_bytes
 from studiorecon.images.colours import colour_map, mapped_squared_error
 from studiorecon.images.similarity import RADIUS, WINDOW, masked_sum, similarity_map, squared_error
 from studiorecon.images.temporal import change
-from studiorecon.images.video import to_bytes
 
-# Identical pictures: counted with this, so that one of them does not make a mean infinite (numerics I03).
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer, Num
+
+# Identical pictures: counted with this, so that one of them does not make a mean infinite (I03).
 PSNR_CAP_DB = 100.0
 # A mean over fewer pixels than this says more about noise than about the picture.
 SMALLEST_MASK_PX = 256
@@ -27,12 +32,12 @@ SMALLEST_MASK_PX = 256
 _SQUARES = 3 * 255**2
 
 
-def levels(picture: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8 of an 8-bit picture, or of a float one after clamping and rounding (numerics I04)."""
+def levels(picture: np.ndarray) -> Integer[np.ndarray, "H W 3"]:
+    """(H, W, 3) uint8 of an 8-bit picture, or of a float one after clamping and rounding (I04)."""
     return picture if picture.dtype == np.uint8 else to_bytes(picture)
 
 
-def error_map(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
     """(H, W) int32: Σ over channels of squared differences of 8-bit levels, the input of ``psnr_of``. 4 ms at 1280×704.
 
     Raises ValueError for pictures that are not (H, W, 3) of one size.
@@ -41,11 +46,12 @@ def error_map(prediction: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return squared_error(levels(prediction), levels(truth))
 
 
-def psnr_of(errors: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` (H, W) bool when given.
+def psnr_of(errors: Num[np.ndarray, "H W"], mask: np.ndarray | None = None) -> float | None:
+    """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` (H, W) bool when
+    given.
 
-    10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that is the
-    difference between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
+    10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that
+    is the difference between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
     """
     sizes = require("errors", errors, ("H", "W"))
     if mask is not None:
@@ -66,12 +72,12 @@ def psnr(prediction: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = No
     return psnr_of(error_map(prediction, truth), mask)
 
 
-def colour_corrected_psnr(prediction: np.ndarray, truth: np.ndarray) -> float | None:
+def colour_corrected_psnr(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
     """PSNR after the affine map of colours (3×3 and an offset) that brings the prediction closest to the truth.
 
-    Says how much of an error is exposure and white balance; beside the plain value, never instead of it (evaluation 1.6). The
-    fit is linear least squares over all pixels; a picture of too few colours to fit falls back to the minimum-norm map.
-    Raises ValueError for pictures of two sizes.
+    Says how much of an error is exposure and white balance; beside the plain value, never instead of it (evaluation
+    1.6). The fit is linear least squares over all pixels; a picture of too few colours to fit falls back to the
+    minimum-norm map. Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", 3), require("prediction", prediction, ("H", "W", 3)))
     shown, wanted = np.ascontiguousarray(levels(prediction)), np.ascontiguousarray(levels(truth))
@@ -81,21 +87,25 @@ def colour_corrected_psnr(prediction: np.ndarray, truth: np.ndarray) -> float | 
     return decibels(mapped_squared_error(shown, wanted, colour_map(shown, wanted)) / (_SQUARES * count))
 
 
-def ssim_map(prediction: np.ndarray, truth: np.ndarray, dtype: type = np.float64) -> np.ndarray:
-    """(H, W) structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5, range 1.
+def ssim_map(
+    prediction: Num[np.ndarray, "H W C"], truth: Num[np.ndarray, "H W C"], dtype: type = np.float64
+) -> Num[np.ndarray, "H W"]:
+    """(H, W) structural similarity, mean over channels, with zeros outside the picture: 11×11 Gaussian, sigma 1.5,
+    range 1.
 
-    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (numerics I01).
-    Raises ValueError for pictures of two sizes.
+    Population covariance; variances are clamped at 0 and the map at 1, which rounding breaks on flat pictures (
+    I01). Raises ValueError for pictures of two sizes.
     """
     require("truth", truth, ("H", "W", "C"), require("prediction", prediction, ("H", "W", "C")))
     return similarity_map(levels(prediction), levels(truth), dtype)
 
 
-def whole_windows(mask: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels whose 11×11 window lies inside the picture and inside ``mask`` (H, W): the mask eroded by 5 pixels.
+def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: pixels whose 11×11 window lies inside the picture and inside ``mask`` (H, W): the mask eroded by 5
+    pixels.
 
-    Errors outside the mask cannot reach such windows (numerics I08), and they need no normalising by the mask's share (I10).
-    Raises ValueError for a mask that is no picture.
+    Errors outside the mask cannot reach such windows (I08), and they need no normalising by the mask's share
+    (I10). Raises ValueError for a mask that is no picture.
     """
     require("mask", mask, ("H", "W"))
     inside = np.zeros(mask.shape, bool)
@@ -103,11 +113,12 @@ def whole_windows(mask: np.ndarray) -> np.ndarray:
     return inside & cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)).astype(bool)
 
 
-def ssim(similarity: np.ndarray, mask: np.ndarray | None = None) -> float | None:
-    """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the mask.
+def ssim(similarity: Num[np.ndarray, "H W"], mask: np.ndarray | None = None) -> float | None:
+    """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the
+    mask.
 
-    The mean divides by the windows used, not by the picture (numerics I09). None when a side is under 11 pixels or fewer than 256
-    masked windows remain. Raises ValueError for a mask of another size.
+    The mean divides by the windows used, not by the picture (I09). None when a side is under 11 pixels or
+    fewer than 256 masked windows remain. Raises ValueError for a mask of another size.
     """
     sizes = require("similarity", similarity, ("H", "W"))
     if mask is not None:
@@ -120,7 +131,7 @@ def ssim(similarity: np.ndarray, mask: np.ndarray | None = None) -> float | None
     return total / count if count >= SMALLEST_MASK_PX else None
 
 
-def ssim_3dgs(similarity: np.ndarray) -> float | None:
+def ssim_3dgs(similarity: Num[np.ndarray, "H W"]) -> float | None:
     """Mean of an ``ssim_map`` over the whole picture, zero padding included, as papers of the 3DGS lineage print it.
 
     Raises ValueError for a map that is none.
@@ -129,8 +140,14 @@ def ssim_3dgs(similarity: np.ndarray) -> float | None:
     return None if min(similarity.shape) < WINDOW else float(similarity.mean(dtype=np.float64))
 
 
-def change_maps(current: np.ndarray, previous: np.ndarray, backward: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside ``valid``.
+def change_maps(
+    current: Num[np.ndarray, "H W 3"],
+    previous: Num[np.ndarray, "H W 3"],
+    backward: Num[np.ndarray, "H W 2"],
+    valid: Bool[np.ndarray, "H W"],
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside
+    ``valid``.
 
     O_t − warp(O_{t−1}, F_{t→t−1}), mean over channels, range 1. The flow (H, W, 2) is that of the *true* video.
     Raises ValueError for pictures, a flow or a mask of another size.
@@ -142,7 +159,7 @@ def change_maps(current: np.ndarray, previous: np.ndarray, backward: np.ndarray,
     return change(levels(current), levels(previous), backward, valid)
 
 
-def mean_inside(values: np.ndarray, mask: np.ndarray) -> float | None:
+def mean_inside(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -> float | None:
     """Mean of a map over a mask (H, W) bool; None below 256 pixels. Raises ValueError for a mask of another size."""
     require("mask", mask, ("H", "W"), require("values", values, ("H", "W")))
     total, count = masked_sum(values, mask)
@@ -150,12 +167,7 @@ def mean_inside(values: np.ndarray, mask: np.ndarray) -> float | None:
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Mean of what was measured: None and values that are not finite are left out; None when nothing remains (numerics V06)."""
+    """Mean of what was measured: None and values that are not finite are left out; None when nothing remains (
+    V06)."""
     used = [value for value in values if value is not None and np.isfinite(value)]
     return float(np.mean(used)) if used else None
-
-
-def median_of(values: Iterable[float | None]) -> float | None:
-    """Median of what was measured, as ``mean_of``."""
-    used = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.median(used)) if used else None

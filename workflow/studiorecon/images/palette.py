@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours of people in pictures and films: one each, safe for colour-blind readers (Okabe and Ito), and a grey for nobody's."""
+"""Colours of people in pictures and films: one each, safe for colour-blind readers (Okabe and Ito), and a grey for
+nobody's."""
 
 from __future__ import annotations
 

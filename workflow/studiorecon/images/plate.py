@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stays put in a static camera's pictures: the colour that each pixel keeps returning to, and how often it does."""
+"""What stays put in a static camera's pictures: the colour that each pixel keeps returning to, and how often it
+does."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numba
@@ -12,30 +14,35 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.scene.files import complete
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
 # Rows that are turned to time-last order at once: bounds the copy of the clip.
 _BAND = 64
 # A candidate colour shared by this share of the pictures needs no rival search: nothing can beat it.
 _CLEAR_SHARE = 0.9
 
 
-def noise_levels(frames: np.ndarray) -> float:
+def noise_levels(frames: Num[np.ndarray, "T H W 3"]) -> float:
     """Standard deviation of the noise in grey levels of frames (T, H, W, 3) uint8, from successive differences.
 
-    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes. Raises ValueError
-    for other shapes.
+    Half the pixels must be at rest between successive frames. Never below the 0.3 levels that rounding alone makes.
+    Raises ValueError for other shapes.
     """
     require("frames", frames, ("T", "H", "W", 3))
     if len(frames) < 2:
         return 1.0
     pairs = np.linspace(0, len(frames) - 2, min(len(frames) - 1, 8)).astype(int)
     change = np.stack([np.abs(frames[i + 1, ::2, ::2].astype(np.int16) - frames[i, ::2, ::2]) for i in pairs])
-    # The median of rounded values is a staircase; the mean of the lower half follows the noise smoothly. It is 0.325 of the
-    # standard deviation of a difference (half-normal below its median), which is sqrt(2) of the noise.
+    # The median of rounded values is a staircase; the mean of the lower half follows the noise smoothly. It is 0.325 of
+    # the standard deviation of a difference (half-normal below its median), which is sqrt(2) of the noise.
     flat = np.partition(change.ravel(), change.size // 2)[: change.size // 2]
     return max(float(flat.mean()) / 0.325 / np.sqrt(2), 0.3)
 
 
-def temporal_modes(frames: np.ndarray, free: np.ndarray, agree_levels: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def temporal_modes(
+    frames: Num[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], agree_levels: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The colour most pictures agree on at every pixel, among those in which the pixel is ``free``.
 
     Args:
@@ -44,8 +51,8 @@ def temporal_modes(frames: np.ndarray, free: np.ndarray, agree_levels: float) ->
         agree_levels: colours whose every channel differs by at most this are the same surface.
 
     Returns:
-        (H, W, 3) float32 mean of the agreeing colours, 0..255 (0 where never free); (H, W) int how many agree; (H, W) int how
-        many agree on the best colour that is clearly another one. Costs at most T² comparisons per pixel.
+        (H, W, 3) float32 mean of the agreeing colours, 0..255 (0 where never free); (H, W) int how many agree; (H, W)
+        int how many agree on the best colour that is clearly another one. Costs at most T² comparisons per pixel.
         Raises ValueError for arrays that do not belong together, or frames that are not uint8.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
@@ -121,8 +128,9 @@ def _same(a, b, tolerance):
     )
 
 
-def write_plate(path: Path, rgb: np.ndarray, measured: np.ndarray) -> None:
-    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent black.
+def write_plate(path: Path, rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"]) -> None:
+    """Write a clean plate: (H, W, 3) uint8 RGB as RGBA PNG, alpha 255 where ``measured`` (H, W), else a transparent
+    black.
 
     Raises ValueError for a mask of another size.
     """

@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Operations on binary pictures: growing, distances, small islands and holes, agreement."""
+"""Operations on binary pictures: growing, distances, small islands and holes."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
-def dilated(region: np.ndarray, size_px: int) -> np.ndarray:
-    """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, numerics U24; 0 or 1 = unchanged).
+
+def dilated(region: Bool[np.ndarray, "H W"], size_px: int) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: ``region`` grown by a square of ``size_px`` pixels (21 = radius 10, U24; 0 or 1 =
+    unchanged).
 
     Raises ValueError for an even size, which would shift the region by half a pixel, or a region that is no picture.
     """
@@ -22,8 +28,9 @@ def dilated(region: np.ndarray, size_px: int) -> np.ndarray:
     return cv2.dilate(region.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0
 
 
-def signed_distance_px(region: np.ndarray) -> np.ndarray:
-    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is empty.
+def signed_distance_px(region: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
+    """(H, W) float32 distance to the outline of ``region`` in pixels, positive inside; −inf everywhere when it is
+    empty.
 
     Raises ValueError for a region that is no picture.
     """
@@ -39,8 +46,9 @@ def signed_distance_px(region: np.ndarray) -> np.ndarray:
     return np.where(inside > 0, within - 0.5, 0.5 - outside).astype(np.float32)
 
 
-def without_islands(region: np.ndarray, least_px: float) -> np.ndarray:
-    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels. Raises ValueError for no picture."""
+def without_islands(region: Bool[np.ndarray, "H W"], least_px: float) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: ``region`` without its connected parts of fewer than ``least_px`` pixels. Raises ValueError for no
+    picture."""
     require("region", region, ("H", "W"))
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8), connectivity=8)
     if count <= 1:
@@ -50,10 +58,13 @@ def without_islands(region: np.ndarray, least_px: float) -> np.ndarray:
     return keep[labels]
 
 
-def without_holes(region: np.ndarray, largest_px: float) -> np.ndarray:
-    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled. Raises ValueError for no picture."""
+def without_holes(region: Bool[np.ndarray, "H W"], largest_px: float) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: ``region`` with enclosed gaps of up to ``largest_px`` pixels filled. Raises ValueError for no
+    picture."""
     require("region", region, ("H", "W"))
-    count, labels, statistics, _ = cv2.connectedComponentsWithStats((~region.astype(bool)).astype(np.uint8), connectivity=4)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(
+        (~region.astype(bool)).astype(np.uint8), connectivity=4
+    )
     if count <= 1:
         return region.astype(bool)
     touches = np.zeros(count, bool)
@@ -62,10 +73,3 @@ def without_holes(region: np.ndarray, largest_px: float) -> np.ndarray:
     fill = (statistics[:, cv2.CC_STAT_AREA] <= largest_px) & ~touches
     fill[0] = False
     return region.astype(bool) | fill[labels]
-
-
-def iou(first: np.ndarray, second: np.ndarray) -> float:
-    """Intersection over union of two regions; NaN when both are empty. Raises ValueError for regions of two sizes."""
-    require("second", second, first.shape)
-    union = int((first | second).sum())
-    return float((first & second).sum() / union) if union else float("nan")

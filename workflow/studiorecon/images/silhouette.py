@@ -3,19 +3,26 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
-def mesh_depth(vertices_m: np.ndarray, faces: np.ndarray, camera: Camera, near_m: float = 0.05) -> np.ndarray:
+
+def mesh_depth(
+    vertices_m: Num[np.ndarray, "V 3"], faces: Num[np.ndarray, "F 3"], camera: Camera, near_m: float = 0.05
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 z-depth in metres of the nearest triangle at every pixel centre, 0 where there is none.
 
-    ``vertices_m`` (V, 3) in the world, ``faces`` (F, 3). Triangles with a corner nearer than ``near_m``, or a corner that is not
-    finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000 triangles.
-    Raises ValueError for other shapes, or a face that names a vertex there is not.
+    ``vertices_m`` (V, 3) in the world, ``faces`` (F, 3). Triangles with a corner nearer than ``near_m``, or a corner
+    that is not finite, are left out: a person who walks through the camera has no silhouette. About 2 ms for 27,000
+    triangles. Raises ValueError for other shapes, or a face that names a vertex there is not.
     """
     require("vertices_m", vertices_m, ("V", 3))
     require("faces", faces, ("F", 3))
@@ -25,7 +32,9 @@ def mesh_depth(vertices_m: np.ndarray, faces: np.ndarray, camera: Camera, near_m
     z = in_camera[:, 2]
     usable = np.isfinite(in_camera).all(axis=1) & (z >= near_m)
     inverse = np.where(usable, 1 / np.where(usable, z, 1.0), 0.0)
-    pixels = np.where(usable[:, None], in_camera[:, :2], 0.0) * inverse[:, None] * np.array(camera.focal_px) + np.array(camera.principal_px)
+    pixels = np.where(usable[:, None], in_camera[:, :2], 0.0) * inverse[:, None] * np.array(camera.focal_px) + np.array(
+        camera.principal_px
+    )
     nearest = np.zeros(camera.hw, np.float32)
     _fill(pixels, inverse, np.ascontiguousarray(faces, np.int32), nearest)
     return np.where(nearest > 0, 1 / np.where(nearest > 0, nearest, 1), 0).astype(np.float32)
@@ -60,8 +69,9 @@ def _fill(pixels, inverse, faces, nearest):
                         nearest[y, x] = value
 
 
-def front_person(depths_m: np.ndarray) -> np.ndarray:
-    """(H, W) uint8: 0 where nobody is, k + 1 where person k of (K, H, W) depths (0 = absent) is in front; ties go to the first.
+def front_person(depths_m: Num[np.ndarray, "K H W"]) -> Integer[np.ndarray, "H W"]:
+    """(H, W) uint8: 0 where nobody is, k + 1 where person k of (K, H, W) depths (0 = absent) is in front; ties go to
+    the first.
 
     Raises ValueError for another shape.
     """

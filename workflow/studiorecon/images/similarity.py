@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of the picture measures: squared errors in whole numbers, the map of structural similarity, masked sums.
+"""The inner loops of the picture measures: squared errors in whole numbers, the map of structural similarity, masked
+sums.
 
-Structural similarity is computed from the sum s = a + b and the difference d = a − b of the two pictures instead of from a and b:
-2 μa μb = (μs² − μd²)/2, 2 cov = (Vs − Vd)/2, and the sums of squares with a plus. Four windowed means instead of five, and with Vs and Vd
-clamped at 0 the value cannot exceed 1 and is exactly 1 where the pictures are equal (numerics I01).
+Structural similarity is computed from the sum s = a + b and the difference d = a − b of the two pictures instead of
+from a and b: 2 μa μb = (μs² − μd²)/2, 2 cov = (Vs − Vd)/2, and the sums of squares with a plus. Four windowed means
+instead of five, and with Vs and Vd clamped at 0 the value cannot exceed 1 and is exactly 1 where the pictures are equal
+(I01).
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import cv2
 import numba
@@ -14,23 +18,34 @@ import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 WINDOW, SIGMA = 11, 1.5
 RADIUS = WINDOW // 2
-# (K L)² with K 0.01 and 0.03 and the range L of 8-bit levels, which is never guessed from the data (numerics I02).
-_C1, _C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+K_1, K_2 = 0.01, 0.03
+# (K L)² with the range L of 8-bit levels, which is never guessed from the data (I02).
+_C1, _C2 = (K_1 * 255) ** 2, (K_2 * 255) ** 2
 
 
-def similarity_map(first: np.ndarray, second: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+def window() -> np.ndarray:
+    """(11,) float64 normalised Gaussian of sigma 1.5: the window of SSIM, as a measure and as a loss."""
+    return cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)[:, 0]
+
+
+def similarity_map(
+    first: Num[np.ndarray, "H W C"], second: Num[np.ndarray, "H W C"], dtype: type = np.float64
+) -> Num[np.ndarray, "H W"]:
     """(H, W) SSIM, mean over channels, of two (H, W, 3) uint8 pictures with zeros outside: 11×11 Gaussian of sigma 1.5.
 
-    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6 (``tests/bench/report.py`` measures both).
-    Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
+    ``dtype`` float32 takes two thirds of the time and moves a mean by up to about 1e-6 (``tests/bench/report.py``
+    measures both). Raises ValueError for pictures of two sizes: the compiled loops would read beyond the smaller one.
     """
     require("second", second, ("H", "W", "C"), require("first", first, ("H", "W", "C")))
-    kernel = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)[:, 0].astype(dtype)
+    kernel: np.ndarray = window().astype(dtype)
     # Constants in the width of the sums: one float64 among float32 values would make all of them float64.
-    constants = np.array([_C1, _C2, 0.5, 1 / first.shape[2]], dtype)
-    found = np.zeros(first.shape[:2], dtype)
+    constants: np.ndarray = np.array([_C1, _C2, 0.5, 1 / first.shape[2]], dtype)
+    found: np.ndarray = np.zeros(first.shape[:2], dtype)
     _similarity(np.ascontiguousarray(first), np.ascontiguousarray(second), kernel, constants, found)
     return found
 
@@ -42,7 +57,7 @@ def squared_error(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     found = np.empty((height, width), np.int32)
     for y in range(height):
         for x in range(width):
-            total = 0
+            total = np.int64(0)
             for c in range(channels):
                 gap = np.int32(first[y, x, c]) - np.int32(second[y, x, c])
                 total += gap * gap
@@ -65,7 +80,9 @@ def masked_sum(values: np.ndarray, mask: np.ndarray) -> tuple[float, int]:
 
 
 @numba.njit(cache=True, nogil=True)
-def _similarity(first: np.ndarray, second: np.ndarray, kernel: np.ndarray, constants: np.ndarray, found: np.ndarray) -> None:
+def _similarity(
+    first: np.ndarray, second: np.ndarray, kernel: np.ndarray, constants: np.ndarray, found: np.ndarray
+) -> None:
     height, width, channels = first.shape
     taps, radius = len(kernel), len(kernel) // 2
     zero = kernel[0] - kernel[0]
@@ -81,7 +98,9 @@ def _similarity(first: np.ndarray, second: np.ndarray, kernel: np.ndarray, const
             slot = (y + taps) % taps
             line_s[:], line_d[:], line_ss[:], line_dd[:] = -shift, zero, shift * shift, zero
             if 0 <= y < height:
-                _load(first[y], second[y], c, shift, line_s[radius:], line_d[radius:], line_ss[radius:], line_dd[radius:])
+                _load(
+                    first[y], second[y], c, shift, line_s[radius:], line_d[radius:], line_ss[radius:], line_dd[radius:]
+                )
             _blur_line(line_s, kernel, ring[0, slot])
             _blur_line(line_d, kernel, ring[1, slot])
             _blur_line(line_ss, kernel, ring[2, slot])
@@ -93,8 +112,9 @@ def _similarity(first: np.ndarray, second: np.ndarray, kernel: np.ndarray, const
                 _compare(mean[0], mean[1], mean[2], mean[3], shift, constants, found[row])
 
 
-# The loops below are functions of whole rows, because only then does the compiler see that they do not overlap and use the
-# processor's vector instructions; sums of more than six rows would need more overlap checks than it is willing to make.
+# The loops below are functions of whole rows, because only then does the compiler see that they do not overlap and use
+# the processor's vector instructions; sums of more than six rows would need more overlap checks than it is willing to
+# make.
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inner loops of the temporal measures: where two flows agree, and what changed against the moved previous picture."""
+"""The inner loops of the temporal measures: where two flows agree, and what changed against the moved previous
+picture."""
 
 from __future__ import annotations
 
@@ -23,7 +24,12 @@ def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
             u, v = np.float64(flow[y, x, 0]), np.float64(flow[y, x, 1])
             at_x, at_y = x + u, y + v
             # Written so that NaN is refused.
-            if not (at_x >= -_SLACK_PX and at_y >= -_SLACK_PX and at_x <= width - 1 + _SLACK_PX and at_y <= height - 1 + _SLACK_PX):
+            if not (
+                at_x >= -_SLACK_PX
+                and at_y >= -_SLACK_PX
+                and at_x <= width - 1 + _SLACK_PX
+                and at_y <= height - 1 + _SLACK_PX
+            ):
                 continue
             at_x, at_y = min(max(at_x, 0.0), width - 1.0), min(max(at_y, 0.0), height - 1.0)
             # Unsigned, so that no index is checked for counting from the end.
@@ -42,11 +48,14 @@ def leads_back(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def change(current: np.ndarray, previous: np.ndarray, flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) absolute and squared difference, mean over channels, of ``current`` and ``previous`` (H, W, 3) uint8 moved by ``flow``.
+def change(
+    current: np.ndarray, previous: np.ndarray, flow: np.ndarray, valid: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) absolute and squared difference, mean over channels, of ``current`` and ``previous`` (H, W, 3) uint8 moved
+    by ``flow``.
 
-    In units of the range (levels / 255); the previous picture is read bilinearly at p + flow(p), which ``valid`` promises to lie inside.
-    NaN outside ``valid``.
+    In units of the range (levels / 255); the previous picture is read bilinearly at p + flow(p), which ``valid``
+    promises to lie inside. NaN outside ``valid``.
     """
     height, width, _ = current.shape
     absolute, square = np.empty((height, width)), np.empty((height, width))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What renders miss at the training cameras (photo - render), carried over to another view.
 
-Every pixel of the view is lifted through its rendered depth and looked up in the training cameras of the same time. Where a
-camera sees the same surface, its residual counts, weighted by how similar the viewing directions are. Pixels that no training
-camera sees get nothing; corrections fade out towards the borders of what is seen, so that they leave no seams.
+Every pixel of the view is lifted through its rendered depth and looked up in the training cameras of the same time.
+Where a camera sees the same surface, its residual counts, weighted by how similar the viewing directions are. Pixels
+that no training camera sees get nothing; corrections fade out towards the borders of what is seen, so that they leave
+no seams.
 """
 
 from __future__ import annotations
@@ -30,23 +31,27 @@ class Transfer:
         smooth_px: sigma of the blur of the residuals, pixels: detail below it is not carried over.
     """
 
-    depth_tolerance: float
-    angle_power: float
-    feather_px: float
-    smooth_px: float
+    depth_tolerance: float = 0.03
+    angle_power: float = 0.5
+    feather_px: float = 12.0
+    smooth_px: float = 1.0
 
 
 @dataclass(frozen=True)
-class Source:
-    """One training camera at one time: residual (H, W, 3) float32, depth (H, W) metres with 0 where it must not be used."""
+class ResidualSource:
+    """One training camera at one time: residual (H, W, 3) float32, depth (H, W) metres with 0 where it must not be
+    used."""
 
     camera: Camera
     residual: np.ndarray
     depth_m: np.ndarray
 
 
-def source(camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.ndarray, transfer: Transfer) -> Source:
-    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (numerics C12).
+def source(
+    camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.ndarray, transfer: Transfer
+) -> ResidualSource:
+    """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (
+    C12).
 
     ``render`` and ``depth_m`` may be larger than ``photo``: the camera's own picture is their top left part.
     """
@@ -59,14 +64,17 @@ def source(camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.nd
     depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
     window = np.ones((3, 3), np.uint8)
     edge = cv2.dilate(depth, window) - cv2.erode(depth, window) > transfer.depth_tolerance * np.maximum(depth, 1e-6)
-    return Source(camera, residual, np.where(edge, 0, depth).astype(np.float32))
+    return ResidualSource(camera, residual, np.where(edge, 0, depth).astype(np.float32))
 
 
-def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source], transfer: Transfer) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (H, W, 3) that the sources predict for a view, and cover (H, W) in 0..1: how well a source sees each pixel.
+def carried_over(
+    camera: Camera, depth_m: np.ndarray, sources: Sequence[ResidualSource], transfer: Transfer
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residual (H, W, 3) that the sources predict for a view, and cover (H, W) in 0..1: how well a source sees each
+    pixel.
 
-    Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards the borders
-    of the seen area. The residual is the cover-weighted mean over sources.
+    Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards
+    the borders of the seen area. The residual is the cover-weighted mean over sources.
     """
     view = np.ascontiguousarray(depth_m, np.float32)
     world_from_view = camera.world_from_camera[:3, :3] @ np.linalg.inv(camera.intrinsics)
@@ -89,11 +97,14 @@ def carried_over(camera: Camera, depth_m: np.ndarray, sources: Sequence[Source],
     return total / np.maximum(weights, 1e-9)[..., None], cover
 
 
-def best_strength(predicted: Sequence[tuple[np.ndarray, np.ndarray]], actual: Sequence[np.ndarray]) -> tuple[float, float]:
+def best_strength(
+    predicted: Sequence[tuple[np.ndarray, np.ndarray]], actual: Sequence[np.ndarray]
+) -> tuple[float, float]:
     """Share of the carried-over residual that is worth adding (0..1), and the share of pixels it was judged on.
 
-    Each pair is a training camera's own residual and what the *other* training cameras predict for it; the least-squares factor
-    between them, weighted by cover, is the strength that lowers the error most on views that took no part in the prediction.
+    Each pair is a training camera's own residual and what the *other* training cameras predict for it; the
+    least-squares factor between them, weighted by cover, is the strength that lowers the error most on views that took
+    no part in the prediction.
     """
     with_actual = with_itself = covered = pixels = 0.0
     for (residual, cover), own in zip(predicted, actual, strict=True):

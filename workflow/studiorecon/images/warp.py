@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading an image at fractional pixels: one place for the pixel-centre convention, so that an identity warp is one.
 
-Pixel coordinates have their centres at +0.5; OpenCV's ``remap`` puts them at whole numbers, and this is the only module that
-subtracts the half pixel. Nothing is ever interpolated across the border or across invalid pixels without saying so in ``valid``.
+Pixel coordinates have their centres at +0.5; OpenCV's ``remap`` puts them at whole numbers, and this is the only module
+that subtracts the half pixel. Nothing is ever interpolated across the border or across invalid pixels without saying so
+in ``valid``.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numba
@@ -15,24 +16,31 @@ import numpy as np
 
 from studiorecon.arrays import require
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
 # A coordinate computed to be exactly on the outermost centre counts as inside.
 _SLACK_PX = 1e-6
 
 
-def sample(image: np.ndarray, pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
+def sample(
+    image: Num[np.ndarray, "H W ..."], pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear"
+) -> tuple[np.ndarray, np.ndarray]:
     """Values (h, w[, C]) of an image (H, W[, C]) at pixel coordinates (h, w, 2), and (h, w) bool where they are real.
 
     A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).
     Elsewhere the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite
-    (numerics E06, E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other shapes.
+    (E06, E13: zero padding or an unmasked NaN would enter every later mean). Raises ValueError for other
+    shapes.
     """
     require("image", image, ("H", "W", ...))
     require("pixels", pixels, ("h", "w", 2))
     height, width = image.shape[:2]
     finite = np.isfinite(pixels).all(axis=-1)
-    # Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed point.
+    # Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed
+    # point.
     column = np.clip(np.where(finite, pixels[..., 0], 0.0), 0.0, width)
     row = np.clip(np.where(finite, pixels[..., 1], 0.0), 0.0, height)
     margin = 0.0 if how == "nearest" else 0.5
@@ -53,15 +61,20 @@ def _remap(image: np.ndarray, x: np.ndarray, y: np.ndarray, filter_: int) -> np.
         return cv2.remap(image, x, y, filter_, borderMode=cv2.BORDER_REPLICATE)
     # OpenCV counts rows and columns in 16 bits; a long list of points is folded into rows and unfolded again.
     folded = [np.resize(v.ravel(), (-(-v.size // _FOLD), _FOLD)) for v in (x, y)]
-    values = cv2.remap(image, *folded, filter_, borderMode=cv2.BORDER_REPLICATE)
+    values = cv2.remap(image, folded[0], folded[1], filter_, borderMode=cv2.BORDER_REPLICATE)
     return values.reshape(-1, *image.shape[2:])[: x.size].reshape(*x.shape, *image.shape[2:])
 
 
-def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear") -> tuple[np.ndarray, np.ndarray]:
-    """Backward warp: the output at pixel p is the image at p + flow(p); also (H, W) bool where that lies inside the image.
+def warp(
+    image: Num[np.ndarray, "H W ..."],
+    flow: Num[np.ndarray, "H W 2"],
+    how: Literal["nearest", "linear", "cubic"] = "linear",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Backward warp: the output at pixel p is the image at p + flow(p); also (H, W) bool where that lies inside the
+    image.
 
-    ``flow`` is (H, W, 2) in pixels, from the output to the image (numerics E09: a forward flow moves things the wrong way).
-    A zero flow returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
+    ``flow`` is (H, W, 2) in pixels, from the output to the image (E09: a forward flow moves things the wrong
+    way). A zero flow returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
     """
     require("flow", flow, ("H", "W", 2))
     if how == "nearest" or image.shape[:2] != flow.shape[:2] or max(flow.shape[:2]) >= _LONGEST_SIDE:
@@ -75,7 +88,8 @@ def warp(image: np.ndarray, flow: np.ndarray, how: Literal["nearest", "linear", 
 
 @numba.njit(cache=True, nogil=True)
 def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they lie inside, as ``sample`` has them."""
+    """Column and row (H, W) float32 that ``remap`` reads for p + flow(p), and (H, W) bool where they lie inside, as
+    ``sample`` has them."""
     height, width = flow.shape[:2]
     x, y = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     inside = np.empty((height, width), np.bool_)
@@ -85,6 +99,8 @@ def _displaced(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             if not (np.isfinite(u) and np.isfinite(v)):
                 x[i, j], y[i, j], inside[i, j] = -0.5, -0.5, False
                 continue
-            inside[i, j] = u >= -_SLACK_PX and v >= -_SLACK_PX and u <= width - 1 + _SLACK_PX and v <= height - 1 + _SLACK_PX
+            inside[i, j] = (
+                u >= -_SLACK_PX and v >= -_SLACK_PX and u <= width - 1 + _SLACK_PX and v <= height - 1 + _SLACK_PX
+            )
             x[i, j], y[i, j] = min(max(u, -0.5), width - 0.5), min(max(v, -0.5), height - 0.5)
     return x, y, inside

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What speaks for a person at a pixel, as log-odds: how the picture differs from the clean plate, and where the fitted bodies are."""
+"""What speaks for a person at a pixel, as log-odds: how the picture differs from the clean plate, and where the fitted
+bodies are."""
 
 from __future__ import annotations
 
@@ -29,12 +30,12 @@ class DifferenceSettings:
         shadow_weight: how much a difference that a shadow would explain still counts.
     """
 
-    threshold: float
-    softness: float
-    edge: float
-    chroma_weight: float
-    shadow: float
-    shadow_weight: float
+    threshold: float = 6.0
+    softness: float = 3.0
+    edge: float = 0.4
+    chroma_weight: float = 1.5
+    shadow: float = 0.5
+    shadow_weight: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ class Plate:
 def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: DifferenceSettings) -> np.ndarray:
     """(H, W) float32 difference between a picture and the plate, both (H, W, 3) float32 in [0, 1], in CIELAB units.
 
-    A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out first and
-    counts only by ``shadow_weight``: what is left is what a shadow cannot explain.
+    A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out
+    first and counts only by ``shadow_weight``: what is left is what a shadow cannot explain.
     """
     squared, left = plate_difference(rgb, plate_rgb, chroma_weight=settings.chroma_weight, shadow=settings.shadow)
     return np.sqrt(squared + np.square(settings.shadow_weight * 100 * (1 - left)))
@@ -65,10 +66,10 @@ def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: Differen
 def difference_evidence(difference: np.ndarray, plate: Plate, settings: DifferenceSettings) -> np.ndarray:
     """(H, W) float32 log-odds from the difference to the plate; 0 where the plate is not measured.
 
-    An outline runs where the difference has fallen to a share ``edge`` of what it is just inside: optics and chroma subsampling
-    carry a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative evidence needs the whole
-    neighbourhood to look like the plate: then the room is seen there, even where a body should be (it stands behind furniture),
-    while a single matching pixel inside a shirt is chance.
+    An outline runs where the difference has fallen to a share ``edge`` of what it is just inside: optics and chroma
+    subsampling carry a person's colour one or two pixels beyond it. Positive evidence is a pixel's own. Negative
+    evidence needs the whole neighbourhood to look like the plate: then the room is seen there, even where a body should
+    be (it stands behind furniture), while a single matching pixel inside a shirt is chance.
     """
     # Unrest is noise; what differs more than a person must is something that stood there, not noise.
     quiet = difference - np.minimum(plate.unrest, settings.threshold)
@@ -78,7 +79,9 @@ def difference_evidence(difference: np.ndarray, plate: Plate, settings: Differen
     around = cv2.boxFilter(np.maximum(quiet, 0), -1, (7, 7))
     score = np.where(own > settings.threshold, own, np.maximum(own, np.minimum(around, settings.threshold)))
     # A perfect match says as much against a person as a body's inside can say for one, and more.
-    evidence = np.where(score > threshold, (score - threshold) / settings.softness, -_MOST * (1 - np.maximum(score, 0) / threshold))
+    evidence = np.where(
+        score > threshold, (score - threshold) / settings.softness, -_MOST * (1 - np.maximum(score, 0) / threshold)
+    )
     evidence = np.minimum(evidence, _MOST)
     return np.where(plate.measured, evidence, 0).astype(np.float32)
 
@@ -97,11 +100,13 @@ def unrest_of(differences: np.ndarray, free: np.ndarray) -> np.ndarray:
     return np.where(known, unrest, fallback).astype(np.float32)
 
 
-def body_evidence(signed_distance_m: np.ndarray, sigma_m: float, gate_m: float, inside: float, outside: float) -> np.ndarray:
+def body_evidence(
+    signed_distance_m: np.ndarray, sigma_m: float, gate_m: float, inside: float, outside: float
+) -> np.ndarray:
     """(...) float32 log-odds from the signed distance to a fitted body's outline, metres at the body's depth.
 
-    One per ``sigma_m``, the typical error of outline and clothes, at most ``inside`` and at least −``outside``; −inf beyond
-    ``gate_m``, where whatever differs is not this person.
+    One per ``sigma_m``, the typical error of outline and clothes, at most ``inside`` and at least −``outside``; −inf
+    beyond ``gate_m``, where whatever differs is not this person.
     """
     evidence = np.clip(signed_distance_m / sigma_m, -outside, inside)
     return np.where(signed_distance_m < -gate_m, -np.inf, evidence).astype(np.float32)

@@ -1,21 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``masks.network``: who is where in one camera's frames, by an upstream network, with the network's own numbers for people.
+"""``masks.network``: who is where in one camera's frames, by an upstream network, with the network's own numbers for
+people.
 
-Writes ``masks/<camera>.tracks.mkv`` (FFV1 grey: 0 nobody, else the number). ``masks.segment`` finds out which fitted person each one is.
+Writes ``masks/<camera>.tracks.mkv`` (FFV1 grey: 0 nobody, else the number). ``masks.segment`` finds out which fitted
+person each one is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.images.video import read_frames, write_lossless
-from studiorecon.models.sam3 import Sam3
+from studiorecon.configuration.setting import setting
+from studiorecon.footage.video import read_frames, write_lossless
+from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.choices import MaskSource
+from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.scene.capture import read_footage
+from studiorecon.signature import Place, Written
 
 _MOST = 254
 
@@ -24,15 +30,24 @@ _MOST = 254
 class Sam3Settings:
     """How SAM 3 runs: frames per chunk, and the word it looks for."""
 
-    chunk: int
-    prompt: str
+    chunk: int = setting(
+        200, "Frames that go through at once; chunks share a frame, memory grows with them.", minimum=1
+    )
+    prompt: str = "person"
 
 
 @dataclass(frozen=True)
 class Settings:
-    """See config.yaml."""
+    """Which network, and how it runs."""
 
-    sam3: Sam3Settings
+    source: MaskSource = setting(
+        "embedded",
+        "Who finds people's pixels: embedded (plate difference and bodies), sam3 or precomputed masks; masks "
+        "in the dataset itself always count first.",
+        paper="sam3",
+        letter="sam3",
+    )
+    sam3: Sam3Settings = setting(Sam3Settings(), "How SAM 3 runs.")
 
 
 def in_bytes(maps: Iterable[np.ndarray], found: set[int]) -> Iterator[np.ndarray]:
@@ -42,16 +57,19 @@ def in_bytes(maps: Iterable[np.ndarray], found: set[int]) -> Iterator[np.ndarray
         yield np.where(labels <= _MOST, labels, 0).astype(np.uint8)
 
 
-def run(settings: Settings, camera: str, video: Path, footage: Path, weights: Path, device: str, tracks: Path) -> None:
+def run(
+    settings: Settings, camera: str, video: Path, footage: Path, weights: Place, device: str, tracks: Written
+) -> None:
     """Write the label maps of one camera's working frames."""
     about = read_footage(footage)
-    network = Sam3(weights, device, settings.sam3.chunk, settings.sam3.prompt)
+    network = load("person segmenter", settings.source, weights, device, **asdict(settings.sam3))
+    title = card_of(settings.source).title
     found: set[int] = set()
     frames = progress(read_frames(video), f"frames of {camera}", total=about.frames)
     write_lossless(tracks, in_bytes(network.segment(frames), found), about.fps)
     if not found:
-        say(f"camera {camera}: SAM 3 sees no {settings.sam3.prompt} in any frame")
+        say(f"camera {camera}: {title} sees no {settings.sam3.prompt} in any frame")
         return
-    say(f"camera {camera}: SAM 3 follows {len(found)} people")
+    say(f"camera {camera}: {title} follows {len(found)} people")
     if max(found) > _MOST:
         say(f"camera {camera}: only the first {_MOST} numbers are kept; shorter chunks of a crowd make many")

@@ -1,42 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
 """One camera's person masks: 0 background, k + 1 person k, 255 foreground that belongs to no fitted person.
 
-Three witnesses, added as log-odds: how a pixel differs from the clean plate, how far it lies inside a fitted body's outline, and the
-detector's own mask, where people were found in the pictures. Where
-the plate is unknown GrabCut, seeded by the body, takes the plate's place. Bodies in front hide those behind, by their depth at the
-pixel. Masks that the user brings are taken as they are; only their identities are matched to the fitted people.
+Three witnesses, added as log-odds: how a pixel differs from the clean plate, how far it lies inside a fitted body's
+outline, and the detector's own mask, where people were found in the pictures. Where
+the plate is unknown GrabCut, seeded by the body, takes the plate's place. Bodies in front hide those behind, by their
+depth at the pixel. Masks that the user brings are taken as they are; only their identities are matched to the fitted
+people.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from studiorecon.arrays import evenly_spread
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import Refusal
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import read_frames, read_stack, to_float, write_lossless
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
-from studiorecon.images.stills import read_plate
-from studiorecon.images.video import read_stack, to_float, write_lossless
-from studiorecon.masks.cut import CutSettings, cut_unknown
-from studiorecon.masks.evidence import DifferenceSettings, Plate, body_evidence, colour_difference, difference_evidence, unrest_of
+from studiorecon.masks.detector_masks import DetectorMasks, seen_in
+from studiorecon.masks.evidence import (
+    DifferenceSettings,
+    Plate,
+    body_evidence,
+    colour_difference,
+    difference_evidence,
+    unrest_of,
+)
 from studiorecon.masks.given import identified, read_given
-from studiorecon.masks.seen import Seen, seen_in
-from studiorecon.masks.things import without_things
+from studiorecon.masks.grabcut import CutSettings, cut_unknown
+from studiorecon.masks.loose_objects import without_things
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_footage
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.factors import read_factors
-from studiorecon.scene.found import read_found
-from studiorecon.scene.lenses import lens_of
-from studiorecon.scene.objects import RigidObject, read_objects
-from studiorecon.scene.people import Person, read_detections, read_identities, read_person
+from studiorecon.scene.factors import Factors, read_factors
+from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.raw_detections import read_raw_detections
+from studiorecon.signature import Written
+from studiorecon.splatting.rigid_object import RigidObject, read_objects
 
 # Pictures from which the plate's unrest is learnt.
 _UNREST_FRAMES = 12
@@ -52,10 +64,10 @@ class OutlineSettings:
         inside, outside: most log-odds that the body alone gives for, and against, a person.
     """
 
-    sigma_m: float
-    gate_m: float
-    inside: float
-    outside: float
+    sigma_m: float = 0.015
+    gate_m: float = 0.2
+    inside: float = 3.0
+    outside: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -65,19 +77,24 @@ class Settings:
     Attributes:
         difference: see ``DifferenceSettings``.
         outline: see ``OutlineSettings``.
-        smooth_px: radius over which evidence is averaged along the picture's edges; 0 = not at all.
-        cut: GrabCut where the plate is unknown, see ``CutSettings``.
-        island_share, hole_share: parts of a person, and gaps in one, smaller than this share of the person are removed, filled.
+        island_share, hole_share: parts of a person, and gaps in one, smaller than this share of the person are removed,
+            filled.
         unassigned_share: foreground away from all bodies counts from this share of the picture on.
     """
 
-    difference: DifferenceSettings
-    outline: OutlineSettings
-    smooth_px: int
-    cut: CutSettings
-    island_share: float
-    hole_share: float
-    unassigned_share: float
+    difference: DifferenceSettings = DifferenceSettings()
+    outline: OutlineSettings = OutlineSettings()
+    smooth_px: int = setting(
+        1,
+        "Radius over which evidence is averaged without crossing edges of the picture; 0 = not at all.",
+        unit="px",
+        minimum=0,
+        maximum=100,
+    )
+    cut: CutSettings = setting(CutSettings(), "GrabCut where the plate is unknown.")
+    island_share: float = 0.02
+    hole_share: float = 0.002
+    unassigned_share: float = 0.0005
 
 
 def person_evidence(
@@ -85,7 +102,8 @@ def person_evidence(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K, H, W) log-odds from each body's depth picture (0 = absent), and (K, H, W) its signed distance in metres.
 
-    A body that was only filled in between measured frames (not ``valid``) never speaks for a person, and is twice as vague.
+    A body that was only filled in between measured frames (not ``valid``) never speaks for a person, and is twice as
+    vague.
     """
     evidence, distance = np.full(depths_m.shape, -np.inf, np.float32), np.full(depths_m.shape, -np.inf, np.float32)
     for k, depth_m in enumerate(depths_m):
@@ -95,7 +113,9 @@ def person_evidence(
         metres_per_pixel = float(np.median(depth_m[covered])) / camera.focal_px[0]
         distance[k] = signed_distance_px(covered) * metres_per_pixel
         sigma_m = settings.sigma_m if valid[k] else 2 * settings.sigma_m
-        evidence[k] = body_evidence(distance[k], sigma_m, settings.gate_m, settings.inside if valid[k] else 0.0, settings.outside)
+        evidence[k] = body_evidence(
+            distance[k], sigma_m, settings.gate_m, settings.inside if valid[k] else 0.0, settings.outside
+        )
     return evidence, distance
 
 
@@ -128,7 +148,10 @@ def segment_frame(
         for k in range(len(bodies)):
             own = person & (owner == k + 1)
             size = int(own.sum())
-            labels[without_islands(without_holes(own, settings.hole_share * size), settings.island_share * size) & (labels == 0)] = k + 1
+            labels[
+                without_islands(without_holes(own, settings.hole_share * size), settings.island_share * size)
+                & (labels == 0)
+            ] = k + 1
     stranger = (seen > 2) & ~near_somebody
     stranger = cv2.morphologyEx(stranger.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     labels[without_islands(stranger, settings.unassigned_share * stranger.size) & (labels == 0)] = UNASSIGNED
@@ -145,8 +168,31 @@ def along_edges(evidence: np.ndarray, rgb: np.ndarray, radius_px: int) -> np.nda
     return np.where(possible, smooth, -np.inf)
 
 
+@dataclass(frozen=True)
+class Film:
+    """The frames of a camera, read anew at every pass: a minute of them does not fit into memory.
+
+    Attributes:
+        video: the file.
+        camera: its name in ``light``.
+        count: how many frames.
+        light: what is divided out of every frame.
+    """
+
+    video: Path
+    camera: str
+    count: int
+    light: Factors
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return self.light.even_all(self.camera, read_frames(self.video, 0, self.count))
+
+
 def segment(
-    frames: np.ndarray,
+    frames: Film | np.ndarray,
     plate_rgb: np.ndarray,
     measured: np.ndarray,
     people: Sequence[Person],
@@ -154,22 +200,29 @@ def segment(
     camera: Camera,
     settings: Settings,
     things: Sequence[RigidObject] = (),
-    seen: Seen | None = None,
+    seen: DetectorMasks | None = None,
 ) -> Iterator[np.ndarray]:
-    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's; ``seen``: the detector's masks."""
+    """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's; ``seen``: the
+    detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _UNREST_FRAMES).round().astype(int))
+    chosen = evenly_spread(len(frames), _UNREST_FRAMES)
     free = []
     for t in chosen:
-        distances = person_evidence(body_depths(people, body, camera, t), camera, [True] * len(people), settings.outline)[1]
+        distances = person_evidence(
+            body_depths(people, body, camera, t), camera, [True] * len(people), settings.outline
+        )[1]
         free.append(measured & (distances.max(axis=0, initial=-np.inf) < -settings.outline.gate_m))
-    differences = np.stack([colour_difference(to_float(frames[t]), plate_rgb, settings.difference) for t in chosen])
+    wanted = set(chosen.tolist())
+    picked = (frame for t, frame in enumerate(frames) if t in wanted)
+    differences = np.stack([colour_difference(to_float(frame), plate_rgb, settings.difference) for frame in picked])
     plate = Plate(plate_rgb, measured, unrest_of(differences, np.stack(free)))
     for t, frame in enumerate(progress(frames, "masks")):
         difference = colour_difference(to_float(frame), plate_rgb, settings.difference)
         depths_m = body_depths(people, body, camera, t)
         network = seen.evidence(t, [p.name for p in people]) if seen else None
-        labels = segment_frame(frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings, network)
+        labels = segment_frame(
+            frame, difference, plate, depths_m, camera, [bool(p.valid[t]) for p in people], settings, network
+        )
         yield without_things(labels, things, depths_m, camera, t)
 
 
@@ -194,56 +247,82 @@ def run(
     body: Path,
     given: list[Path],
     tracks: list[Path],
-    masks: Path,
+    masks: Written,
     objects: list[Path] | None = None,
     light: list[Path] | None = None,
     seen: list[Path] | None = None,
 ) -> None:
-    """Masks of ``camera`` for the fitted ``people``; frames are compared with the plate in its ``light``, if its course is known.
+    """Masks of ``camera`` for the fitted ``people``; frames are compared with the plate in its ``light``, if its course
+    is known.
 
-    ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's film of numbers.
-    The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought. ``seen`` (nothing, or three files: the
-    detector's, the camera's detections, identities.tsv) brings the detector's own masks.
+    ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's
+    film of numbers. The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought. ``seen``
+    (nothing, or three files: the detector's, the camera's detections, identities.tsv) brings the detector's own masks.
     """
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
-        raise Refusal(f"{model} has no camera {camera}; run cameras.refine again")
+        raise UserError(f"{model} has no camera {camera}; run cameras.refine again")
     fits = [read_person(path) for path in people]
     body_model = BodyModel.load(body)
-    frames = read_stack(video)
+    about = read_footage(footage)
+    frames = about.frames
     for path, fit in zip(people, fits):
-        if fit.body != body_model.identity or len(fit.poses) != len(frames):
-            raise Refusal(
-                f"{path} holds {len(fit.poses)} frames of body {fit.body}, but the video has {len(frames)} frames and {body} is "
+        if fit.body != body_model.identity or len(fit.poses) != frames:
+            raise UserError(
+                f"{path} holds {len(fit.poses)} frames of body {fit.body}, but the video "
+                f"has {frames} frames and {body} is "
                 f"{body_model.identity}; run people.fit again"
             )
+    labels: Iterable[np.ndarray]
     if given:
-        brought = read_given(given[0], footage, calibration, len(frames))
-        depths = (body_depths(fits, body_model, own, t) for t in range(len(frames)))
+        brought = read_given(given[0], footage, calibration, frames)
+        depths = (body_depths(fits, body_model, own, t) for t in range(frames))
         labels, told = identified(brought, depths, len(fits), settings.outline.gate_m, own)
         say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
     elif tracks:
         numbers = read_stack(tracks[0])
-        if numbers.shape != (len(frames), *own.hw):
-            raise Refusal(f"{tracks[0]} is {numbers.shape}, but the video has {len(frames)} frames of {own.hw}; run masks.network again")
-        labels, told = assigned(numbers, (body_depths(fits, body_model, own, t) for t in range(len(frames))), len(fits))
+        if numbers.shape != (frames, *own.hw):
+            raise UserError(
+                f"{tracks[0]} is {numbers.shape}, but the video has {frames} frames "
+                f"of {own.hw}; run masks.network again"
+            )
+        labels, told = assigned(numbers, (body_depths(fits, body_model, own, t) for t in range(frames)), len(fits))
         say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate)
-        steady = read_factors(light or [], len(frames)).even_all(camera, frames)
+        film = Film(video, camera, frames, read_factors(light or [], frames))
         things = [thing for path in objects or () for thing in read_objects(path)]
-        about = read_footage(footage)
         found = None
         if seen:
-            whole, detections, who = read_found(seen[0], masks=True), read_detections(seen[1]), read_identities(seen[2])
+            whole, detections, who = (
+                read_raw_detections(seen[0], masks=True),
+                read_detections(seen[1]),
+                read_identities(seen[2]),
+            )
             found = seen_in(whole, detections, who, lens_of(calibration, camera), about)
-        labels = np.stack(list(segment(np.stack(list(steady)), plate_rgb, measured, fits, body_model, own, settings, things, found)))
-        say(describe(camera, labels, [f.name for f in fits], float(measured.mean())))
-    write_lossless(masks, iter(labels), fits[0].fps if fits else 30.0)
+        labels = segment(film, plate_rgb, measured, fits, body_model, own, settings, things, found)
+    pixels = np.zeros(256, np.int64)
+    write_lossless(masks, counted(labels, pixels), fits[0].fps if fits else 30.0)
+    if not given and not tracks:
+        say(describe(camera, pixels, [f.name for f in fits], float(measured.mean())))
 
 
-def describe(camera: str, labels: np.ndarray, names: Sequence[str], measured: float) -> str:
-    """One sentence: what the masks hold."""
-    shares = [f"{name} {np.mean(labels == k + 1):.1%}" for k, name in enumerate(names)]
-    how = "against the clean plate" if measured > 0.999 else f"against the plate where known ({measured:.0%}), GrabCut elsewhere"
-    return f"{camera}: {', '.join(shares) or 'nobody'}, unassigned {np.mean(labels == UNASSIGNED):.2%} of the picture; {how}"
+def counted(labels: Iterable[np.ndarray], pixels: np.ndarray) -> Iterator[np.ndarray]:
+    """The labels as they come; adds to ``pixels`` (256,) how many have which."""
+    for own in labels:
+        pixels += np.bincount(own.ravel(), minlength=256)
+        yield own
+
+
+def describe(camera: str, pixels: np.ndarray, names: Sequence[str], measured: float) -> str:
+    """One sentence: what the masks hold, from how many pixels have which label (256,)."""
+    shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
+    how = (
+        "against the clean plate"
+        if measured > 0.999
+        else f"against the plate where known ({measured:.0%}), GrabCut elsewhere"
+    )
+    return (
+        f"{camera}: {', '.join(shares) or 'nobody'}, unassigned "
+        f"{pixels[UNASSIGNED] / pixels.sum():.2%} of the picture; {how}"
+    )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which fitted person each of a network's numbers is: the one on whose body it lies most. One person may be several numbers in turn."""
+"""Which fitted person each of a network's numbers is: the one on whose body it lies most. One person may be several
+numbers in turn."""
 
 from __future__ import annotations
 
@@ -15,14 +16,17 @@ _LEAST_SHARE = 0.3
 
 
 def assigned(labels: np.ndarray, depths_m: Iterable[np.ndarray], people: int) -> tuple[np.ndarray, str]:
-    """(T, H, W) uint8 masks with this project's labels from a network's numbers (T, H, W), and a sentence how they were matched.
+    """(T, H, W) uint8 masks with this project's labels from a network's numbers (T, H, W), and a sentence how they were
+    matched.
 
     ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that lie on nobody are 255.
     """
     overlap = np.zeros((256, people + 1), np.int64)
     for label, depth_m in zip(labels, depths_m):
         front = front_person(depth_m) if people else np.zeros(label.shape, np.int64)
-        overlap += np.bincount(label.astype(np.int64).ravel() * (people + 1) + front.ravel(), minlength=256 * (people + 1)).reshape(256, -1)
+        overlap += np.bincount(
+            label.astype(np.int64).ravel() * (people + 1) + front.ravel(), minlength=256 * (people + 1)
+        ).reshape(256, -1)
     sizes = overlap.sum(axis=1)
     table = np.zeros(256, np.uint8)
     matched = []

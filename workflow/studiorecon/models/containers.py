@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.containers``: builds container images of envs/ with the engine that is there. Run by ``snakemake images`` only.
+"""``models.containers``: builds container images of envs/ with the engine that is there. Run by ``snakemake images``
+only.
 
-Apptainer makes a file that the workflow then runs its rules in; podman and docker keep the image in their own store, to be pushed from
-there. Apptainer reads no Containerfile, so ours keep to ARG BASE, FROM, COPY, RUN and ENV, which a definition file can say as well.
+Apptainer makes a file that the workflow then runs its rules in; podman and docker keep the image in their own store, to
+be pushed from there. Apptainer reads no Containerfile, so ours keep to ARG BASE, FROM, COPY, RUN and ENV, which a
+definition file can say as well.
 """
 
 from __future__ import annotations
@@ -10,8 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
+from studiorecon.signature import Place
 
 # How each engine says that it works (docker's client answers without its daemon), in the order of preference.
 _ENGINES = {
@@ -22,7 +25,7 @@ _ENGINES = {
 
 
 @dataclass(frozen=True)
-class Image:
+class ContainerImage:
     """One image: its folder below envs/, its address without a registry, and its version."""
 
     name: str
@@ -30,17 +33,17 @@ class Image:
     version: str
 
 
-def read_image(text: str) -> Image:
+def read_image(text: str) -> ContainerImage:
     """``core=studiorecon/core:0.1.0``; raises ValueError for anything else."""
     name, _, tag = text.partition("=")
     address, _, version = tag.rpartition(":")
     if not (name and address and version):
         raise ValueError(f"{text!r} is not NAME=ADDRESS:VERSION")
-    return Image(name, address, version)
+    return ContainerImage(name, address, version)
 
 
 def engine() -> str:
-    """The first container engine that answers; Refusal with what each of them said when none does."""
+    """The first container engine that answers; UserError with what each of them said when none does."""
     import shutil
     import subprocess
 
@@ -53,43 +56,56 @@ def engine() -> str:
         if done.returncode == 0:
             return name
         said.append(f"{name} does not work here ({(done.stdout.strip().splitlines() or ['it said nothing'])[-1]})")
-    raise Refusal(f"no image can be built on this machine: {'; '.join(said)}; install one of them, or run without --sdm apptainer")
+    raise UserError(
+        f"no image can be built on this machine: {'; '.join(said)}; install one of them, or run without --sdm apptainer"
+    )
 
 
 def instructions(containerfile: str) -> list[tuple[str, str]]:
-    """(keyword, rest) of every line of a Containerfile; raises Refusal for keywords that ours do not use."""
+    """(keyword, rest) of every line of a Containerfile; raises UserError for keywords that ours do not use."""
     found = []
     for line in containerfile.replace("\\\n", " ").splitlines():
         keyword, _, rest = line.strip().partition(" ")
         if not keyword or keyword.startswith("#"):
             continue
         if keyword not in ("ARG", "FROM", "COPY", "RUN", "ENV"):
-            raise Refusal(f"{keyword} has no counterpart in an apptainer definition; write it as RUN, COPY or ENV, or build with podman")
+            raise UserError(
+                f"{keyword} has no counterpart in an apptainer definition; write it as "
+                "RUN, COPY or ENV, or build with podman"
+            )
         found.append((keyword, rest.strip()))
     return found
 
 
 def definition(containerfile: str) -> str:
-    """The apptainer definition that makes the same image: files first, then commands, with the variables set in both."""
+    """The apptainer definition that makes the same image: files first, then commands, with the variables set in
+    both."""
     steps = instructions(containerfile)
-    base = next((rest.partition("=")[2] for keyword, rest in steps if keyword == "ARG" and rest.startswith("BASE=")), "")
+    base = next(
+        (rest.partition("=")[2] for keyword, rest in steps if keyword == "ARG" and rest.startswith("BASE=")), ""
+    )
     start = next(rest for keyword, rest in steps if keyword == "FROM").replace("${BASE}", base)
     exports = [f"    export {rest}" for keyword, rest in steps if keyword == "ENV"]
     lines = ["Bootstrap: docker", f"From: {start}", "", "%files"]
     lines += [f"    {rest}" for keyword, rest in steps if keyword == "COPY"]
     lines += ["", "%environment", *exports, "", "%post", "    set -e"]
-    lines += [f"    export {rest}" if keyword == "ENV" else f"    {rest}" for keyword, rest in steps if keyword in ("ENV", "RUN")]
+    lines += [
+        f"    export {rest}" if keyword == "ENV" else f"    {rest}"
+        for keyword, rest in steps
+        if keyword in ("ENV", "RUN")
+    ]
     return "\n".join(lines) + "\n"
 
 
-def build(chosen: str, image: Image, root: Path, folder: Path) -> str:
-    """Build one image from ``root``/envs/NAME with engine ``chosen``; returns where it is now. Raises Refusal when the engine fails.
+def build(chosen: str, image: ContainerImage, root: Path, folder: Path) -> str:
+    """Build one image from ``root``/envs/NAME with engine ``chosen``; returns where it is now. Raises UserError when
+    the engine fails.
 
     Apptainer's file goes into ``folder``, completely or not at all.
     """
     containerfile = root / "envs" / image.name / "Containerfile"
     if not containerfile.is_file():
-        raise Refusal(f"{containerfile} is missing: envs/images.yaml names an image without a folder")
+        raise UserError(f"{containerfile} is missing: envs/images.yaml names an image without a folder")
     if chosen != "apptainer":
         tag = f"{image.address}:{image.version}"
         _call([chosen, "build", "-f", str(containerfile), "-t", tag, str(root)], root, image)
@@ -101,23 +117,24 @@ def build(chosen: str, image: Image, root: Path, folder: Path) -> str:
     recipe.write_text(definition(containerfile.read_text()))
     _call(["apptainer", "build", "--force", str(partial), str(recipe)], root, image)
     if not partial.is_file():
-        raise Refusal(f"apptainer left no {partial}; build {recipe} by hand to see why")
+        raise UserError(f"apptainer left no {partial}; build {recipe} by hand to see why")
     partial.replace(target)
     return f"{target}, which --sdm apptainer uses from now on"
 
 
-def _call(command: list[str], root: Path, image: Image) -> str:
+def _call(command: list[str], root: Path, image: ContainerImage) -> str:
     import subprocess
 
     done = subprocess.run(command, cwd=root, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:
         tail = " / ".join(line.strip() for line in done.stdout.splitlines()[-4:] if line.strip())
-        raise Refusal(f"image {image.name} could not be built by {command[0]} ({tail[-600:] or 'it said nothing'})")
+        raise UserError(f"image {image.name} could not be built by {command[0]} ({tail[-600:] or 'it said nothing'})")
     return done.stdout
 
 
-def run(images: list[str], root: Path, folder: Path) -> None:
-    """Build ``images`` (``NAME=ADDRESS:VERSION``), whose folders lie below ``root``/envs; apptainer's files go into ``folder``."""
+def run(images: list[str], root: Place, folder: Place) -> None:
+    """Build ``images`` (``NAME=ADDRESS:VERSION``), whose folders lie below ``root``/envs; apptainer's files go into
+    ``folder``."""
     chosen = engine()
     say(f"images are built by {chosen}")
     for image in map(read_image, images):

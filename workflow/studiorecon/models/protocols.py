@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """One Protocol per kind of upstream model: what a stage asks of it, in this project's conventions.
 
-Pictures are (H, W, 3) RGB, uint8 where a network reads files and float32 in [0, 1] where it improves renders; cameras have OpenCV axes,
-intrinsics in pixels with centres at +0.5; depth is z-depth, 0 = unknown. Whatever a network does otherwise, its adapter converts once.
-A model is loaded once, when its adapter is made; long clips go through as iterators, so memory does not grow with their length.
+Pictures are (H, W, 3) RGB, uint8 where a network reads files and float32 in [0, 1] where it improves renders; cameras
+have OpenCV axes, intrinsics in pixels with centres at +0.5; depth is z-depth, 0 = unknown. Whatever a network does
+otherwise, its adapter converts once. A model is loaded once, when its adapter is made; long clips go through as
+iterators, so memory does not grow with their length.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -26,7 +27,8 @@ class Reconstruction:
         cameras: at the size the network worked on; the first one is the world's origin.
         depths: per camera (H, W) float32, 0 = unknown.
         confidences: per camera (H, W) float32 in [0, 1].
-        focal_residuals_px: per camera, median distance between a pixel and where its own point projects with the fitted focal length.
+        focal_residuals_px: per camera, median distance between a pixel and where its own point projects with the fitted
+            focal length.
         metric: whether the unit is a metre, approximately.
     """
 
@@ -43,8 +45,8 @@ class Bodies:
 
     Attributes:
         tracks: (P,) identity of each within its camera, 0-based.
-        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own, which is not where
-            the pelvis is. ``pelvises_m``: (P, 3) pelvis joint.
+        shapes: (P, 10). ``poses_rad``: (P, 24, 3) axis-angles, the root first. ``translations_m``: (P, 3), SMPL's own,
+            which is not where the pelvis is. ``pelvises_m``: (P, 3) pelvis joint.
         joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
     """
 
@@ -74,6 +76,22 @@ class Moment:
     injected: np.ndarray
 
 
+@dataclass(frozen=True)
+class KeyFrame:
+    """A photo that is carried into a generated film.
+
+    Attributes:
+        camera: at the network's size.
+        rgb: (H, W, 3) colours in [0, 1]. ``depth_m``: (H, W) z-depth, 0 = unknown. ``usable``: (H, W) which pixels
+            count.
+    """
+
+    camera: Camera
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    usable: np.ndarray
+
+
 class PoseAndDepth(Protocol):
     """Pi3, Pi3X, MapAnything."""
 
@@ -101,21 +119,54 @@ class PersonSegmenter(Protocol):
 class BodyEstimator(Protocol):
     """CoMotion."""
 
+    layout: str
+    """What its 2D points are called: a name of ``keypoints.layouts``."""
+
+    @staticmethod
+    def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+        """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; UserError for one that
+        lacks some."""
+        ...
+
     def bodies(self, frames: Iterable[np.ndarray], intrinsics: np.ndarray) -> Iterator[Bodies]:
         """The people of each uint8 frame of one calibrated camera."""
         ...
 
 
 class ViewSynthesizer(Protocol):
-    """GEN3C."""
+    """GEN3C. What it is asked is arrays in the network's own names and conventions, of which stages use ``w2cs_all``
+    (T, 4, 4), one per view asked for, and ``scene_scale``, what lengths were multiplied with. They are made and checked
+    without the network: on another machine, before a GPU is taken."""
+
+    hw: tuple[int, int]
+    """The one size of its pictures."""
+    most_key_frames: int
+    """Photos that it bears at once: what its job has of main memory."""
+
+    @staticmethod
+    def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, np.ndarray]:
+        """What the network is asked for a film along ``path`` from photos, all of size ``hw``; UserError for a path
+        that it cannot follow."""
+        ...
+
+    @staticmethod
+    def check(request: dict[str, np.ndarray]) -> None:
+        """Raises UserError for a request that the network would misread."""
+        ...
+
+    @staticmethod
+    def evidence(request: dict[str, np.ndarray]) -> str:
+        """What re-rendering a checked request says, in a sentence; UserError when it is not worth a GPU hour."""
+        ...
 
     def views(self, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
-        """(t, H, W, 3) uint8 parts of the film that a request (``models.gen3c.pre``) asks for, in order."""
+        """(t, H, W, 3) uint8 parts of the film that a request asks for, in order."""
         ...
 
 
 class Enhancer(Protocol):
-    """Difix3D+, Fixer, and the embedded residual transfer: anything that improves a rendered picture, given a real photo for reference."""
+    """Difix3D+, Fixer, and the embedded residual transfer: anything that improves a rendered picture, given a real
+    photo for reference."""
 
     def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
         """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
@@ -126,18 +177,20 @@ class Flow(Protocol):
     """RAFT."""
 
     def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows what p + flow(p) of the second shows."""
+        """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows what p + flow(p) of
+        the second shows."""
         ...
+
+
+SMALLEST_MEASURED_PX = 64
+"""Side of a picture below which LPIPS is not measured."""
 
 
 class PerceptualDistance(Protocol):
     """LPIPS, as it is measured."""
 
-    weights: Sequence[np.ndarray]
-    """(C,) per depth: how much each channel counts."""
-
-    def layers(self, picture: np.ndarray) -> Sequence[np.ndarray]:
-        """(C, h, w) float32 features per depth of a picture (3, H, W) float32 in [−1, 1]."""
+    def measured(self, prediction: np.ndarray, truth: np.ndarray) -> float | None:
+        """The distance of two (H, W, 3) uint8 pictures; None when a side is under ``SMALLEST_MEASURED_PX``."""
         ...
 
 
@@ -145,5 +198,6 @@ class CanonicalAvatar(Protocol):
     """LHM: a person's Gaussians in a rest pose, from one photo."""
 
     def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
-        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask of the person."""
+        """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask
+        of the person."""
         ...

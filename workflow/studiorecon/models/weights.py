@@ -1,25 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``models.weights``: what every selected network needs, what of it is there, and, when asked, the fetching and verifying of it.
+"""``models.weights``: what every selected network needs, what of it is there, and, when asked, the fetching and
+verifying of it.
 
 The only step that may use the network of the machine.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.errors import Refusal
-from studiorecon.models.card import WeightFile
-from studiorecon.models.checksums import read_pins, verified, write_pins
-from studiorecon.models.fetching import fetch
-from studiorecon.models.registry import model
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import Card, WeightFile
+from studiorecon.models.catalogue.checksums import code_in, read_pins, verified, write_pins
+from studiorecon.models.catalogue.fetching import fetch
+from studiorecon.models.catalogue.registry import model
 from studiorecon.progress import say
+from studiorecon.signature import Place
 
 
 @dataclass(frozen=True)
-class Entry:
+class WeightEntry:
     """One file, and what is known about it here: "verified", "missing", or a sentence about what is wrong."""
 
     file: WeightFile
@@ -29,12 +32,26 @@ class Entry:
 def described(file: WeightFile, folder: Path) -> str:
     """One line: size, gate, checksum, source, place."""
     size = f"{file.size_gb:g} GB" if file.size_gb else "size not stated"
-    gate = "access must be asked for" if file.gated else "free to fetch" if file.how != "hand" else "by hand, after agreeing to terms"
+    gate = (
+        "access must be asked for"
+        if file.gated
+        else "free to fetch"
+        if file.how != "hand"
+        else "by hand, after agreeing to terms"
+    )
     published = (
-        f"SHA-256 {file.sha256}…" if file.sha256 else f"MD5 {file.md5}" if file.md5 else "no published checksum, pinned when first seen"
+        f"SHA-256 {file.sha256}…"
+        if file.sha256
+        else f"MD5 {file.md5}"
+        if file.md5
+        else "no published checksum, held to the hub's own and to what it was then"
+        if file.revision
+        else "no published checksum, held to what it was when first seen"
     )
     inner = f"/{file.remote}" if file.repository else ""
-    return f"{folder / file.path}: {size}; {gate}; {published}; from {file.source} {file.repository}{inner}".replace("  ", " ")
+    at = f" at {file.revision[:12]}" if file.revision else ""
+    place = f"{file.source} {file.repository}{inner}{at}".replace("  ", " ")
+    return f"{folder / file.path}: {size}; {gate}; {published}; from {place}"
 
 
 def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool) -> str:
@@ -48,17 +65,21 @@ def stage(file: WeightFile, folder: Path, pins: dict[str, Any], may_fetch: bool)
             stated = fetch(file, folder)
         pin = verified(folder, file, pins)
         if stated and pin["sha256"] != stated:
-            return f"{folder / file.path} is not what its publisher has (SHA-256 {stated[:12]}…); delete it and run this again"
-    except Refusal as refusal:
+            return (
+                f"{folder / file.path} is not what its publisher has (SHA-256 "
+                f"{stated[:12]}…); delete it and run this again"
+            )
+    except UserError as refusal:
         return str(refusal)
     pins[file.path] = pin
     return "verified"
 
 
-def run(models: list[str], weights: Path, fetching: str) -> None:
-    """List the files of ``models``; with ``fetching`` "yes" get the missing ones that a program may get, and verify all.
+def run(models: list[str], weights: Place, fetching: str) -> None:
+    """List the files of ``models``; with ``fetching`` "yes" get the missing ones that a program may get, and verify
+    all.
 
-    Raises Refusal when, with fetching, a file is still missing or wrong; a listing alone never fails.
+    Raises UserError when, with fetching, a file is still missing or wrong; a listing alone never fails.
     """
     if not models:
         say("no setting asks for an upstream network: every stage uses its own method, and nothing has to be fetched")
@@ -72,8 +93,11 @@ def run(models: list[str], weights: Path, fetching: str) -> None:
         say(f"{entry.title} ({name}): code {terms.code}; weights {terms.weights}; commercial use: {terms.commercial}")
         if terms.condition:
             say(f"  {terms.condition}" + (f"; instead: {terms.alternative}" if terms.alternative else ""))
-        say(f"  runs in image {entry.runtime.image}, upstream at {entry.runtime.commit}; {_memory(entry.memory.gpu_gb, entry.memory.note)}")
-        for file in entry.weights:
+        say(
+            f"  runs in image {entry.runtime.image}, upstream at {entry.runtime.commit}; "
+            f"{_memory(entry.memory.gpu_gb, entry.memory.note)}"
+        )
+        for file in _files(entry, weights):
             state = stage(file, weights, pins, fetching == "yes")
             if pins:
                 write_pins(weights, pins)
@@ -81,9 +105,15 @@ def run(models: list[str], weights: Path, fetching: str) -> None:
             if state != "verified":
                 failed.append(file.path if state == "missing" else state)
     if failed and fetching == "yes":
-        raise Refusal(f"{len(failed)} of the files are not in place: {failed[0]}")
+        raise UserError(f"{len(failed)} of the files are not in place: {failed[0]}")
     if failed:
         say(f"{len(failed)} files are missing or wrong; snakemake weights fetches those that a program may fetch")
+
+
+def _files(card: Card, folder: Path) -> Iterator[WeightFile]:
+    yield from card.weights
+    # Known only once the files before it are there.
+    yield from code_in(folder, card.weights)
 
 
 def _memory(gpu_gb: float | None, note: str) -> str:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the other cameras say that somebody is in one camera's pictures, what of its detections agrees, and where to look again."""
+"""Where the other cameras say that somebody is in one camera's pictures, what of its detections agrees, and where to
+look again."""
 
 from __future__ import annotations
 
@@ -8,38 +9,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
-from studiorecon.people.blazepose import LAYOUT, Region
-from studiorecon.people.points import Triangulation, lift, observations
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.fitting.points import Triangulation, lift, observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# A landmark agrees when it lies this near to where the other cameras see the joint, as a share of the person's extent in the picture
-# (of somebody standing about 10 cm).
+# A landmark agrees when it lies this near to where the other cameras see the joint, as a share of the person's extent
+# in the picture (of somebody standing about 10 cm).
 _NEAR_SHARE = 0.06
 # Landmarks less sure than this have no say.
 _SURE = 0.3
-# Shares of landmarks that agree: from which somebody found is left alone, a new look is believed, and below which it is somebody else.
+# Shares of landmarks that agree: from which somebody found is left alone, a new look is believed, and below which it is
+# somebody else.
 _GOOD, BELIEVED, _ELSEWHERE = 0.6, 0.6, 0.3
 # By how much another look, or left and right exchanged, must agree better.
 BETTER = 0.25
 # So many joints must be known, and be inside the picture.
 _LEAST = 8
-# How far the circle around a body reaches beyond its joints.
-_CIRCLE = 1.15
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Where the other cameras say that one person is: pixels (T, K, 2), NaN where they do not know, of the camera's layout."""
+    """Where the other cameras say that one person is: pixels (T, K, 2), NaN where they do not know, of the camera's
+    layout."""
 
     person: str
     pixels: np.ndarray
 
-    def at(self, frame: int) -> np.ndarray | None:
-        """(K, 2) pixels in one frame; None where too few joints are known."""
+    def at(self, frame: int, late_frames: np.ndarray | float = 0.0) -> np.ndarray | None:
+        """(K, 2) pixels so long after one frame (of all joints, or of each (K,); at most one frame), on the line to the
+        frame beside it; None where too few joints are known."""
         pixels = self.pixels[frame]
+        late = np.broadcast_to(late_frames, len(pixels))
+        for way in (-1, 1):
+            if 0 <= frame + way < len(self.pixels):
+                step = self.pixels[frame + way] - self.pixels[frame]
+                moved = (late * way > 0) & np.isfinite(step).all(-1)
+                pixels = np.where(moved[:, None], self.pixels[frame] + np.abs(late)[:, None] * step, pixels)
         return pixels if np.isfinite(pixels[:, 0]).sum() >= _LEAST else None
 
 
@@ -82,18 +89,6 @@ def exchanged(layout: str, values: np.ndarray) -> np.ndarray:
     for left, right in LAYOUTS[layout].pairs:
         order[[left, right]] = right, left
     return values[..., order, :]
-
-
-def region_of(pixels: np.ndarray, wh: tuple[int, int]) -> Region | None:
-    """Where to look for a person of whom these joints (K, 2) are known, pixels of the footage; None when outside, or hips are unknown."""
-    at = {name: pixels[k] for k, name in enumerate(LAYOUTS[LAYOUT].keypoints) if np.isfinite(pixels[k]).all()}
-    inside = np.isfinite(pixels).all(-1) & (pixels >= 0).all(-1) & (pixels < wh).all(-1)
-    if inside.sum() < _LEAST or not {"left_hip", "right_hip", "left_shoulder", "right_shoulder"} <= set(at):
-        return None
-    hips, shoulders = (at["left_hip"] + at["right_hip"]) / 2, (at["left_shoulder"] + at["right_shoulder"]) / 2
-    up = shoulders - hips
-    radius = _CIRCLE * np.nanmax(np.linalg.norm(pixels - hips, axis=1))
-    return Region.around(hips, hips + up * radius / max(np.linalg.norm(up), 1e-9))
 
 
 @dataclass(frozen=True)

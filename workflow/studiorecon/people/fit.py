@@ -2,35 +2,46 @@
 """One person's body over time: fit the body model to the triangulated keypoints of all cameras, fill gaps, smooth.
 
 Somebody without keypoints is fitted to silhouettes instead. Paper §fitting and appendix (smoothing). Shape is shared
-over the sequence (numerics U39); the world is in metres, so there is no scale to estimate: the ratio of measured to fitted limbs is
-reported as a check (U36).
+over the sequence (U39); the world is in metres, so there is no scale to estimate: the ratio of measured to
+fitted limbs is reported as a check (U36).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from studiorecon.body import alternation, fitting
-from studiorecon.body.model import OTHER_SIDE, BodyModel
-from studiorecon.errors import Refusal
+from studiorecon.body.fitting import fit as fitting
+from studiorecon.body.fitting import paper_solver
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import write_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
 from studiorecon.geometry import rotations, smoothing
-from studiorecon.geometry.smoothing import Smoothing
-from studiorecon.people.legs import seated
-from studiorecon.people.points import Points, Triangulation, lift, observations
-from studiorecon.people.skin import surface_of
-from studiorecon.people.standing import HullSettings, Standing, follow_standing, read_standing
+from studiorecon.keypoints.layouts import OTHER_SIDE
+from studiorecon.people.fitting.legs import seated
+from studiorecon.people.fitting.points import Points, lift, observations
+from studiorecon.people.fitting.surface import surface_of
+from studiorecon.people.shared import Hulled, Smoothed, Triangulated
+from studiorecon.people.silhouettes.people import SilhouettePerson, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.people import Person, read_detections, read_identities, write_person
+from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.signature import Written
 
-_LIMBS = tuple((f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow")))
+_LIMBS = tuple(
+    (f"{s}_{a}", f"{s}_{b}")
+    for s in ("left", "right")
+    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
+)
 
-# Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of them.
+# Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
+# them.
 _LEAST_PLAUSIBLE = 0.5
 
 
@@ -39,96 +50,136 @@ _FITTED = {f.name for f in fields(fitting.FitSettings)}
 
 @dataclass(frozen=True)
 class BodyFit:
-    """How the body is fitted; see ``body/fitting.FitSettings`` for all between ``solver`` and ``unverified_sigma_m``.
+    """How the body is fitted; see ``body/fitting/fit.FitSettings`` for all between ``solver`` and
+    ``unverified_sigma_m``.
 
     Attributes:
-        solver: "levenberg_marquardt" (``body/fitting``), or "paper": its loss and 30 iterations literally (``body/alternation``, U38).
-        unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (numerics T13).
-        worst_frame_m: frames whose median point lies further from the body count as not measured.
-        worst_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
+        unverified_sigma_m: deviation added to points that only two cameras agree on: their residual says nothing (T13).
+        max_frame_m: frames whose median point lies further from the body count as not measured.
+        max_beta: deviations from the mean shape beyond which the points are no person's, or the lengths no metres.
     """
 
-    solver: str
-    iterations: int
-    tolerance: float
-    point_sigma_m: float
-    correction_sigma_m: float
-    huber_units: float
-    pose_weight: float
-    limit_weight: float
-    beta_weight: float
-    vertex_weight: float
-    shape: str
-    unverified_sigma_m: float
-    worst_frame_m: float
-    worst_beta: float
+    solver: Literal["levenberg_marquardt", "paper"] = setting(
+        "levenberg_marquardt",
+        "levenberg_marquardt, or the paper's loss to the letter, each frame alone.",
+        paper="paper; U38",
+        letter="paper",
+    )
+    iterations: int = setting(
+        30,
+        "Most steps; it ends at convergence, usually after 6.",
+        minimum=1,
+        maximum=1000,
+        paper="30, section on fitting; U38",
+        letter=30,
+    )
+    tolerance: float = 0.0001
+    point_sigma_m: float = 0.008
+    correction_sigma_m: float = 0.015
+    huber_units: float = 3.0
+    pose_weight: float = 1.0
+    limit_weight: float = 1.0
+    beta_weight: float = setting(
+        1.0, "Pull of the mean shape in every frame.", above=0, paper="10, appendix; U39", letter=10.0
+    )
+    vertex_weight: float = setting(
+        0.5,
+        "What all surface points of a frame count for together, as a share of its keypoints; sources of "
+        "keypoints alone bring none.",
+        minimum=0,
+        maximum=1,
+        paper="every vertex as much as a joint; U33",
+        letter=1.0,
+    )
+    shape: Literal["shared", "per_frame"] = setting(
+        "shared", "Whether the frames share one shape.", paper="per_frame; U39", letter="per_frame"
+    )
+    unverified_sigma_m: float = 0.03
+    max_frame_m: float = 0.15
+    max_beta: float = 5.0
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Keys of the section ``people`` that this step uses."""
+class Settings(Triangulated, Smoothed, Hulled):
+    """How points are made, fitted and smoothed."""
 
-    triangulation: Triangulation
-    fit: BodyFit
-    smooth: Smoothing
-    hull: HullSettings
+    fit: BodyFit = setting(BodyFit(), "Fit of the body to the triangulated keypoints.")
 
 
 def fit_person(
-    person: str, points: Points, body: BodyModel, fps: float, settings: Settings, surface: fitting.Surface | None = None
+    person: str,
+    points: Points,
+    body: BodyModel,
+    fps: float,
+    settings: Settings,
+    surface: fitting.SurfacePoints | None = None,
 ) -> tuple[Person, fitting.Fit]:
-    """The person in all frames, and the fit before gaps were filled; raises Refusal when no frame could be measured.
+    """The person in all frames, and the fit before gaps were filled; raises UserError when no frame could be measured.
 
-    ``surface``: triangulated surface points, where a source gives bodies (paper: the vertex term; numerics U33).
+    ``surface``: triangulated surface points, where a source gives bodies (paper: the vertex term; U33).
     """
     frames = len(points.points_m)
     keys = settings.fit
     if not (points.cameras >= 2).any():
-        raise Refusal(
-            f"person {person} is never seen by two cameras in the same frame (frames 0–{frames - 1}); correct {person} in "
+        raise UserError(
+            f"person {person} is never seen by two cameras in the same frame (frames "
+            f"0–{frames - 1}); correct {person} in "
             "people/identities.tsv, or leave the person out there"
         )
-    options = fitting.FitSettings(**{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False)
-    solve = alternation.fit if keys.solver == "paper" else fitting.fit
+    options = fitting.FitSettings(
+        **{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False
+    )
+    solve = paper_solver.fit if keys.solver == "paper" else fitting.fit
     result = solve(body, points.names, points.points_m, points.sigma_m, options, surface)
     if not result.valid.any():
-        raise Refusal(
-            f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which two cameras agree; check the calibration "
+        raise UserError(
+            f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which "
+            "two cameras agree; check the calibration "
             "(cameras/refinement.png) and the identities (people/identities.tsv)"
         )
     median = _row_median(result.residual_m)
-    valid = result.valid & (median <= keys.worst_frame_m)
+    valid = result.valid & (median <= keys.max_frame_m)
     if valid.sum() < _LEAST_PLAUSIBLE * result.valid.sum():
-        raise Refusal(
-            f"person {person}: the body lies more than people.fit.worst_frame_m = {keys.worst_frame_m:g} m off the keypoints in "
-            f"{result.valid.sum() - valid.sum()} of {result.valid.sum()} frames; check the keypoint layout, calibration and identities"
+        raise UserError(
+            f"person {person}: the body lies more than "
+            f"{keys.max_frame_m:g} m off the keypoints in "
+            f"{result.valid.sum() - valid.sum()} of {result.valid.sum()} frames; check the "
+            "keypoint layout, calibration and identities"
         )
     worst = int(np.argmax(np.abs(result.betas)))
-    if abs(result.betas[worst]) > keys.worst_beta:
-        raise Refusal(
-            f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations from the mean (beta {worst}, frames "
-            f"{frame_ranges(valid)}), which no person is; check that the calibration is in metres, the keypoint layout and the identities"
+    if abs(result.betas[worst]) > keys.max_beta:
+        raise UserError(
+            f"person {person}: the fitted shape is {result.betas[worst]:.1f} deviations "
+            f"from the mean (beta {worst}, frames "
+            f"{frame_ranges(valid)}), which no person is; check that the calibration is in "
+            "metres, the keypoint layout and the identities"
         )
     local, bent = seated(result.rotations, result.trans_m, result.betas, points.names, points.points_m, body)
     if (valid[:, None] & bent).any():
         say(
-            f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and they cannot hang through the floor: they are "
+            f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and "
+            "they cannot hang through the floor: they are "
             "bent as somebody sits, a guess that the joints' deviations mark"
         )
-    return _person(person, local, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings), result
+    return _person(
+        person, local, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings
+    ), result
 
 
-def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings) -> Person:
-    """The body of somebody without keypoints, from silhouettes; raises Refusal when too few frames agree."""
+def fit_standing(
+    person: SilhouettePerson, cameras: list[Camera], body: BodyModel, frames: int, fps: float, settings: Settings
+) -> Person:
+    """The body of somebody without keypoints, from silhouettes; raises UserError when too few frames agree."""
     keys = settings.hull
     followed = follow_standing(person, cameras, body, fps, keys)
     local, trans, agreement = np.zeros((frames, 24, 3, 3)), np.zeros((frames, 3)), np.zeros(frames)
     for t, (state, share) in followed.items():
         local[t], trans[t], agreement[t] = state.local[0], state.trans[0], share
-    valid = agreement >= keys.least_agreement
+    valid = agreement >= keys.min_agreement
     if valid.sum() < _LEAST_PLAUSIBLE * len(followed):
-        raise Refusal(
-            f"person {person.name}: the body agrees with the silhouettes by people.hull.least_agreement = {keys.least_agreement:g} in only "
+        raise UserError(
+            f"person {person.name}: the body agrees with the silhouettes by "
+            f"{keys.min_agreement:g} in only "
             f"{valid.sum()} of {len(followed)} frames; bring keypoints of this person, or set people.hull.use to never"
         )
     # What the outlines do not explain may be anywhere: the less they agree, the less is known.
@@ -139,7 +190,8 @@ def fit_standing(person: Standing, cameras: list[Camera], body: BodyModel, frame
     sigma[valid] = np.hypot(sigma[valid], np.sqrt((1 - facing.probability) / 3) * apart_m)
     say(
         f"{person.name}: body measured from silhouettes alone in {valid.sum()} of {frames} frames, agreement "
-        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to about {1000 * np.median(sigma[valid]):.0f} mm; "
+        f"{np.median(agreement[valid]):.2f} (median, 1 = identical); joints are known to "
+        f"about {1000 * np.median(sigma[valid]):.0f} mm; "
         f"{facing.sentence()}"
     )
     return _person(person.name, local, trans, person.start.state.betas, valid, sigma, body, fps, settings)
@@ -182,7 +234,7 @@ def _person(
 
 
 def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
-    """Median of measured over fitted limb lengths, long bones only (numerics S04, S05); NaN when none was measured."""
+    """Median of measured over fitted limb lengths, long bones only (S04, S05); NaN when none was measured."""
     at = {n: k for k, n in enumerate(points.names)}
     model = body.keypoints(points.names, fitted.poses, fitted.betas, fitted.trans)
     ratios = []
@@ -196,7 +248,9 @@ def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
 
 def _say_filled(fitted: Person) -> None:
     if not fitted.valid.all():
-        say(f"{fitted.name}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid")
+        say(
+            f"{fitted.name}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid"
+        )
 
 
 def frame_ranges(chosen: np.ndarray) -> str:
@@ -217,38 +271,51 @@ def run(
     model: Path,
     manifest: Path,
     detections: list[Path],
-    identities: Path,
-    standing: Path,
+    identities: list[Path],
+    standing: list[Path],
     body: Path,
-    fit: Path,
+    fit: Written,
 ) -> None:
-    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``."""
+    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``.
+
+    ``identities`` says which tracks are the person's; of somebody without keypoints there is ``standing`` instead.
+    """
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)
-    for someone in read_standing(standing):
-        if someone.name == person:
-            fitted = fit_standing(someone, list(cameras.values()), BodyModel.load(body), footage.frames, footage.fps, settings)
-            _say_filled(fitted)
-            write_person(fit, fitted)
-            return
+    if standing:
+        (someone,) = read_standing(standing[0])
+        body_model = BodyModel.load(body)
+        fitted = fit_standing(someone, list(cameras.values()), body_model, footage.frames, footage.fps, settings)
+        _say_filled(fitted)
+        write_person(fit, fitted)
+        return
     seen = [read_detections(path) for path in detections]
     missing = [d.camera for d in seen if d.camera not in cameras]
     if missing:
-        raise Refusal(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
+        raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
     body_model = BodyModel.load(body)
-    whose = read_identities(identities)
+    whose = read_identities(identities[0])
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
-    points = lift(names, keypoints, [cameras[d.camera] for d in seen], settings.triangulation, settings.fit.unverified_sigma_m)
+    points = lift(
+        names, keypoints, [cameras[d.camera] for d in seen], settings.triangulation, settings.fit.unverified_sigma_m
+    )
     surface = None
     if settings.fit.vertex_weight > 0:
         surface = surface_of(
-            person, seen, whose, [cameras[d.camera] for d in seen], body_model, footage.frames, settings.triangulation,
+            person,
+            seen,
+            whose,
+            [cameras[d.camera] for d in seen],
+            body_model,
+            footage.frames,
+            settings.triangulation,
             settings.fit.unverified_sigma_m,
-        )  # fmt: skip
+        )
     fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])
     say(
-        f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen by up to {points.cameras.max()} cameras; "
+        f"{person}: body measured in {fitted.valid.sum()} of {footage.frames} frames, seen "
+        f"by up to {points.cameras.max()} cameras; "
         f"keypoints lie {residual_mm:.0f} mm from it (median), joints are known to {sigma_mm:.0f} mm, after "
         f"{result.iterations} steps"
     )
@@ -257,5 +324,8 @@ def run(
     _say_filled(fitted)
     ratio = limb_ratio(points, fitted, body_model)
     if abs(ratio - 1) > 0.05:
-        say(f"{person}: measured limbs are {ratio:.2f} times the fitted ones; the world may not be metric, or the shape is unusual")
+        say(
+            f"{person}: measured limbs are {ratio:.2f} times the fitted ones; the world may "
+            "not be metric, or the shape is unusual"
+        )
     write_person(fit, fitted)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``people.overlay``: one camera's footage with the detected keypoints and everybody's fitted skeleton, as a film that plays anywhere.
+"""``people.overlay``: one camera's footage with the detected keypoints and everybody's fitted skeleton, as a film that
+plays anywhere.
 
-Dots are what the detector saw, lines are the body: thick where the frame was measured, thin where it was filled in, absent where the
-body is behind the camera. One colour per person; rejected detections are grey.
+Dots are what the detector saw, lines are the body: thick where the frame was measured, thin where it was filled in,
+absent where the body is behind the camera. One colour per person; rejected detections are grey.
 """
 
 from __future__ import annotations
@@ -13,16 +14,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.body.layouts import LAYOUTS
-from studiorecon.body.model import JOINT_NAMES
-from studiorecon.errors import Refusal
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames, write_watchable
 from studiorecon.images.palette import NOBODY, person_colour
-from studiorecon.images.video import read_frames, write_watchable
+from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.people import Detections, Person, read_detections, read_identities, read_person
+from studiorecon.scene.people import Detections, Person, read_detections, read_identities
+from studiorecon.signature import Written
 
 # cv2 draws in sixteenths of a pixel, counted from pixel centres.
 _SHIFT = 4
@@ -49,10 +51,11 @@ def drawn(
     canvas = np.ascontiguousarray(picture).copy()
     width = max(1, round(_THICKNESS * canvas.shape[1]))
     names = [person.name for person in people]
-    for d in np.flatnonzero(seen.frame == frame) if seen is not None else ():
-        owner = identities.get((camera.name, int(seen.track[d])), "")
+    shown = [] if seen is None else [(seen.track[d], seen.keypoints[d]) for d in np.flatnonzero(seen.frame == frame)]
+    for track, points in shown:
+        owner = identities.get((camera.name, int(track)), "")
         colour = person_colour(names.index(owner)) if owner in names else NOBODY
-        for x, y, confidence in seen.keypoints[d]:
+        for x, y, confidence in points:
             if confidence > 0:
                 cv2.circle(canvas, _fixed((x, y)), (width + 1) << _SHIFT, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
     for index, person in enumerate(people):
@@ -71,28 +74,39 @@ def drawn(
 
 
 def run(
-    camera: str, model: Path, manifest: Path, video: Path, detections: list[Path], identities: Path, fits: list[Path], film: Path
+    camera: str,
+    model: Path,
+    manifest: Path,
+    video: Path,
+    detections: list[Path],
+    identities: Path,
+    fits: list[Path],
+    film: Written,
 ) -> None:
     """Write one camera's overlay film; ``detections`` is its file, or nothing where only plates show who is there.
 
-    Raises Refusal when a fit has another length than the capture.
+    Raises UserError when a fit has another length than the capture.
     """
     capture = read_manifest(manifest)
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
-        raise Refusal(f"camera {camera} is not in {model}")
+        raise UserError(f"camera {camera} is not in {model}")
     people = [read_person(fit) for fit in fits]
     for person, fit in zip(people, fits):
         if len(person.poses) != capture.frames:
-            raise Refusal(f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; fit {person.name} again")
+            raise UserError(
+                f"{fit} has {len(person.poses)} frames and the capture {capture.frames}; fit {person.name} again"
+            )
     seen = read_detections(detections[0]) if detections else None
     known = read_identities(identities)
     frames = progress(enumerate(read_frames(video)), f"skeletons in {camera}")
-    written = write_watchable(film, (drawn(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps)
+    written = write_watchable(
+        film, (drawn(picture, frame, own, people, seen, known) for frame, picture in frames), capture.fps
+    )
     say(f"{film} shows {len(people)} people in {written} frames of camera {camera}")
 
 
-def _fixed(point: Sequence[float]) -> tuple[int, int]:
+def _fixed(point: Sequence[float] | np.ndarray) -> tuple[int, int]:
     # Far outside the picture cv2's integers would overflow; a bone that leaves the picture may end anywhere beyond it.
     x, y = np.clip(np.asarray(point, np.float64) - 0.5, -1e5, 1e5)
     return round(x * (1 << _SHIFT)), round(y * (1 << _SHIFT))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``people.second_look``: one camera's pictures once more, where the other cameras say that somebody must be.
 
-What the other cameras agree on, this one left out, is projected into this camera. Where nobody of that name was found there, or somebody
-whose landmarks lie elsewhere, the landmark network looks at the place. What agrees with the other cameras is kept; what lies on somebody
-else, or was found twice, is removed. One camera alone cannot tell a hidden person from a missed one; several calibrated ones can.
+What the other cameras agree on, this one left out, is projected into this camera. Where nobody of that name was found
+there, or somebody whose landmarks lie elsewhere, the landmark network looks at the place. What agrees with the other
+cameras is kept; what lies on somebody else, or was found twice, is removed. One camera alone cannot tell a hidden
+person from a missed one; several calibrated ones can.
 """
 
 from __future__ import annotations
@@ -15,32 +16,44 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.body.model import BodyModel
+from studiorecon.camera_files.calibration import lens_of
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
+from studiorecon.detector.following import believed, look_again
+from studiorecon.detector.windows import region_of_body
+from studiorecon.footage.source import open_source, stills
 from studiorecon.geometry.lens import video_from_working, working_from_video
-from studiorecon.images.footage import open_source, stills
-from studiorecon.people.blazepose import MASK_PX, BlazePose, Landmarks
-from studiorecon.people.detect import believed, look_again
-from studiorecon.people.expected import BELIEVED, BETTER, Expected, Plan, agreement, exchanged, expected, planned, region_of
-from studiorecon.people.points import Triangulation
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.expected import (
+    BELIEVED,
+    BETTER,
+    Expected,
+    Plan,
+    agreement,
+    exchanged,
+    expected,
+    planned,
+)
+from studiorecon.people.shared import Triangulated
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest
-from studiorecon.scene.colmap import read_model
+from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.scene.found import read_found, write_found
-from studiorecon.scene.lenses import lens_of
 from studiorecon.scene.people import Detections, read_detections, read_identities, write_detections
+from studiorecon.scene.raw_detections import read_raw_detections, write_raw_detections
+from studiorecon.signature import Written
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Triangulated):
     """What counts as agreement of views."""
 
-    triangulation: Triangulation
-
 
 @dataclass(frozen=True)
-class Look:
-    """Somebody found by looking again: frame, index of the person, detection that is replaced (-1 = none), and in working pixels (K, 3)."""
+class SecondLook:
+    """Somebody found by looking again: frame, index of the person, detection that is replaced (-1 = none), and in
+    working pixels (K, 3)."""
 
     frame: int
     person: int
@@ -50,35 +63,57 @@ class Look:
 
 
 def looked_again(
-    network: BlazePose, pictures: Iterable[np.ndarray], plan: Plan, people: Sequence[Expected], own: Detections, view: View
-) -> list[Look]:
-    """What the network finds in ``pictures`` (those of the frames of ``plan.looks``, in order) and the other cameras agree with."""
+    network: BlazePose,
+    pictures: Iterable[np.ndarray],
+    plan: Plan,
+    people: Sequence[Expected],
+    own: Detections,
+    view: CameraPictures,
+) -> list[SecondLook]:
+    """What the network finds in ``pictures`` (those of the frames of ``plan.looks``, in order) and the other cameras
+    agree with."""
     results = []
+    names = LAYOUTS[LAYOUT].keypoints
     frames = sorted({frame for frame, _, _ in plan.looks})
     for frame, picture in zip(frames, pictures):
         for _, k, before in (look for look in plan.looks if look[0] == frame):
-            place = people[k].at(frame)
-            region = region_of(view.in_footage(place), view.footage.source_wh) if place is not None else None
+            # Where they were when the picture was taken; the landmarks go back to the frame's own moment with them.
+            now = people[k].at(frame)
+            place = people[k].at(frame, view.late_frames(frame, now)) if now is not None else None
+            region = (
+                region_of_body(dict(zip(names, view.in_footage(place))), view.footage.source_wh)
+                if place is not None
+                else None
+            )
             first = look_again(network, picture, region) if region is not None else None
-            if first is None or place is None:
+            if first is None or place is None or now is None:
                 continue
             # The network's own idea of the region is better, unless it leads to somebody else.
             tried = [first, *filter(None, [look_again(network, picture, first.next_region)])]
-            looks = [Look(frame, k, before, t, view.working(t)) for t in tried]
+            looks = [SecondLook(frame, k, before, t, view.working(t)) for t in tried]
             best = max(looks, key=lambda look: agreement(look.keypoints, place))
             least = BELIEVED if before < 0 else max(BELIEVED, agreement(own.keypoints[before], place) + BETTER)
             if agreement(best.keypoints, place) >= least:
-                results.append(best)
+                back = np.column_stack([np.nan_to_num(now - place), np.zeros(len(now))])
+                results.append(replace(best, keypoints=best.keypoints + back))
     return results
 
 
 @dataclass(frozen=True)
-class View:
-    """One camera's footage, lens, and the worth of landmarks in it."""
+class CameraPictures:
+    """One camera's footage, lens, clock among the others', and the worth of landmarks in it."""
 
     footage: Footage
     lens: Lens
     worth: dict[str, list[float]]
+    clocks: Clocks
+
+    def late_frames(self, frame: int, pixels: np.ndarray) -> np.ndarray:
+        """(K,) working frames by which the picture of ``frame`` shows each of the working pixels (K, 2) late: its own
+        fraction, and its row's."""
+        rows = np.nan_to_num(pixels[:, 1] / self.footage.wh[1], nan=0.5) - 0.5
+        readout = self.clocks.of(self.footage.camera).readout_s * self.clocks.fps
+        return self.clocks.late_frames(self.footage.camera)[frame] + readout * rows
 
     def in_footage(self, pixels: np.ndarray) -> np.ndarray:
         """Pixels of the footage of working pixels (K, 2)."""
@@ -89,7 +124,10 @@ class View:
         keypoints = believed(seen.keypoints, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0
         pixels, valid = working_from_video(
-            np.where(there[:, None], keypoints[:, :2], 1.0), self.lens, self.footage.source_wh, np.array(self.footage.intrinsics)
+            np.where(there[:, None], keypoints[:, :2], 1.0),
+            self.lens,
+            self.footage.source_wh,
+            np.array(self.footage.intrinsics),
         )
         there &= valid
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
@@ -105,9 +143,15 @@ def each_of(pictures: Iterable[np.ndarray], wanted: Sequence[int]) -> Iterator[n
 
 
 def improved_by(
-    own: Detections, plan: Plan, looks: Sequence[Look], people: Sequence[Expected], owners: Sequence[str], row: int
+    own: Detections,
+    plan: Plan,
+    looks: Sequence[SecondLook],
+    people: Sequence[Expected],
+    owners: Sequence[str],
+    row: int,
 ) -> Detections:
-    """The camera's detections as planned, with what was found by looking again, whose masks are rows ``row`` and after."""
+    """The camera's detections as planned, with what was found by looking again, whose masks are rows ``row`` and
+    after."""
     kept = ~plan.dropped
     kept[[look.replaces for look in looks if look.replaces >= 0]] = False
     keypoints, guess = own.keypoints.copy(), np.array(own.points_m)
@@ -120,13 +164,23 @@ def improved_by(
     for look in looks:
         theirs = np.flatnonzero(whose == people[look.person].person)
         near = theirs[np.argmin(np.abs(own.frame[theirs] - look.frame))] if len(theirs) else None
-        tracks.append(plan.track[look.replaces] if look.replaces >= 0 else plan.track[near] if near is not None else fresh + look.person)
+        tracks.append(
+            plan.track[look.replaces]
+            if look.replaces >= 0
+            else plan.track[near]
+            if near is not None
+            else fresh + look.person
+        )
     whole = replace(
         first,
         frame=np.concatenate([first.frame, np.array([look.frame for look in looks], dtype=np.int64)]),
         track=np.concatenate([first.track, np.array(tracks, dtype=np.int64)]),
-        keypoints=np.concatenate([first.keypoints, np.array([look.keypoints for look in looks]).reshape(-1, *own.keypoints.shape[1:])]),
-        points_m=np.concatenate([np.array(first.points_m), np.array([look.seen.points_m for look in looks]).reshape(-1, *guess.shape[1:])]),
+        keypoints=np.concatenate(
+            [first.keypoints, np.array([look.keypoints for look in looks]).reshape(-1, *own.keypoints.shape[1:])]
+        ),
+        points_m=np.concatenate(
+            [np.array(first.points_m), np.array([look.seen.points_m for look in looks]).reshape(-1, *guess.shape[1:])]
+        ),
         row=np.concatenate([np.array(first.row), row + np.arange(len(looks))]),
     )
     return whole.only(np.argsort(whole.frame, kind="stable"))
@@ -146,18 +200,20 @@ def run(
     first: list[Path],
     identities: Path,
     found: Path,
-    detections: Path,
-    seen: Path,
-    report: Path,
+    detections: Written,
+    seen: Written,
+    report: Written,
 ) -> None:
-    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report`` (JSON, how many).
+    """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report``
+    (JSON, how many).
 
-    ``first`` are the detections of all training cameras before, ``identities`` who is who in them; ``networks`` as in people.detect.
+    ``first`` are the detections of all training cameras before, ``identities`` who is who in them; ``networks`` as in
+    people.detect.
     """
     cameras, footage, who = read_model(model.parent), read_manifest(manifest).of(camera), read_identities(identities)
     given = [read_detections(p) for p in first]
     at = [c.name for c in cameras].index(camera)
-    own, whole = given[at], read_found(found, masks=True)
+    own, whole = given[at], read_raw_detections(found, masks=True)
     lens = lens_of(calibration, camera)
     people: list[Expected] = []
     if len(cameras) > 2:
@@ -166,7 +222,7 @@ def run(
     else:
         say("there are two cameras: what one sees is no place in the other, so nobody is looked for again")
     plan = planned(own, people, who, footage.frames)
-    view = View(footage, lens, read_json(networks[2]))
+    view = CameraPictures(footage, lens, read_json(networks[2]), read_clocks(clocks))
     wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
     looks = looked_again(BlazePose(networks[0], networks[1]), pictures, plan, people, own, view)
@@ -184,7 +240,7 @@ def run(
         for look in looks
     ]
     write_detections(detections, result)
-    write_found(seen, whole.grown(rows))
+    write_raw_detections(seen, whole.grown(rows))
     replaced = sum(look.replaces >= 0 for look in looks)
     counts = {
         "detections": len(own.frame),
@@ -197,7 +253,9 @@ def run(
     }
     write_json(report, {"camera": camera, **counts})
     say(
-        f"camera {camera}: {counts['detections']} detections; looked again at {counts['looked']} places: {counts['added']} were added, "
-        f"{replaced} replaced, {counts['removed']} removed; {counts['sides_exchanged']} had left and right exchanged, {counts['adopted']} "
+        f"camera {camera}: {counts['detections']} detections; looked again at "
+        f"{counts['looked']} places: {counts['added']} were added, "
+        f"{replaced} replaced, {counts['removed']} removed; {counts['sides_exchanged']} had "
+        f"left and right exchanged, {counts['adopted']} "
         "were given to the person they agree with"
     )

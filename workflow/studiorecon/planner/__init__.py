@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where cameras should stand: what a rig will see of a room and its people, and how well, before anything is filmed."""
+"""Where to put cameras, before anything is filmed. In come a room and lenses, or finished cameras; out come places,
+what they will see, and one picture. Steps: ``place``, ``advise``; below them: ``room``, ``placing``, ``figures``,
+``picture``.
+"""

@@ -6,21 +6,25 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
 from studiorecon.planner.figures import Judge
 from studiorecon.planner.picture import advised, drawn, lines_of
 from studiorecon.planner.placing import advice
 from studiorecon.planner.room import room_about
 from studiorecon.progress import say
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.files import complete, write_json
+from studiorecon.signature import Written
 
 
-def run(model: Path, picture: Path, plan: Path) -> None:
-    """``model`` is ``cameras/images.txt``; the room is taken to be the box that the cameras stand in, its floor at z = 0."""
+def run(model: Path, picture: Written, plan: Written) -> None:
+    """``model`` is ``cameras/images.txt``; the room is taken to be the box that the cameras stand in, its floor at z =
+    0."""
     cameras = read_model(model.parent)
     if len(cameras) < 2:
-        raise Refusal(f"{model} has {len(cameras)} camera, which cannot tell how far away anything is: nothing can be advised")
+        raise UserError(
+            f"{model} has {len(cameras)} camera, which cannot tell how far away anything is: nothing can be advised"
+        )
     room = room_about(cameras)
     judge = Judge(room)
     figures, moves = judge.figures(cameras), advice(cameras, room)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig will see and how well: coverage, the error of joints by Cramér and Rao's bound, and what of the room nobody sees."""
+"""What a rig will see and how well: coverage, the error of joints by Cramér and Rao's bound, and what of the room
+nobody sees."""
 
 from __future__ import annotations
 
@@ -11,10 +12,11 @@ import numpy as np
 from studiorecon.planner.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, blocked
 from studiorecon.scene.camera import Camera
 
-# Deviation of a detector's point per coordinate, as a share of the person's height in the picture: networks look at a crop of the
-# person, so their error grows with the person. From BlazePose on four cameras (pose2sim_balancing): median residual 1.32 px where the
-# man is 195 px tall, over the median length of a normal deviate (1.18), and over the root of the 5 of 8 degrees of freedom that a point
-# fitted to four views leaves.
+# Deviation of a detector's point per coordinate, as a share of the person's height in the picture: networks look at a
+# crop of the person, so their error grows with the person. From BlazePose on four cameras (pose2sim_balancing): median
+# residual
+# 1.32 px where the man is 195 px tall, over the median length of a normal deviate (1.18), and over the root of the 5 of
+# 8 degrees of freedom that a point fitted to four views leaves.
 _DETECTOR_SHARE = 0.0075
 _PERSON_M = 1.7
 # No detector is better than about half a pixel.
@@ -30,15 +32,18 @@ _UNSEEN_WORTH_M = 0.0005
 
 @dataclass(frozen=True)
 class Figures:
-    """Shares are of the stage's places or of the room's surface; errors are root mean square distances in space, metres.
+    """Shares are of the stage's places or of the room's surface; errors are root mean square distances in space,
+    metres.
 
     Attributes:
         two, three: height ("head", "floor") → share that at least two or three cameras see, nobody being in the way.
         two_hidden, three_hidden: the same with somebody in the way, mean over where they stand.
-        error_m, worst_error_m: median and 90 % quantile of the joints' error, somebody being in the way; inf where undetermined.
+        error_m, worst_error_m: median and 90 % quantile of the joints' error, somebody being in the way; inf where
+            undetermined.
         undetermined: share of joints that fewer than two cameras see, or that are off by more than 10 cm.
         unseen: "floor", "walls", "ceiling" and "all" → share that no camera sees while somebody stands in the middle.
-        cost_m: what plans are compared by: the joints' mean error, with what is undetermined or unverified, and the unseen floor and walls.
+        cost_m: what plans are compared by: the joints' mean error, with what is undetermined or unverified, and the
+            unseen floor and walls.
     """
 
     two: dict[str, float]
@@ -63,13 +68,16 @@ def seen(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
 
 
 def information(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
-    """(V, N, 3, 3) Fisher information of every camera about every point, 1/m², for the detector's noise at that distance."""
+    """(V, N, 3, 3) Fisher information of every camera about every point, 1/m², for the detector's noise at that
+    distance."""
     result = np.empty((len(cameras), len(points_m), 3, 3))
     for camera, own in zip(cameras, result):
         rotation = camera.rotation_camera_from_world
         local = (points_m - camera.centre_m) @ rotation.T
         depth = np.where(local[:, 2] > _NEAR_M, local[:, 2], np.inf)[:, None]
-        noise = np.hypot(_LEAST_PX, _DETECTOR_SHARE * np.mean(camera.focal_px) * _PERSON_M / np.where(np.isfinite(depth), depth, 1.0))
+        noise = np.hypot(
+            _LEAST_PX, _DETECTOR_SHARE * np.mean(camera.focal_px) * _PERSON_M / np.where(np.isfinite(depth), depth, 1.0)
+        )
         own[:] = 0
         for axis, focal in enumerate(camera.focal_px):
             row = focal / depth * (rotation[axis] - local[:, axis, None] / depth * rotation[2]) / noise
@@ -78,9 +86,11 @@ def information(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
 
 
 def errors_m(told: np.ndarray, sees: np.ndarray) -> np.ndarray:
-    """(..., N) error that no unbiased estimate beats (Cramér, Rao): the root of the trace of the inverse of the information.
+    """(..., N) error that no unbiased estimate beats (Cramér, Rao): the root of the trace of the inverse of the
+    information.
 
-    ``told`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer than two.
+    ``told`` (V, N, 3, 3) is each camera's information, ``sees`` (..., V, N) which of them see the point; inf with fewer
+    than two.
     """
     total = np.einsum("...vn,vnij->...nij", sees.astype(np.float64), told)
     scale = np.trace(total, axis1=-2, axis2=-1)
@@ -127,13 +137,15 @@ class Judge:
         known = errors[self.possible]
         lost = known > _UNKNOWN_M
         counted = np.where(counts[self.possible] == 2, np.hypot(known, _UNVERIFIED_M), known)
+        middle_m, worst_m = (float(np.quantile(known, q, method="nearest")) for q in (0.5, 0.9))
         unseen = self._unseen(cameras)
         return Figures(
             {name: float((free[where[name]] >= 2).mean()) for name in shown},
             {name: float((free[where[name]] >= 3).mean()) for name in shown},
             {name: share(2, name) for name in shown},
             {name: share(3, name) for name in shown},
-            *(float(np.quantile(known, q, method="nearest")) for q in (0.5, 0.9)),
+            middle_m,
+            worst_m,
             float(lost.mean()),
             unseen,
             float(np.minimum(counted, _UNKNOWN_M).mean()) + 100 * _UNSEEN_WORTH_M * unseen["floor and walls"],

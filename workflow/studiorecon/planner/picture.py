@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One picture of a plan: the room from above with its cameras, how many see a place, how well a joint is known there, and figures."""
+"""One picture of a plan: the room from above with its cameras, how many see a place, how well a joint is known there,
+and figures."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from studiorecon.scene.camera import Camera
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19
 _CELLS = 44
 _CONE_M = 1.1
-# Number of cameras that see a place at head height, 0 … 4 or more; two is the least that tells depth, three the least that can be checked.
+# Number of cameras that see a place at head height, 0 … 4 or more; two is the least that tells depth, three the least
+# that can be checked.
 _COUNTS = (("none", "#b9452f"), ("1", "#dd9a57"), ("2", "#efe0a0"), ("3", "#a3cfa0"), ("4 or more", "#4f9a78"))
 # Error of a joint at hip height up to so many millimetres.
 _ERRORS = ((10, "#2f6f9f"), (15, "#6ba3c4"), (20, "#a9cbd9"), (30, "#efe0a0"), (50, "#dd9a57"), (np.inf, "#b9452f"))
@@ -28,20 +30,33 @@ def drawn(title: str, cameras: Sequence[Camera], judge: Judge, figures: Figures,
     width, depth = room.size_m[:2]
     scale = _MAP_PX / max(width, depth)
     high = scale * depth
-    lines = [*lines_of(figures), "", *(_placed(camera, judge) for camera in cameras), "", *(advised(move) for move in moves)]
+    lines = [
+        *lines_of(figures),
+        "",
+        *(_placed(camera, judge) for camera in cameras),
+        "",
+        *(advised(move) for move in moves),
+    ]
     total_w, total_h = 2 * _MAP_PX + 3 * _GAP_PX, _TOP_PX + high + 70 + _LINE_PX * (len(lines) + 1)
     counts, errors = _maps(cameras, judge)
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total_w:.0f} {total_h:.0f}" width="{total_w:.0f}" height="{total_h:.0f}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total_w:.0f} {total_h:.0f}" '
+        f'width="{total_w:.0f}" height="{total_h:.0f}" '
         'font-family="system-ui, sans-serif" font-size="13" fill="#2b2b2b">',
         f'<rect width="{total_w:.0f}" height="{total_h:.0f}" fill="#faf9f6"/>',
         _text(_GAP_PX, 36, title, "font-size='20' font-weight='600'"),
     ]
     titles = (f"Cameras that see a head ({HEAD_M} m)", f"Error of a joint at the hips ({HIPS_M} m), millimetres")
-    legends = (_COUNTS, [(f"≤ {limit:.0f}" if np.isfinite(limit) else "more, or none", colour) for limit, colour in _ERRORS])
+    legends = (
+        _COUNTS,
+        [(f"≤ {limit:.0f}" if np.isfinite(limit) else "more, or none", colour) for limit, colour in _ERRORS],
+    )
     for k, (cells, told, legend) in enumerate(zip((counts, errors), titles, legends)):
         left = _GAP_PX + k * (_MAP_PX + _GAP_PX)
-        parts += [_text(left, _TOP_PX - 14, told, "font-weight='600'"), f'<g transform="translate({left:.1f} {_TOP_PX})">']
+        parts += [
+            _text(left, _TOP_PX - 14, told, "font-weight='600'"),
+            f'<g transform="translate({left:.1f} {_TOP_PX})">',
+        ]
         parts += _cells(cells, scale * width, high)
         parts += _plan(cameras, judge, scale, high, moves)
         parts += ["</g>", *_legend(left, _TOP_PX + high + 24, legend)]
@@ -58,14 +73,25 @@ def lines_of(figures: Figures) -> list[str]:
     def shares(named: dict[str, float], name: str, hidden: dict[str, float]) -> str:
         return f"{share(named[name])} of the stage ({share(hidden[name])} with somebody in the way)"
 
-    known = [(words, value) for words, value in (("median", figures.error_m), ("90 % within", figures.worst_error_m)) if np.isfinite(value)]
+    known = [
+        (words, value)
+        for words, value in (("median", figures.error_m), ("90 % within", figures.worst_error_m))
+        if np.isfinite(value)
+    ]
     error = ", ".join(f"{words} {1000 * value:.0f} mm" for words, value in known) or "not to be told for most"
     unseen = ", ".join(f"{name} {share(figures.unseen[name])}" for name in ("floor", "walls", "ceiling"))
     return [
-        *(f"Seen by two cameras at {name} height: {shares(figures.two, name, figures.two_hidden)}" for name in ("head", "floor")),
-        *(f"Seen by three cameras at {name} height: {shares(figures.three, name, figures.three_hidden)}" for name in ("head", "floor")),
+        *(
+            f"Seen by two cameras at {name} height: {shares(figures.two, name, figures.two_hidden)}"
+            for name in ("head", "floor")
+        ),
+        *(
+            f"Seen by three cameras at {name} height: {shares(figures.three, name, figures.three_hidden)}"
+            for name in ("head", "floor")
+        ),
         f"Error of a joint, by the detector's noise alone: {error}; undetermined {share(figures.undetermined)}",
-        f"Seen by no camera, somebody standing in the middle: {share(figures.unseen['all'])} of the room's surface ({unseen})",
+        "Seen by no camera, somebody standing in the middle: "
+        f"{share(figures.unseen['all'])} of the room's surface ({unseen})",
     ]
 
 
@@ -76,9 +102,15 @@ def advised(move: Move) -> str:
 
 def _placed(camera: Camera, judge: Judge) -> str:
     x, y, z = camera.centre_m - np.array(judge.room.low_m)
-    heading, tilt = np.degrees(np.arctan2(camera.forward[1], camera.forward[0])), np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1)))
+    heading, tilt = (
+        np.degrees(np.arctan2(camera.forward[1], camera.forward[0])),
+        np.degrees(np.arcsin(np.clip(camera.forward[2], -1, 1))),
+    )
     way = f"{abs(tilt):.0f}° {'down' if tilt < 0 else 'up'}"
-    return f"{camera.name}: {x:.2f} m along, {y:.2f} m across, {z:.2f} m high; facing {heading % 360:.0f}° (0° is along), {way}"
+    return (
+        f"{camera.name}: {x:.2f} m along, {y:.2f} m across, {z:.2f} m high; facing "
+        f"{heading % 360:.0f}° (0° is along), {way}"
+    )
 
 
 def _maps(cameras: Sequence[Camera], judge: Judge) -> tuple[list[list[str]], list[list[str]]]:
@@ -90,7 +122,9 @@ def _maps(cameras: Sequence[Camera], judge: Judge) -> tuple[list[list[str]], lis
     flat = np.stack(np.meshgrid(x, y[::-1]), axis=-1).reshape(-1, 2)
     heads = np.column_stack([flat, np.full(len(flat), room.low_m[2] + HEAD_M)])
     counts = judge.sees(cameras, heads, None).sum(axis=0).reshape(len(y), len(x))
-    errors = judge.errors_of(cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])).reshape(counts.shape)
+    errors = judge.errors_of(cameras, np.column_stack([flat, np.full(len(flat), room.low_m[2] + HIPS_M)])).reshape(
+        counts.shape
+    )
     limits = np.array([limit for limit, _ in _ERRORS]) / 1000
     banded = np.minimum(np.searchsorted(limits, errors), len(_ERRORS) - 1)
     return [[_COUNTS[min(n, 4)][1] for n in row] for row in counts], [[_ERRORS[n][1] for n in row] for row in banded]
@@ -100,7 +134,8 @@ def _cells(colours: list[list[str]], wide: float, high: float) -> list[str]:
     size = high / len(colours)
     across = wide / len(colours[0])
     drawn_cells = [
-        f'<rect x="{column * across:.2f}" y="{row * size:.2f}" width="{across + 0.4:.2f}" height="{size + 0.4:.2f}" fill="{colour}"/>'
+        f'<rect x="{column * across:.2f}" y="{row * size:.2f}" width="{across + 0.4:.2f}" '
+        f'height="{size + 0.4:.2f}" fill="{colour}"/>'
         for row, line in enumerate(colours)
         for column, colour in enumerate(line)
     ]
@@ -117,17 +152,24 @@ def _plan(cameras: Sequence[Camera], judge: Judge, scale: float, high: float, mo
     (x0, y1), (x1, y0) = at(stage.min(axis=0)), at(stage.max(axis=0))
     x, y = at(room.middle_m)
     parts = [
-        f'<rect width="{room.size_m[0] * scale:.1f}" height="{high:.1f}" fill="none" stroke="#2b2b2b" stroke-width="3"/>',
+        f'<rect width="{room.size_m[0] * scale:.1f}" height="{high:.1f}" '
+        'fill="none" stroke="#2b2b2b" stroke-width="3"/>',
         f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" stroke="#2b2b2b" '
         'stroke-dasharray="5 5"/>',
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{WIDTH_M / 2 * scale:.1f}" fill="none" stroke="#2b2b2b" stroke-width="1.5"/>',
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{WIDTH_M / 2 * scale:.1f}" fill="none" '
+        'stroke="#2b2b2b" stroke-width="1.5"/>',
     ]
     for camera in cameras:
         eye = camera.centre_m
-        edges = camera.unproject(np.array([[0.0, camera.wh[1] / 2], [camera.wh[0], camera.wh[1] / 2]]), np.ones(2))[:, :2] - eye[:2]
+        edges = (
+            camera.unproject(np.array([[0.0, camera.wh[1] / 2], [camera.wh[0], camera.wh[1] / 2]]), np.ones(2))[:, :2]
+            - eye[:2]
+        )
         cone = eye[:2] + _CONE_M * edges / np.linalg.norm(edges, axis=1, keepdims=True)
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in (at(eye), at(cone[0]), at(cone[1])))
-        parts.append(f'<polygon points="{points}" fill="#ffffff" fill-opacity="0.45" stroke="#2b2b2b" stroke-width="1"/>')
+        parts.append(
+            f'<polygon points="{points}" fill="#ffffff" fill-opacity="0.45" stroke="#2b2b2b" stroke-width="1"/>'
+        )
         x, y = at(eye)
         parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="#2b2b2b"/>')
         x, y = at(cone.mean(axis=0))
@@ -135,7 +177,9 @@ def _plan(cameras: Sequence[Camera], judge: Judge, scale: float, high: float, mo
     where = {camera.name: camera for camera in cameras}
     for move in moves:
         (x0, y0), (x1, y1) = at(where[move.camera].centre_m), at(move.better.centre_m)
-        parts.append(f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="#c0267e" stroke-width="3"/>')
+        parts.append(
+            f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="#c0267e" stroke-width="3"/>'
+        )
         parts.append(f'<circle cx="{x1:.1f}" cy="{y1:.1f}" r="5" fill="none" stroke="#c0267e" stroke-width="3"/>')
     return parts
 
@@ -144,7 +188,10 @@ def _legend(left: float, top: float, entries: Sequence[tuple[str, str]]) -> list
     parts = []
     for k, (words, colour) in enumerate(entries):
         x = left + k * 72
-        parts.append(f'<rect x="{x:.1f}" y="{top - 11:.1f}" width="13" height="13" fill="{colour}" stroke="#2b2b2b" stroke-width="0.5"/>')
+        parts.append(
+            f'<rect x="{x:.1f}" y="{top - 11:.1f}" width="13" height="13" fill="{colour}" '
+            'stroke="#2b2b2b" stroke-width="0.5"/>'
+        )
         parts.append(_text(x + 18, top, words, ""))
     return parts
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``planner.place``: where to put cameras in a room before anything is filmed, what they will see, and one picture of it."""
+"""``planner.place``: where to put cameras in a room before anything is filmed, what they will see, and one picture of
+it."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import dataclasses
 import re
 from pathlib import Path
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.planner.figures import Judge
 from studiorecon.planner.picture import drawn, lines_of
 from studiorecon.planner.placing import lens, placed
@@ -19,22 +20,27 @@ _MOST = 32
 
 
 def read_resolution(text: str) -> tuple[int, int]:
-    """``1920x1080`` → width and height; raises Refusal for anything else."""
+    """``1920x1080`` → width and height; raises UserError for anything else."""
     found = re.fullmatch(r"(\d+)[x×](\d+)", text.strip().lower())
     wh = (int(found[1]), int(found[2])) if found else (0, 0)
     if min(wh) < 32 or max(wh) > 32768:
-        raise Refusal(f"the resolution is {text!r}; write WIDTHxHEIGHT in pixels, 1920x1080")
+        raise UserError(f"the resolution is {text!r}; write WIDTHxHEIGHT in pixels, 1920x1080")
     return wh
 
 
 def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture: Path, plan: Path) -> None:
-    """``hfov_deg`` holds one horizontal field of view for all cameras or one for each; the sides of ``resolution`` are those of upright
-    pictures, so phones held upright say 1080x1920 with the field of view across their short side."""
+    """``hfov_deg`` holds one horizontal field of view for all cameras or one for each; the sides of ``resolution`` are
+    those of upright pictures, so phones held upright say 1080x1920 with the field of view across their short side."""
     box, wh = read_room(room), read_resolution(resolution)
     if not 2 <= cameras <= _MOST:
-        raise Refusal(f"{cameras} cameras were asked for; plan for 2 to {_MOST}: one cannot tell how far away anything is")
+        raise UserError(
+            f"{cameras} cameras were asked for; plan for 2 to {_MOST}: one cannot tell how far away anything is"
+        )
     if len(hfov_deg) not in (1, cameras) or not all(5 <= angle <= 150 for angle in hfov_deg):
-        raise Refusal(f"the fields of view are {hfov_deg}; give one for all or one for each of {cameras} cameras, 5 to 150 degrees")
+        raise UserError(
+            f"the fields of view are {hfov_deg}; give one for all or one for each of "
+            f"{cameras} cameras, 5 to 150 degrees"
+        )
     angles = hfov_deg * cameras if len(hfov_deg) == 1 else hfov_deg
     lenses = [lens(f"cam{k + 1}", angle, wh) for k, angle in enumerate(angles)]
     found, judge = placed(box, lenses), Judge(box)
@@ -43,6 +49,13 @@ def run(room: str, cameras: int, hfov_deg: list[float], resolution: str, picture
     title = f"{cameras} cameras of {told} ({wh[0]} × {wh[1]}) in {' × '.join(f'{side:g}' for side in box.size_m)} m"
     with complete(picture) as partial:
         partial.write_text(drawn(title, found, judge, figures), encoding="utf-8")
-    write_json(plan, {"room_m": box.size_m.tolist(), "cameras": [c.as_json() for c in found], "figures": dataclasses.asdict(figures)})
+    write_json(
+        plan,
+        {
+            "room_m": box.size_m.tolist(),
+            "cameras": [c.as_json() for c in found],
+            "figures": dataclasses.asdict(figures),
+        },
+    )
     for line in (title, *lines_of(figures)):
         say(line)

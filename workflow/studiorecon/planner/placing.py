@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry.path import look_at
 from studiorecon.planner.figures import Judge
 from studiorecon.planner.room import Room
@@ -20,7 +20,8 @@ _FROM_WALLS_M, _FROM_CEILING_M = 0.15, 0.2
 _HEIGHTS_M = (1.2, 1.6, 2.0, 2.4, 2.8, 3.4, 4.0)
 _AIMS_M = (0.5, 0.8, 1.1, 1.4)
 _PHASES = 8
-# Steps that a standing camera is tried to be moved and turned by, coarse to fine; and what a move must be worth to be advised.
+# Steps that a standing camera is tried to be moved and turned by, coarse to fine; and what a move must be worth to be
+# advised.
 _STEPS = ((0.6, 12.0), (0.3, 6.0), (0.1, 3.0))
 _FARTHEST_M = 1.5
 _LEAST_GAIN = 0.03
@@ -58,13 +59,14 @@ def stood(camera: Camera, eye_m: np.ndarray, world_from_camera: np.ndarray) -> C
 
 
 def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
-    """The lenses in the room as the best of all rings along its walls: evenly by walls, at one height, looking at the middle.
+    """The lenses in the room as the best of all rings along its walls: evenly by walls, at one height, looking at the
+    middle.
 
-    A ring of even number is the same turned by half a turn, so rooms that are symmetric get symmetric rigs. Raises Refusal for fewer
-    than two lenses.
+    A ring of even number is the same turned by half a turn, so rooms that are symmetric get symmetric rigs. Raises
+    UserError for fewer than two lenses.
     """
     if len(lenses) < 2:
-        raise Refusal(f"{len(lenses)} camera cannot tell how far away anything is; plan for two or more")
+        raise UserError(f"{len(lenses)} camera cannot tell how far away anything is; plan for two or more")
     judge = Judge(room)
     top = room.size_m[2] - _FROM_CEILING_M
     heights = [height for height in _HEIGHTS_M if height < top] + [top]
@@ -79,7 +81,8 @@ def placed(room: Room, lenses: Sequence[Camera]) -> list[Camera]:
 
 
 def ring(room: Room, lenses: Sequence[Camera], phase: float, height_m: float, aim_m: float) -> list[Camera]:
-    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first one in a corner."""
+    """Cameras evenly along the walls, each wall a quarter of the way whatever its length; phase 0 has the first one in
+    a corner."""
     low, high = np.add(room.low_m, _FROM_WALLS_M)[:2], np.subtract(room.high_m, _FROM_WALLS_M)[:2]
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
     floor = room.low_m[2]
@@ -115,7 +118,9 @@ def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, c
         improving = True
         while improving:
             improving = False
-            tried = [t for t in _around(best, step_m, step_deg) if np.linalg.norm(t.centre_m - start) <= _FARTHEST_M + 1e-9]
+            tried = [
+                t for t in _around(best, step_m, step_deg) if np.linalg.norm(t.centre_m - start) <= _FARTHEST_M + 1e-9
+            ]
             if margin is not None:
                 tried = [t for t in tried if room.holds(t.centre_m, margin)]
             for candidate in tried:
@@ -128,7 +133,8 @@ def _improved(index: int, cameras: Sequence[Camera], room: Room, judge: Judge, c
 
 
 def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
-    """The camera moved along and across its view and up and down, still looking where it looked, and turned on its spot."""
+    """The camera moved along and across its view and up and down, still looking where it looked, and turned on its
+    spot."""
     right, ahead, up = _axes(camera)
     rotation, eye = camera.world_from_camera[:3, :3], camera.centre_m
     made = []
@@ -140,11 +146,15 @@ def _around(camera: Camera, step_m: float, step_deg: float) -> list[Camera]:
     # To the side and turned back towards what was in the middle, which is what somebody who carries a tripod does.
     middle = eye + camera.forward * 3.0
     for direction in (right, -right):
-        made.append(stood(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up)))
+        made.append(
+            stood(camera, eye + step_m * direction, _turned_to(rotation, eye, eye + step_m * direction, middle, up))
+        )
     return made
 
 
-def _turned_to(rotation: np.ndarray, was_m: np.ndarray, eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _turned_to(
+    rotation: np.ndarray, was_m: np.ndarray, eye_m: np.ndarray, target_m: np.ndarray, up: np.ndarray
+) -> np.ndarray:
     before, after = (np.arctan2(*(target_m - place)[[1, 0]]) for place in (was_m, eye_m))
     return _rotation(up, after - before) @ rotation
 
@@ -168,7 +178,11 @@ def in_words(before: Camera, after: Camera) -> str:
     right, ahead, up = _axes(before)
     way = after.centre_m - before.centre_m
     steps = [(way @ right, "right", "left"), (way @ ahead, "forward", "back"), (way @ up, "up", "down")]
-    moved = [f"{5 * round(abs(length) * 20)} cm {one if length > 0 else other}" for length, one, other in steps if abs(length) >= 0.05]
+    moved = [
+        f"{5 * round(abs(length) * 20)} cm {one if length > 0 else other}"
+        for length, one, other in steps
+        if abs(length) >= 0.05
+    ]
     heading, tilt = (
         (np.degrees(np.arctan2(c.forward[1], c.forward[0])) for c in (before, after)),
         (np.degrees(np.arcsin(np.clip(c.forward[2], -1, 1))) for c in (before, after)),
@@ -179,4 +193,8 @@ def in_words(before: Camera, after: Camera) -> str:
     turns += [f"tilt it {abs(raised):.0f}° {'up' if raised > 0 else 'down'}"] if abs(raised) >= 1 else []
     moves = [f"move {before.name} {', '.join(moved)}"] if moved else []
     words = [*moves, *turns]
-    return " and ".join(words).replace("turn it", f"turn {before.name}" if not moves else "turn it") if words else f"leave {before.name}"
+    return (
+        " and ".join(words).replace("turn it", f"turn {before.name}" if not moves else "turn it")
+        if words
+        else f"leave {before.name}"
+    )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
 
 # People keep this far from walls, where cameras stand, but use at least half of a small room.
@@ -20,7 +20,8 @@ FEET_M, HIPS_M, HEAD_M = 0.1, 1.0, 1.65
 WIDTH_M, TALL_M = 0.44, 1.75
 _STEP_M = 0.3
 _WALL_STEP_M = 0.35
-# Beside cameras whose room nobody measured: how far behind them its walls are taken to be, and the least height of its ceiling.
+# Beside cameras whose room nobody measured: how far behind them its walls are taken to be, and the least height of its
+# ceiling.
 _BEHIND_M, _CEILING_M = 0.3, 2.5
 
 
@@ -70,8 +71,14 @@ class Room:
             for count in [max(round((high - low) / _WALL_STEP_M), 2)]
         )
         flat = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        walls = [np.stack(np.meshgrid([at], y, z, indexing="ij"), axis=-1).reshape(-1, 3) for at in (self.low_m[0], self.high_m[0])]
-        walls += [np.stack(np.meshgrid(x, [at], z, indexing="ij"), axis=-1).reshape(-1, 3) for at in (self.low_m[1], self.high_m[1])]
+        walls = [
+            np.stack(np.meshgrid([at], y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+            for at in (self.low_m[0], self.high_m[0])
+        ]
+        walls += [
+            np.stack(np.meshgrid(x, [at], z, indexing="ij"), axis=-1).reshape(-1, 3)
+            for at in (self.low_m[1], self.high_m[1])
+        ]
         return {
             "floor": np.column_stack([flat, np.full(len(flat), self.low_m[2])]),
             "walls": np.concatenate(walls),
@@ -80,23 +87,30 @@ class Room:
 
     def holds(self, place_m: np.ndarray, margin_m: float) -> bool:
         """Whether a place (3,) is inside, so far from every side."""
-        return bool((place_m >= np.add(self.low_m, margin_m)).all() and (place_m <= np.subtract(self.high_m, margin_m)).all())
+        return bool(
+            (place_m >= np.add(self.low_m, margin_m)).all() and (place_m <= np.subtract(self.high_m, margin_m)).all()
+        )
 
 
 def read_room(text: str) -> Room:
-    """``6x5x2.8``: width, depth and height in metres, one corner of the floor in the origin; raises Refusal for anything else."""
+    """``6x5x2.8``: width, depth and height in metres, one corner of the floor in the origin; raises UserError for
+    anything else."""
     found = re.fullmatch(r"([\d.]+)[x×]([\d.]+)[x×]([\d.]+)", text.strip().lower())
     try:
         size = tuple(float(part) for part in found.groups()) if found else ()
     except ValueError:
         size = ()
     if len(size) != 3 or min(size[:2]) < 1 or size[2] < 1.9 or max(size) > 100:
-        raise Refusal(f"the room is {text!r}; write WIDTHxDEPTHxHEIGHT in metres, 6x5x2.8, at least 1 by 1 and 1.9 high, at most 100")
+        raise UserError(
+            f"the room is {text!r}; write WIDTHxDEPTHxHEIGHT in metres, 6x5x2.8, at "
+            "least 1 by 1 and 1.9 high, at most 100"
+        )
     return Room((0.0, 0.0, 0.0), size)
 
 
 def room_about(cameras: Sequence[Camera]) -> Room:
-    """The room that cameras stand in, where nobody measured it: the box of their places and a little more, its floor at z = 0."""
+    """The room that cameras stand in, where nobody measured it: the box of their places and a little more, its floor at
+    z = 0."""
     centres = np.array([camera.centre_m for camera in cameras])
     low, high = centres.min(axis=0) - _BEHIND_M, centres.max(axis=0) + _BEHIND_M
     # Cameras in a row say nothing of the depth of their room: it is as deep as they are apart.
@@ -111,7 +125,8 @@ def room_about(cameras: Sequence[Camera]) -> Room:
 def blocked(eyes_m: np.ndarray, points_m: np.ndarray, stands_m: np.ndarray, floor_m: float) -> np.ndarray:
     """(V, N) bool: somebody who stands at (x, y) ``stands_m`` hides point (N, 3) from the eye (V, 3).
 
-    They are a cylinder, cut with each line of sight exactly: both are upright, so the hidden part of a line lies between two roots.
+    They are a cylinder, cut with each line of sight exactly: both are upright, so the hidden part of a line lies
+    between two roots.
     """
     start = (eyes_m[:, :2] - stands_m)[:, None]
     along = (points_m[None, :, :2] - eyes_m[:, None, :2]).astype(np.float64)

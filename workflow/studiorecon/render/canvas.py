@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws a composite picture after picture: the room is put into blocks once, only the people, and the room if they shade it, anew.
+"""Draws a composite picture after picture: the room is put into blocks once; from then on what moves is, and those of
+its colours that the shade has changed.
 
 Everything but colour (classes of truth, mattes, normals) is blended beside it or with the lists of the same pass.
 """
@@ -11,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.render.composite import TRUTH_LEVELS, Composite
+from studiorecon.render.composite import TRUTH_LEVELS, Composite, classes_of
+from studiorecon.render.shading import dim
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.splatting.blocks import BlockedGaussians, aligned, fill_blocks, padded_count
 from studiorecon.splatting.conventions import BLOCK_FLOATS, LANES
+from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned, fill_blocks, padded_count
 from studiorecon.splatting.device import rasteriser
 from studiorecon.splatting.rendering import Rendering
 
@@ -29,7 +31,8 @@ class Layers:
     Attributes:
         rendering: premultiplied colours over nothing, alpha, expected depth and world normals.
         shares: (H, W, 3) share of every pixel that is measured, inferred, invented.
-        mattes: (H, W, 1 + people + things) share of every pixel that is the room, then each person and thing; they add up to alpha.
+        mattes: (H, W, 1 + people + things) share of every pixel that is the room, then each person and thing; they add
+            up to alpha.
     """
 
     rendering: Rendering
@@ -42,50 +45,69 @@ class Canvas:
 
     def __init__(self, scene: Composite, near_m: float, device: str = "cpu") -> None:
         self._scene, self._rasteriser = scene, rasteriser(device, near_m=near_m)
-        room, people = scene.background, scene.people_at(0.0)[0]
-        self._first_person = padded_count(room.count)
-        at = self._first_person * _FLOATS_PER_GAUSSIAN
-        parameters = aligned(at + (padded_count(people.count) * _FLOATS_PER_GAUSSIAN if people.count else 0))
-        _fill(room, parameters[:at])
-        self._room, self._people, self._drawn = parameters[:at], parameters[at:], room
-        count = self._first_person + people.count
-        self._blocked = BlockedGaussians(parameters, count, max(room.sh_degree, people.sh_degree))
-        # One column per class; the free places between room and people have opacity 0 and stay 0.
-        self._classes = np.zeros((count, len(TRUTH_LEVELS)), np.float32)
-        self._classes[np.arange(room.count), scene.classes] = 1
+        posed = [person.posed(0.0) for person in scene.moving]
+        counts = [scene.background.count, *(gaussians.count for gaussians in posed)]
+        self._starts = np.cumsum([0, *(padded_count(count) for count in counts)])
+        parameters = aligned(int(self._starts[-1]) * _FLOATS_PER_GAUSSIAN)
+        degree = max(gaussians.sh_degree for gaussians in (scene.background, *posed))
+        self._blocked = BlockedGaussians(parameters, int(self._starts[-1]), degree)
+        self._blocks = [
+            parameters[first * _FLOATS_PER_GAUSSIAN : end * _FLOATS_PER_GAUSSIAN]
+            for first, end in zip(self._starts, self._starts[1:])
+        ]
+        self._orders = [np.arange(count) for count in counts]
+        # One column per class; the free places at the end of each part have opacity 0 and stay 0.
+        self._classes = np.zeros((int(self._starts[-1]), len(TRUTH_LEVELS)), np.float32)
+        self._fill(0, scene.background)
+        self._classify(0, scene.classes)
+        self._frame = float("nan")
+        self._classified: list[bytes] = [b""] * len(posed)
+        self._shade = np.ones(0 if scene.shading is None else len(scene.shading.at), np.float32)
 
     def draw(self, camera: Camera, frame: float, background_rgb: Sequence[float]) -> tuple[Rendering, np.ndarray]:
         """The rendering at a (fractional) frame, and each class's share of every pixel (H, W, 3)."""
-        classes = self._enter(frame)
-        rendering = self._rasteriser.forward(self._blocked, camera, background_rgb, values=classes)
+        self._enter(frame)
+        rendering = self._rasteriser.forward(self._blocked, camera, background_rgb, values=self._classes)
+        assert rendering.values is not None
         return rendering, rendering.values
 
     def layers(self, camera: Camera, frame: float) -> Layers:
         """The picture at a (fractional) frame, taken apart for compositing."""
-        classes = self._enter(frame)
-        rendering = self._rasteriser.forward(self._blocked, camera, sides=("normals",), values=np.hstack([classes, self._membership()]))
-        drawn = rendering.values
-        return Layers(rendering, drawn[..., : classes.shape[1]], drawn[..., classes.shape[1] :])
+        self._enter(frame)
+        values = np.hstack([self._classes, self._membership()])
+        drawn = self._rasteriser.forward(self._blocked, camera, normals=True, values=values)
+        assert drawn.values is not None
+        classes = self._classes.shape[1]
+        return Layers(drawn, drawn.values[..., :classes], drawn.values[..., classes:])
 
-    def _enter(self, frame: float) -> np.ndarray:
-        """Puts the people of a frame, as many Gaussians as ever, and their shade into the blocks; (N, 3) the classes of all as columns."""
-        room = self._scene.room_at(frame)
-        if room is not self._drawn:
-            _fill(room, self._room)
-            self._drawn = room
-        people, classes = self._scene.people_at(frame)
-        if people.count:
-            _fill(people, self._people)
-        self._classes[self._first_person :] = 0
-        self._classes[self._first_person + np.arange(people.count), classes] = 1
-        return self._classes
+    def _enter(self, frame: float) -> None:
+        """Brings the blocks to a frame: what moves is filled in anew, of the room what is shaded otherwise than it
+        was."""
+        if frame == self._frame:
+            return
+        scene = self._scene
+        if scene.shading is not None:
+            shade = scene.shading.factor(frame)
+            dim(scene.background.sh, scene.shading.at, shade, self._shade, self._blocks[0])
+            self._shade = shade
+        for part, moving in enumerate(scene.moving, start=1):
+            self._fill(part, moving.posed(frame))
+            classes = classes_of(moving, frame)
+            if self._classified[part - 1] != classes.tobytes():
+                self._classify(part, classes)
+                self._classified[part - 1] = classes.tobytes()
+        self._frame = frame
+
+    def _fill(self, part: int, gaussians: Gaussians) -> None:
+        arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities)
+        fill_blocks(*arrays, gaussians.sh, self._orders[part], self._blocks[part])
+
+    def _classify(self, part: int, classes: np.ndarray) -> None:
+        first = self._starts[part]
+        self._classes[first : self._starts[part + 1]] = 0
+        self._classes[first + np.arange(len(classes)), classes] = 1
 
     def _membership(self) -> np.ndarray:
         """(N, 1 + people + things) whose each Gaussian is: the room's, then each person's and thing's."""
-        sizes = [self._first_person, *(len(moving.provenance) for moving in self._scene.moving)]
+        sizes = np.diff(self._starts)
         return np.eye(len(sizes), dtype=np.float32)[np.repeat(np.arange(len(sizes)), sizes)]
-
-
-def _fill(gaussians: Gaussians, parameters: np.ndarray) -> None:
-    arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
-    fill_blocks(*arrays, np.arange(gaussians.count), parameters)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numba
 import numpy as np
 import scipy
 
 from studiorecon.render.shading import Shading
-from studiorecon.scene.gaussians import Gaussians, concatenate
-from studiorecon.scene.provenance import INFERRED, INVENTED
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 
 # Grey level of each class (measured, inferred, invented) in a truth video.
 TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
@@ -21,11 +22,17 @@ _SOLID_GROUP = 10
 
 
 class Posed(Protocol):
-    """What a composite needs of an avatar: Gaussians and joints at a time, their classes (N,), and the frames (T,) that were measured."""
+    """What a composite needs of an avatar: Gaussians and joints at a time, their classes (N,), and the frames (T,) that
+    were measured."""
 
-    person: str
-    provenance: np.ndarray
-    valid: np.ndarray
+    @property
+    def person(self) -> str: ...
+
+    @property
+    def provenance(self) -> np.ndarray: ...
+
+    @property
+    def valid(self) -> np.ndarray: ...
 
     def posed(self, frame: float) -> Gaussians: ...
 
@@ -57,18 +64,10 @@ class Composite:
         """People, then things."""
         return [*self.people, *self.objects]
 
-    def room_at(self, frame: float) -> Gaussians:
-        """The room at a (fractional) frame: ``background`` itself, or as people shade it."""
-        return self.background if self.shading is None else self.shading.room_at(frame)
 
-    def people_at(self, frame: float) -> tuple[Gaussians, np.ndarray]:
-        """Everybody's and every thing's Gaussians at a (fractional) frame, and their classes (M,), in the same order."""
-        classes = [_classes_of(person, frame) for person in self.moving]
-        return concatenate([person.posed(frame) for person in self.moving]), np.concatenate([np.zeros(0, np.uint8), *classes])
-
-
-def _classes_of(person: Posed, frame: float) -> np.ndarray:
-    """A person's classes at a frame: nothing of a body is measured in a frame whose pose was filled in."""
+def classes_of(person: Posed, frame: float) -> np.ndarray:
+    """(N,) uint8 a person's or thing's classes at a frame: nothing of a body is measured in a frame whose pose was
+    filled in."""
     measured = bool(person.valid[int(np.clip(round(frame), 0, len(person.valid) - 1))])
     return person.provenance if measured else np.maximum(person.provenance, INFERRED)
 
@@ -76,11 +75,25 @@ def _classes_of(person: Posed, frame: float) -> np.ndarray:
 def truth_levels(shares: np.ndarray) -> np.ndarray:
     """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
 
-    The class with the largest share of the pixel wins; where more than half of the light comes from nothing at all, the pixel is
-    invented too: nobody measured that there is nothing.
+    The class with the largest share of the pixel wins; where more than half of the light comes from nothing at all, the
+    pixel is invented too: nobody measured that there is nothing.
     """
-    nothing = shares.sum(axis=-1) < 0.5
-    return TRUTH_LEVELS[np.where(nothing, INVENTED, shares.argmax(axis=-1))]
+    return _levels(np.ascontiguousarray(shares), TRUTH_LEVELS)
+
+
+@numba.njit(cache=True, nogil=True)
+def _levels(shares, levels):
+    found = np.empty(shares.shape[:2], np.uint8)
+    for y in range(shares.shape[0]):
+        for x in range(shares.shape[1]):
+            measured, inferred, invented = shares[y, x, MEASURED], shares[y, x, INFERRED], shares[y, x, INVENTED]
+            if (measured + inferred) + invented < 0.5:
+                found[y, x] = levels[INVENTED]
+            elif measured >= inferred and measured >= invented:
+                found[y, x] = levels[MEASURED]
+            else:
+                found[y, x] = levels[INFERRED] if inferred >= invented else levels[INVENTED]
+    return found
 
 
 def millimetres(depth_m: np.ndarray) -> np.ndarray:

@@ -10,15 +10,15 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap_models import posed_pictures
+from studiorecon.camera_files.raw_camera import RawCamera
+from studiorecon.camera_files.transforms_json import read_transforms
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.render.shots import Time, film_times
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap_models import posed_pictures
 from studiorecon.scene.dataset import colmap_files
-from studiorecon.scene.path import Step
-from studiorecon.scene.raw_camera import RawCamera
-from studiorecon.scene.transforms_json import read_transforms
+from studiorecon.scene.path import PathStep
 
 # More than rounding to six decimals: then the pose carries a scale, and so may its place.
 _SCALE_TOLERANCE = 1e-4
@@ -29,8 +29,8 @@ class GivenPath:
     """Settings of a ``path`` shot.
 
     Attributes:
-        file: transforms.json (camera-to-world, OpenGL axes; a frame's own ``frame`` says which time it shows), or ``images.txt`` or
-            ``images.bin`` of a COLMAP model.
+        file: transforms.json (camera-to-world, OpenGL axes; a frame's own ``frame`` says which time it shows), or
+            ``images.txt`` or ``images.bin`` of a COLMAP model.
         time: how time advances where the file does not say, see ``render/shots.py``.
     """
 
@@ -39,26 +39,28 @@ class GivenPath:
     time: Time = "stretch"
 
 
-def path_steps(shot: GivenPath, name: str, wh: tuple[int, int], frames: int) -> list[Step]:
+def path_steps(shot: GivenPath, name: str, wh: tuple[int, int], frames: int) -> list[PathStep]:
     """The pictures of a path file, in the file's order, resized to the film's width.
 
-    Raises Refusal for a file that is missing, empty, of another kind, or whose poses are not rigid.
+    Raises UserError for a file that is missing, empty, of another kind, or whose poses are not rigid.
     """
     file = Path(shot.file)
     if not file.is_file():
-        raise Refusal(f"shot {name} follows {file}, which is missing")
+        raise UserError(f"shot {name} follows {file}, which is missing")
     try:
         cameras, given, distorted = _of_transforms(file) if file.suffix == ".json" else _of_colmap(file)
-    except Refusal as refusal:
-        raise Refusal(f"shot {name} follows {file}: {refusal}") from None
+    except UserError as refusal:
+        raise UserError(f"shot {name} follows {file}: {refusal}") from None
     if not cameras:
-        raise Refusal(f"shot {name} follows {file}, which holds no camera")
+        raise UserError(f"shot {name} follows {file}, which holds no camera")
     if distorted:
         say(f"shot {name} follows {file} without the distortion of its lenses: films are drawn by pinholes")
     own = cameras[0].wh
     size = wh[0], round(wh[0] * own[1] / own[0] / 2) * 2
     times = film_times(shot.time, len(cameras), frames) if given is None else np.clip(given, 0, frames - 1)
-    return [Step(replace(camera.resized(size), name=name), float(time), "00") for camera, time in zip(cameras, times)]
+    return [
+        PathStep(replace(camera.resized(size), name=name), float(time), "00") for camera, time in zip(cameras, times)
+    ]
 
 
 def _of_colmap(file: Path) -> tuple[list[Camera], None, bool]:
@@ -70,7 +72,10 @@ def _of_transforms(file: Path) -> tuple[list[Camera], np.ndarray | None, bool]:
     found = read_transforms(file)
     scaled = np.flatnonzero(np.abs(found.scales - 1) > _SCALE_TOLERANCE)
     if len(scaled):
-        raise Refusal(f"transform_matrix of picture {scaled[0]} is no rigid pose; remove its scale of {found.scales[scaled[0]]:.4g}")
+        raise UserError(
+            f"transform_matrix of picture {scaled[0]} is no rigid pose; remove its "
+            f"scale of {found.scales[scaled[0]]:.4g}"
+        )
     times = None if any(time is None for time in found.frames) else np.array(found.frames, np.float64)
     return _pinholes(found.cameras), times, any(camera.distortion.any() for camera in found.cameras)
 

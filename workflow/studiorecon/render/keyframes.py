@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``spline``: a smooth camera path through keyframes, each with its own lens and its own time (bullet time, slow motion)."""
+"""``spline``: a smooth camera path through keyframes, each with its own lens and its own time (bullet time, slow
+motion)."""
 
 from __future__ import annotations
 
@@ -11,13 +12,13 @@ import numpy as np
 import scipy
 
 from studiorecon import settings as settings_module
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry.path import look_at, scene_centre, with_pose
 from studiorecon.render.moves import camera_named
 from studiorecon.render.shots import usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
 # Pictures from one camera to the next where a film is given no keys.
 _LEG = 30
@@ -28,8 +29,8 @@ class Spline:
     """Settings of a ``spline`` shot.
 
     Attributes:
-        keys: keyframes (``CameraKey`` or ``FreeKey``) in the order of their pictures, at least two; none = from training camera to
-            training camera.
+        keys: keyframes (``CameraKey`` or ``FreeKey``) in the order of their pictures, at least two; none = from
+            training camera to training camera.
     """
 
     kind: Literal["spline"]
@@ -43,8 +44,8 @@ class CameraKey:
     Attributes:
         picture: number of the picture in the film, from 0.
         camera: name of the training camera.
-        frame: capture frame that is shown; equal frames at two keys stop time between them. None leaves it to the keys around, the
-            first and last frame at the ends.
+        frame: capture frame that is shown; equal frames at two keys stop time between them. None leaves it to the keys
+            around, the first and last frame at the ends.
         zoom: focal length as a multiple of the training cameras' mean.
     """
 
@@ -74,38 +75,43 @@ class FreeKey:
 
 
 def read_keys(values: Sequence[Any], name: str) -> list[CameraKey | FreeKey]:
-    """The keyframes of shot ``name``; raises Refusal when there are fewer than two or their pictures do not increase from 0."""
-    keys = [
-        settings_module.load(CameraKey if "camera" in value else FreeKey, value, f"render.shots.{name}.keys[{index}]")
-        for index, value in enumerate(values)
-    ]
+    """The keyframes of shot ``name``; raises UserError when there are fewer than two or their pictures do not increase
+    from 0."""
+    keys: list[CameraKey | FreeKey] = []
+    for index, value in enumerate(values):
+        where, load = f"render.shots.{name}.keys[{index}]", settings_module.load
+        keys.append(load(CameraKey, value, where) if "camera" in value else load(FreeKey, value, where))
     pictures = [key.picture for key in keys]
     if len(keys) < 2 or pictures[0] != 0 or any(np.diff(pictures) <= 0):
-        raise Refusal(f"shot {name} needs at least two keys whose pictures start at 0 and increase; they are {pictures}")
+        raise UserError(
+            f"shot {name} needs at least two keys whose pictures start at 0 and increase; they are {pictures}"
+        )
     return keys
 
 
 def from_camera_to_camera(cameras: Sequence[Camera], name: str) -> list[CameraKey | FreeKey]:
     """Keys where the training cameras stand, by azimuth from the first one on, looking at the people.
 
-    Raises Refusal with fewer than two cameras.
+    Raises UserError with fewer than two cameras.
     """
     if len(cameras) < 2:
-        raise Refusal(f"shot {name} goes from camera to camera and needs at least two of them; give it keys")
+        raise UserError(f"shot {name} goes from camera to camera and needs at least two of them; give it keys")
     offsets = np.array([camera.centre_m - scene_centre(cameras) for camera in cameras])
     azimuth = np.arctan2(offsets[:, 1], offsets[:, 0])
     order = np.argsort(np.mod(azimuth - azimuth[0], 2 * np.pi), kind="stable")
-    return [FreeKey(_LEG * place, tuple(map(float, cameras[index].centre_m))) for place, index in enumerate(order)]
+    eyes_m = [cameras[index].centre_m for index in order]
+    return [FreeKey(_LEG * place, (float(x), float(y), float(z))) for place, (x, y, z) in enumerate(eyes_m)]
 
 
 def spline_steps(
     keys: Sequence[CameraKey | FreeKey], name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
-) -> list[Step]:
+) -> list[PathStep]:
     """One step per picture, from the first key's to the last key's.
 
-    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key; time and the logarithm of the
-    focal length follow monotone curves, so that time never runs backwards between keys that do not. When all keys name a target, the
-    camera looks at targets (who may walk) on the way, too. Raises Refusal for an unknown camera or person.
+    Positions follow an Akima curve, rotations a spline on SO(3), both smooth and through every key; time and the
+    logarithm of the focal length follow monotone curves, so that time never runs backwards between keys that do not.
+    When all keys name a target, the camera looks at targets (who may walk) on the way, too. Raises UserError for an
+    unknown camera or person.
     """
     at = np.array([key.picture for key in keys], np.float64)
     pictures = np.arange(keys[-1].picture + 1, dtype=np.float64)
@@ -113,18 +119,21 @@ def spline_steps(
     zooms = np.exp(_monotone(at, [np.log(key.zoom) for key in keys], pictures))
     places = np.array([_eye(key, cameras, name) for key in keys])
     eyes = _curve(at, places, pictures)
-    if all(isinstance(key, FreeKey) for key in keys):
-        targets = np.stack([subjects.at(key.target, times, name) for key in keys])
+    free = [key for key in keys if isinstance(key, FreeKey)]
+    if len(free) == len(keys):
+        targets = np.stack([subjects.at(key.target, times, name) for key in free])
         aims = _handed_over(at, targets, pictures)
         turned = np.stack([look_at(eye, aim) for eye, aim in zip(eyes, aims)])
     else:
-        rotations = scipy.spatial.transform.Rotation.from_matrix(np.stack([_rotation(key, cameras, subjects, name) for key in keys]))
+        rotations = scipy.spatial.transform.Rotation.from_matrix(
+            np.stack([_rotation(key, cameras, subjects, name) for key in keys])
+        )
         turned = scipy.spatial.transform.RotationSpline(at, rotations)(pictures).as_matrix()
     steps = []
     for zoom, eye, rotation, time in zip(zooms, eyes, turned, times):
         focal = zoom * usual_focal(cameras, wh[0])
         intrinsics = np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]])
-        steps.append(Step(with_pose(Camera(name, wh, intrinsics, np.eye(4)), rotation, eye), float(time), "00"))
+        steps.append(PathStep(with_pose(Camera(name, wh, intrinsics, np.eye(4)), rotation, eye), float(time), "00"))
     return steps
 
 
@@ -137,7 +146,11 @@ def _times(keys: Sequence[CameraKey | FreeKey], pictures: np.ndarray, last: int)
 
 
 def _eye(key: CameraKey | FreeKey, cameras: Sequence[Camera], name: str) -> np.ndarray:
-    return camera_named(key.camera, cameras, name).centre_m if isinstance(key, CameraKey) else np.asarray(key.eye_m, np.float64)
+    return (
+        camera_named(key.camera, cameras, name).centre_m
+        if isinstance(key, CameraKey)
+        else np.asarray(key.eye_m, np.float64)
+    )
 
 
 def _rotation(key: CameraKey | FreeKey, cameras: Sequence[Camera], subjects: Subjects, name: str) -> np.ndarray:

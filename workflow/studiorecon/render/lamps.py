@@ -1,28 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where light may come from, and how much of it does: the strengths that best explain what the floor loses beside people."""
+"""Where light may come from, and how much of it does: the strengths that best explain what the floor loses beside
+people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import scipy
 
-from studiorecon.geometry.occlusion import hidden, nearness, sky_hidden
-from studiorecon.scene.light import Lamps
-from studiorecon.scene.shell import Shell
+from studiorecon.render.occlusion import Groups, hidden, nearness, sky_hidden
+from studiorecon.render.room_light import Lamps
+from studiorecon.scene.room import RoomBox
 
 # Walls shine from this height on: below it hardly any lamp or window stands clear of people.
 _WALL_FROM_M = 1.2
 # The sky: rings of so many patches at these elevations, this far off.
 _SKY_RINGS = ((20.0, 12), (40.0, 10), (60.0, 6), (80.0, 3))
 _SKY_M, _SKY_RADIUS = 200.0, 0.15
+# Patches are joined where the joint one, seen from people, is still no wider than one part in so many of its distance:
+# a hall has as few as a room.
+_JOINED_FROM = 4.0
+# Pixels whose equations are put together at a time.
+_PIXELS = 256
 # Lamps below this share of the light are noise; strengths and total settle within so many rounds.
 _LEAST_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
-def patches(shell: Shell, spacing_m: float) -> Lamps:
-    """Patches of the ceiling and of the upper walls about ``spacing_m`` apart, and of the sky."""
+def patches(shell: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
+    """Patches of the ceiling and of the upper walls about ``spacing_m`` apart, fewer and wider ones where they are far
+    from ``seen_from_m`` (3,), and of the sky."""
     low, high = shell.low_m, shell.high_m
 
     def steps(start: float, end: float) -> np.ndarray:
@@ -36,49 +44,73 @@ def patches(shell: Shell, spacing_m: float) -> Lamps:
             a, b = (g.ravel() for g in np.meshgrid(along, z, indexing="ij"))
             points = np.stack([np.full(len(a), place), a, b] if axis == 0 else [a, np.full(len(a), place), b], axis=1)
             parts.append((points, np.eye(3)[axis] * sign))
-    inside = np.concatenate([points for points, _ in parts]) @ shell.axes
-    facing = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in parts]) @ shell.axes
+    points = np.concatenate([points for points, _ in parts])
+    facing = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in parts])
+    inside = Lamps(points, facing, np.full(len(points), spacing_m / np.sqrt(np.pi)))
+    for width_m in (2 * spacing_m, 4 * spacing_m):
+        inside = _joined(inside, width_m, shell.axes @ np.asarray(seen_from_m, np.float64))
     sky = []
     for elevation, count in _SKY_RINGS:
         azimuth, rise = np.arange(count) * 2 * np.pi / count, np.radians(elevation)
-        sky.append(np.stack([np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.full(count, np.sin(rise))], axis=1))
+        sky.append(
+            np.stack(
+                [np.cos(azimuth) * np.cos(rise), np.sin(azimuth) * np.cos(rise), np.full(count, np.sin(rise))], axis=1
+            )
+        )
     far = np.concatenate(sky) * _SKY_M
-    radius = np.concatenate([np.full(len(inside), spacing_m / np.sqrt(np.pi)), np.full(len(far), _SKY_RADIUS * _SKY_M)])
-    return Lamps(np.concatenate([inside, far]), np.concatenate([facing, np.zeros_like(far)]), radius)
+    return Lamps(
+        np.concatenate([inside.positions_m @ shell.axes, far]),
+        np.concatenate([inside.facing @ shell.axes, np.zeros_like(far)]),
+        np.concatenate([inside.radius_m, np.full(len(far), _SKY_RADIUS * _SKY_M)]),
+    )
 
 
-def losses(points_m: np.ndarray, bodies: Sequence[np.ndarray], lamps: Lamps, contact_m: float) -> np.ndarray:
+def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
+    """The lamps, those that share a cell ``width_m`` wide joined to one of their size where the cell is far from
+    ``seen_from_m``."""
+    cells = np.concatenate([np.floor(lamps.positions_m / width_m), lamps.facing], axis=1)
+    first, cell, count = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)[1:]
+    cell = cell.reshape(-1)
+    middle = np.stack([np.bincount(cell, axis) for axis in lamps.positions_m.T], axis=1) / count[:, None]
+    far = np.linalg.norm(middle - seen_from_m, axis=1) > _JOINED_FROM * width_m
+    own = lamps.take(~far[cell])
+    return Lamps(
+        np.concatenate([own.positions_m, middle[far]]),
+        np.concatenate([own.facing, lamps.facing[first][far]]),
+        np.concatenate([own.radius_m, np.sqrt(np.bincount(cell, lamps.radius_m**2))[far]]),
+    )
+
+
+def losses(points: Groups, bodies: Sequence[np.ndarray], lamps: Lamps, contact_m: float) -> np.ndarray:
     """(N, 2 + K) float32: hidden share of the sky, nearness of a body, and the hidden share of every lamp."""
-    beside = np.stack([sky_hidden(points_m, bodies), nearness(points_m, bodies, contact_m)], axis=1)
-    return np.concatenate([beside, hidden(points_m, lamps.discs, bodies)], axis=1)
+    beside = np.stack([sky_hidden(points, bodies), nearness(points, bodies, contact_m)], axis=1)
+    return np.concatenate([beside, hidden(points, lamps.discs, bodies)], axis=1)
 
 
 def strengths(lost: np.ndarray, relative: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """(2 + K,) non-negative strengths of sky, contact and lamps, from what changes at each of P pixels over T pictures.
 
-    ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T) of picture to plate,
-    NaN where unknown. A plate may hold a shadow that lay there most of the time, so every pixel has a level of its own that is fitted
-    with the strengths and only its changes count. The light in the open follows from the strengths too: they take turns. Large
-    residuals count by their root (Huber), since reflections and things that are carried are no shadow.
+    ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T)
+    of picture to plate, NaN where unknown. A plate may hold a shadow that lay there most of the time, so every pixel
+    has a level of its own that is fitted with the strengths and only its changes count. The light in the open follows
+    from the strengths too: they take turns. Large residuals count by their root (Huber), since reflections and things
+    that are carried are no shadow.
     """
-    columns = lost.astype(np.float64)
-    columns[..., 2:] *= relative[:, None]
     known = np.isfinite(ratio)
     seen, weight = np.where(known, ratio, 0.0), known.astype(np.float64)
-    found, total, own = np.zeros(columns.shape[-1]), np.ones(len(ratio)), np.ones(len(ratio))
+    found, total, own = np.zeros(lost.shape[-1]), np.ones(len(ratio)), np.ones(len(ratio))
     for _ in range(_ROUNDS):
-        share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-        darker = 1 - seen / own[:, None]
-        scaled = columns / total[:, None, None]
-        changes = scaled - np.einsum("pt,ptk->pk", share, scaled)[:, None]
-        target = darker - (share * darker).sum(axis=1)[:, None]
-        root = np.sqrt(weight)
-        # Normal equations keep the search small whatever the number of pixels.
-        rows = np.concatenate([changes * root[..., None], (target * root)[..., None]], axis=-1).reshape(-1, len(found) + 1)
-        triangle = np.linalg.qr(rows, mode="r")
+        darker, triangle = 1 - seen / own[:, None], np.zeros((0, len(found) + 1))
+        for part in _parts(len(ratio)):
+            triangle = _with_rows(
+                triangle, _columns(lost, relative, part) / total[part, None, None], darker, weight, part
+            )
         found = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(found))[0]
         found[2:][found[2:] < _LEAST_SHARE] = 0
-        left = 1 - scaled @ found
+        on = np.flatnonzero(found)
+        left = np.empty_like(seen)
+        for part in _parts(len(ratio)):
+            left[part] = 1 - _columns(lost, relative, part)[..., on] @ found[on] / total[part, None]
         own = own_levels(seen, left, weight)
         residual = np.abs(seen - own[:, None] * left)
         usual = max(1.4826 * float(np.median(residual[known])), 1e-4)
@@ -87,7 +119,37 @@ def strengths(lost: np.ndarray, relative: np.ndarray, ratio: np.ndarray) -> np.n
     return found
 
 
+def _parts(pixels: int) -> list[slice]:
+    """So few pixels at a time that memory does not grow with them."""
+    return [slice(first, first + _PIXELS) for first in range(0, pixels, _PIXELS)]
+
+
+def _columns(lost: np.ndarray, relative: np.ndarray, part: slice) -> np.ndarray:
+    """(p, T, 2 + K) float64 what the pixels of a part lose by strengths of one."""
+    columns = lost[part].astype(np.float64)
+    columns[..., 2:] *= relative[part, None]
+    return columns
+
+
+def _with_rows(
+    triangle: np.ndarray, scaled: np.ndarray, darker: np.ndarray, weight: np.ndarray, part: slice
+) -> np.ndarray:
+    """The triangle (n, 3 + K) of the least-squares problem with the equations of a part's pixels added; those of
+    pictures in which a pixel is unknown are left out.
+
+    Orthogonal, so that nothing is lost where neighbouring patches hide nearly the same.
+    """
+    own = weight[part]
+    share = own / np.maximum(own.sum(axis=1, keepdims=True), 1e-9)
+    changes = scaled - np.einsum("pt,ptk->pk", share, scaled)[:, None]
+    target = darker[part] - (share * darker[part]).sum(axis=1)[:, None]
+    rows = np.concatenate([changes, target[..., None]], axis=-1)[own > 0] * np.sqrt(own[own > 0])[:, None]
+    # numpy's types name other modes' results too
+    return cast(np.ndarray, np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
+
+
 def own_levels(seen: np.ndarray, left: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1 where unknown."""
+    """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1
+    where unknown."""
     light = (weight * left).sum(axis=1)
     return np.where(light > 1e-9, (weight * seen).sum(axis=1) / np.maximum(light, 1e-9), 1.0)

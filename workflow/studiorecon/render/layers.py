@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.layers``: a film taken apart for compositing: colour, depth, mattes and truth of every picture as OpenEXR, ``000000.exr`` ….
+"""``render.layers``: a film taken apart for compositing: colour, depth, mattes and truth of every picture as OpenEXR,
+``000000.exr`` ….
 
-Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing there), NX, NY, NZ
-(half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``,
+Channels: R, G, B, A (half; the video's own tone curve, premultiplied, over nothing), Z (float; metres, 0 = nothing
+there), NX, NY, NZ (half; world normals), ``truth.measured``, ``truth.inferred``, ``truth.invented`` and ``matte.room``,
 ``matte.<person>``, ``matte.<thing>`` (half; shares of the pixel, each group adds up to A).
 """
 
@@ -14,20 +15,21 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.images.exr import write_channels
+from studiorecon.footage.exr import write_channels
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas, Layers
+from studiorecon.render.shared import Drawn
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.path import read_path
+from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 
 _CLASSES = ("measured", "inferred", "invented")
 
 
 @dataclass(frozen=True)
-class Settings:
-    shots: dict
-    near_m: float
+class Settings(Drawn):
+    """What is drawn."""
 
 
 def channels(layers: Layers, people: Sequence[str]) -> dict[str, np.ndarray]:
@@ -39,7 +41,9 @@ def channels(layers: Layers, people: Sequence[str]) -> dict[str, np.ndarray]:
     found |= {name: rendering.normals[..., i] for i, name in enumerate(("NX", "NY", "NZ"))}
     found |= {f"truth.{name}": layers.shares[..., i] for i, name in enumerate(_CLASSES)}
     found |= {f"matte.{name}": layers.mattes[..., i] for i, name in enumerate(("room", *people))}
-    return {name: channel.astype(np.float16) for name, channel in found.items()} | {"Z": rendering.depth_m.astype(np.float32)}
+    return {name: channel.astype(np.float16) for name, channel in found.items()} | {
+        "Z": rendering.depth_m.astype(np.float32)
+    }
 
 
 def run(
@@ -51,18 +55,23 @@ def run(
     gaussians: list[Path],
     avatars: list[Path],
     body: Path | None,
-    folder: Path,
+    folder: Written,
     light: list[Path] | None = None,
     objects: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ())
+    scene = read_composite(
+        background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ()
+    )
     people = [moving.person for moving in scene.moving]
     canvas = Canvas(scene, settings.near_m, resolve(device))
     for old in folder.glob("*.exr"):
         old.unlink()
     for index, step in enumerate(progress(steps, f"layers of {shot}")):
         write_channels(folder / f"{index:06d}.exr", channels(canvas.layers(step.camera, step.frame), people))
-    say(f"{len(steps)} pictures of {shot} are taken apart in {folder}, with mattes of {', '.join(['the room', *people])}")
+    say(
+        f"{len(steps)} pictures of {shot} are taken apart in {folder}, with mattes "
+        f"of {', '.join(['the room', *people])}"
+    )

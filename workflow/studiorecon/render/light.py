@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.light``: the light of the room from the shadows that people throw on its floor, checked on pictures it was not fitted to.
+"""``render.light``: the light of the room from the shadows that people throw on its floor, checked on pictures it was
+not fitted to.
 
 Only in the plan when the survey finds moving shadows, and somebody to throw them.
 """
@@ -13,19 +14,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from studiorecon.arrays import evenly_spread
+from studiorecon.body.capsules import occluder
 from studiorecon.body.model import BodyModel
-from studiorecon.body.occluders import occluder
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import read_depth
-from studiorecon.images.seeking import read_frame_at
-from studiorecon.images.stills import read_plate
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import read_frame
+from studiorecon.geometry.floor import beside, floor_points
 from studiorecon.progress import progress, say
 from studiorecon.render.lamps import losses, own_levels, patches, strengths
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.floor import beside, floor_points
-from studiorecon.scene.light import Lamps, Light, write_light
-from studiorecon.scene.people import Person, read_person
-from studiorecon.scene.shell import Shell, read_shell
+from studiorecon.render.occlusion import Groups
+from studiorecon.render.room_light import Lamps, Light, LitPoints, write_light
+from studiorecon.scene.files import one_each
+from studiorecon.scene.people import Person
+from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.signature import Written
 
 # Levels of 255 between which a ratio means something; a change of colour beyond this is no shadow (log).
 _DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
@@ -46,25 +52,26 @@ class LightSettings:
         reach_m: around people's ways within which the floor is looked at.
         spacing_m: between the patches of ceiling and walls that may give light.
         contact_m: reach of the darkening beside a body that hides light from everywhere.
-        least_gain: share by which the error on held-out pictures must fall.
+        min_gain: share by which the error on held-out pictures must fall.
     """
 
-    pictures: int
-    points: int
-    reach_m: float
-    spacing_m: float
-    contact_m: float
-    least_gain: float
+    pictures: int = 24
+    points: int = 500
+    reach_m: float = 2.0
+    spacing_m: float = 0.75
+    contact_m: float = 0.1
+    min_gain: float = 0.05
 
 
 @dataclass(frozen=True)
 class Settings:
-    light: LightSettings
+    light: LightSettings = LightSettings()
 
 
 @dataclass(frozen=True)
 class Observed:
-    """P pixels of the floor that one camera sees: points (P, 3), and ratio (P, T) of pictures to the plate, NaN where unknown."""
+    """P pixels of the floor that one camera sees: points (P, 3), and ratio (P, T) of pictures to the plate, NaN where
+    unknown."""
 
     points_m: np.ndarray
     ratio: np.ndarray
@@ -73,11 +80,14 @@ class Observed:
 def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np.ndarray]]:
     """Per frame the capsules (C, 7) of every person; none of who was not measured there.
 
-    Raises Refusal when a body was fitted with another body model.
+    Raises UserError when a body was fitted with another body model.
     """
     for person in people:
         if person.body != model.identity:
-            raise Refusal(f"{person.name} was fitted with the body model {person.body}, not {model.identity}; use the same body file")
+            raise UserError(
+                f"{person.name} was fitted with the body model {person.body}, not "
+                f"{model.identity}; use the same body file"
+            )
     shapes = [occluder(model, person.betas) for person in people]
     moved = [model.joint_transforms(person.poses, person.betas, person.trans) for person in people]
     return [
@@ -87,12 +97,19 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np
 
 
 def ratios(
-    picture: np.ndarray, plate: np.ndarray, free: np.ndarray, points_m: np.ndarray, near_m: np.ndarray, unsure_m: np.ndarray, reach_m: float
+    picture: np.ndarray,
+    plate: np.ndarray,
+    free: np.ndarray,
+    points_m: np.ndarray,
+    near_m: np.ndarray,
+    unsure_m: np.ndarray,
+    reach_m: float,
 ) -> np.ndarray:
-    """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of another colour.
+    """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of
+    another colour.
 
-    ``near_m`` (A, 2): where people stand who were measured; ``unsure_m`` (B, 2): where others may, whose surroundings are unknown. What
-    pixels far from everybody differ by, the picture's exposure, is taken off.
+    ``near_m`` (A, 2): where people stand who were measured; ``unsure_m`` (B, 2): where others may, whose surroundings
+    are unknown. What pixels far from everybody differ by, the picture's exposure, is taken off.
     """
     levels, before = picture.astype(np.float32), plate.astype(np.float32) * 255
     usable = free & (before.min(-1) > _DARKEST) & (np.maximum(levels, before).max(-1) < _BRIGHTEST)
@@ -105,9 +122,14 @@ def ratios(
 
 
 def estimate(
-    observed: Sequence[Observed], frames: Sequence[int], bodies: Sequence[Sequence[np.ndarray]], shell: Shell, settings: LightSettings
+    observed: Sequence[Observed],
+    frames: Sequence[int],
+    bodies: Sequence[Sequence[np.ndarray]],
+    shell: RoomBox,
+    settings: LightSettings,
 ) -> Light:
-    """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last quarter of them."""
+    """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last
+    quarter of them."""
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, float(shell.low_m[2]))
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
@@ -116,25 +138,40 @@ def estimate(
     if some.sum() < _LEAST_PX:
         return replace(blank, reason="too little floor is seen over time near anybody to tell the light from")
     points, ratio = points[some], ratio[some]
-    lamps = patches(shell, settings.spacing_m)
-    lost = np.stack([losses(points, bodies[t], lamps, settings.contact_m) for t in progress(frames, "moments with shadows")], axis=1)
+    lamps, groups = patches(shell, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
+    lost = np.empty((len(points), len(frames), 2 + len(lamps.radius_m)), np.float32)
+    for k, t in enumerate(progress(frames, "moments with shadows")):
+        lost[:, k] = losses(groups, bodies[t], lamps, settings.contact_m)
     falloff = lamps.falloff(points)
     usual = np.maximum(falloff.mean(axis=0), 1e-9)
     trial = _light(blank, strengths(lost[:, ~later], falloff / usual, ratio[:, ~later]), lamps, usual)
-    left = np.stack([trial.factor(points, bodies[t]) for t in frames], axis=1)
+    lit = LitPoints(trial, points)
+    left = np.stack([lit.left(bodies[t]) for t in frames], axis=1)
     error, without = (_error(ratio, used, later) for used in (left, np.ones_like(left)))
-    figures = {"error_held_out": error, "error_held_out_without": without, "pixels": len(points), "moments": len(frames)}
-    if not error <= (1 - settings.least_gain) * without:
-        told = f"floor near people is off by {without:.2%} without shadows and by {error:.2%} with them in pictures not fitted to"
+    figures = {
+        "error_held_out": error,
+        "error_held_out_without": without,
+        "pixels": len(points),
+        "moments": len(frames),
+    }
+    if not error <= (1 - settings.min_gain) * without:
+        told = (
+            f"floor near people is off by {without:.2%} without shadows and by "
+            f"{error:.2%} with them in pictures not fitted to"
+        )
         return replace(blank, figures=figures, reason=f"{told}, so films are made without")
     # What was found holds; now from all pictures.
     found = _light(blank, strengths(lost, falloff / usual, ratio), lamps, usual)
-    told = f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor near people is off by {error:.2%} instead of"
+    told = (
+        f"{len(found.share)} patches give {found.share.sum():.0%} of the light; floor "
+        f"near people is off by {error:.2%} instead of"
+    )
     return replace(found, kept=True, figures=figures, reason=f"{told} {without:.2%} in pictures not fitted to")
 
 
 def _error(ratio: np.ndarray, left: np.ndarray, later: np.ndarray) -> float:
-    """Root mean square of what ``left`` (P, T) of the light leaves unexplained ``later`` (T,), with levels of the pictures before."""
+    """Root mean square of what ``left`` (P, T) of the light leaves unexplained ``later`` (T,), with levels of the
+    pictures before."""
     seen, weight = np.nan_to_num(ratio), np.isfinite(ratio)
     own = own_levels(seen[:, ~later], left[:, ~later], weight[:, ~later])
     return float(np.sqrt(np.mean((seen - own[:, None] * left)[weight & later] ** 2)))
@@ -156,20 +193,16 @@ def run(
     plates: list[Path],
     depths: list[Path],
     shell: Path,
-    light: Path,
+    light: Written,
 ) -> None:
     """Look at the floor beside people and write what light explains its shadows."""
-    cameras, box, chosen = read_model(model.parent), read_shell(shell), settings.light
-    if not len(cameras) == len(videos) == len(masks) == len(plates) == len(depths):
-        raise Refusal(
-            f"{len(cameras)} training cameras, but {len(videos)} videos, {len(masks)} masks, {len(plates)} plates and {len(depths)} depth "
-            "maps; one of each is needed per camera"
-        )
+    cameras, box, chosen = read_model(model.parent), read_room(shell), settings.light
+    one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
     fits = [read_person(path) for path in people]
     if not fits:
-        raise Refusal("nobody is there to throw a shadow: leave moving_shadows out of survey.force")
+        raise UserError("nobody is there to throw a shadow: leave moving_shadows out of survey.force")
     bodies = bodies_over_time(fits, BodyModel.load(body))
-    frames = np.unique(np.linspace(0, len(bodies) - 1, min(chosen.pictures, len(bodies))).round().astype(int))
+    frames = evenly_spread(len(bodies), chosen.pictures)
     at = np.array([person.trans[frames, :2] for person in fits])
     sure = np.array([person.valid[frames] for person in fits])
     observed = []
@@ -181,9 +214,9 @@ def run(
         seam = np.ones((2 * max(1, round(_SEAM * camera.wh[0])) + 1,) * 2, np.uint8)
         ratio = np.full((len(pixels), len(frames)), np.nan)
         for k, frame in enumerate(map(int, frames)):
-            free = measured & (cv2.dilate((read_frame_at(mask, frame) > 0).astype(np.uint8), seam) == 0)
+            free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
             places = at[:, k][sure[:, k]], at[:, k][~sure[:, k]]
-            ratio[:, k] = ratios(read_frame_at(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
+            ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
         observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
     found = estimate(observed, frames.tolist(), bodies, box, chosen)
     say(f"light: {found.reason}")

@@ -9,16 +9,17 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
 
 @dataclass(frozen=True)
 class DollyZoom:
-    """Settings of a ``dolly_zoom`` shot: the camera comes nearer as its lens widens, so that the subject keeps its size.
+    """Settings of a ``dolly_zoom`` shot: the camera comes nearer as its lens widens, so that the subject keeps its
+    size.
 
     Attributes:
         frames: number of pictures.
@@ -75,9 +76,11 @@ class Follow:
     Attributes:
         frames: number of pictures.
         person: whom.
-        distance_m: horizontal distance to the pelvis; the default shows head and feet at the training cameras' usual angle.
+        distance_m: horizontal distance to the pelvis; the default shows head and feet at the training cameras' usual
+            angle.
         rise_m: height above the pelvis.
-        azimuth_deg: where the camera stands: with ``beside: person`` 0 is in front and 180 behind, with ``beside: world`` from x.
+        azimuth_deg: where the camera stands: with ``beside: person`` 0 is in front and 180 behind, with ``beside:
+            world`` from x.
         beside: ``person`` turns with the person, ``world`` keeps its direction.
         smooth_s: the person's place and facing are smoothed over this time, seconds.
         zoom: focal length as a multiple of the training cameras' mean.
@@ -96,11 +99,13 @@ class Follow:
     time: Time = "stretch"
 
 
-def dolly_zoom_steps(shot: DollyZoom, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]) -> list[Step]:
+def dolly_zoom_steps(
+    shot: DollyZoom, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int]
+) -> list[PathStep]:
     """The pictures of a dolly zoom: focal length over depth of the target is the same in all of them.
 
-    The rails are straight, from the camera towards where the target is in the first picture; when a person walks, the lens follows
-    their true depth. Raises Refusal for an unknown camera, and where the rails reach the target.
+    The rails are straight, from the camera towards where the target is in the first picture; when a person walks, the
+    lens follows their true depth. Raises UserError for an unknown camera, and where the rails reach the target.
     """
     start = camera_named(shot.camera, cameras, name)
     times = film_times(shot.time, shot.frames, subjects.frames)
@@ -110,17 +115,23 @@ def dolly_zoom_steps(shot: DollyZoom, name: str, cameras: Sequence[Camera], subj
     eyes = targets[0] + shares[:, None] * (start.centre_m - targets[0])
     depths = np.linalg.norm(targets - eyes, axis=1)
     if depths.min() < 0.3:
-        raise Refusal(f"shot {name} comes within {depths.min():.2f} m of its target in picture {int(depths.argmin())}; raise its distances")
-    focal_per_metre = shot.zoom * np.mean(start.focal_px) / start.wh[0] * wh[0] / np.linalg.norm(targets[0] - start.centre_m)
+        raise UserError(
+            f"shot {name} comes within {depths.min():.2f} m of its target in picture "
+            f"{int(depths.argmin())}; raise its distances"
+        )
+    focal_per_metre = (
+        shot.zoom * np.mean(start.focal_px) / start.wh[0] * wh[0] / np.linalg.norm(targets[0] - start.centre_m)
+    )
     return [level_step(name, wh, focal_per_metre * depth, *rest) for depth, *rest in zip(depths, eyes, targets, times)]
 
 
 def oscillate_steps(
     shot: Oscillate, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
-) -> list[Step]:
-    """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and furniture.
+) -> list[PathStep]:
+    """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
+    furniture.
 
-    Raises Refusal for an unknown camera.
+    Raises UserError for an unknown camera.
     """
     start = camera_named(shot.camera, cameras, name)
     times = film_times(shot.time, shot.frames, subjects.frames)
@@ -130,7 +141,9 @@ def oscillate_steps(
     # A person who walks takes the camera with them.
     offset = start.centre_m - targets[0]
     cos, sin = np.cos(turned), np.sin(turned)
-    beside = np.stack([cos * offset[0] - sin * offset[1], sin * offset[0] + cos * offset[1], np.full(len(cos), offset[2])], axis=1)
+    beside = np.stack(
+        [cos * offset[0] - sin * offset[1], sin * offset[0] + cos * offset[1], np.full(len(cos), offset[2])], axis=1
+    )
     eyes = targets + shot.distance * shrink[:, None] * beside
     eyes[:, 2] += shot.rise_m * np.sin(phase + np.pi / 2) - shot.rise_m
     focal = shot.zoom * np.mean(start.focal_px) / start.wh[0] * wh[0]
@@ -139,10 +152,11 @@ def oscillate_steps(
 
 def follow_steps(
     shot: Follow, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
-) -> list[Step]:
-    """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and furniture.
+) -> list[PathStep]:
+    """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
+    furniture.
 
-    Raises Refusal for an unknown person.
+    Raises UserError for an unknown person.
     """
     times = film_times(shot.time, shot.frames, subjects.frames)
     targets = subjects.at(shot.person, times, name, shot.smooth_s)
@@ -150,14 +164,20 @@ def follow_steps(
     if shot.beside == "person":
         azimuth = azimuth + subjects.facing_at(shot.person, times, name, shot.smooth_s)
     reach = shot.distance_m * shrink
-    eyes = targets + np.stack([reach * np.cos(azimuth), reach * np.sin(azimuth), np.full(len(times), shot.rise_m)], axis=1)
+    eyes = targets + np.stack(
+        [reach * np.cos(azimuth), reach * np.sin(azimuth), np.full(len(times), shot.rise_m)], axis=1
+    )
     focal = shot.zoom * usual_focal(cameras, wh[0])
     return [level_step(name, wh, focal, *picture) for picture in zip(eyes, targets, times)]
 
 
 def camera_named(camera: str, cameras: Sequence[Camera], shot: str) -> Camera:
-    """The training camera of that name, the first one for an empty name; raises Refusal for a name that is not there."""
+    """The training camera of that name, the first one for an empty name; raises UserError for a name that is not
+    there."""
     found = [c for c in cameras if c.name == camera or not camera]
     if not found:
-        raise Refusal(f"shot {shot} starts from camera {camera!r}, but the training cameras are {', '.join(c.name for c in cameras)}")
+        raise UserError(
+            f"shot {shot} starts from camera {camera!r}, but the training cameras are "
+            f"{', '.join(c.name for c in cameras)}"
+        )
     return found[0]

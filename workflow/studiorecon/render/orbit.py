@@ -12,12 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.geometry.path import scene_centre
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
 # A gap between neighbouring cameras beyond this leaves the ring open (the same limit as for the views' path, U18).
 _LARGEST_GAP = np.radians(150)
@@ -56,7 +56,11 @@ def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> n
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
     widest = int(np.argmax(gaps))
     if gaps[widest] < _LARGEST_GAP:
-        return filmed[0] + np.radians(orbit.start_deg) + np.arange(orbit.frames) / orbit.frames * np.radians(orbit.turn_deg)
+        return (
+            filmed[0]
+            + np.radians(orbit.start_deg)
+            + np.arange(orbit.frames) / orbit.frames * np.radians(orbit.turn_deg)
+        )
     first = ordered[(widest + 1) % len(ordered)]
     swing = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(orbit.frames) / orbit.frames)
     return first + (2 * np.pi - gaps[widest]) * swing
@@ -64,21 +68,26 @@ def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> n
 
 def orbit_steps(
     orbit: Orbit, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
-) -> list[Step]:
-    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and furniture.
+) -> list[PathStep]:
+    """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and
+    furniture.
 
-    The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays oblong.
-    Raises Refusal without at least two cameras.
+    The radius follows the training cameras' own distances, interpolated over azimuth: a ring in an oblong room stays
+    oblong. Raises UserError without at least two cameras.
     """
     if len(cameras) < 2:
-        raise Refusal(f"shot {name} needs at least two training cameras to go around")
+        raise UserError(f"shot {name} needs at least two training cameras to go around")
     centre = scene_centre(cameras)
     offsets = np.array([camera.centre_m - centre for camera in cameras])
     angles = azimuths(orbit, cameras, centre)
-    distances = np.interp(angles, _azimuth_of(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi)
+    distances = np.interp(
+        angles, _azimuth_of(cameras, centre), np.linalg.norm(offsets[:, :2], axis=1), period=2 * np.pi
+    )
     height = float(np.mean([camera.centre_m[2] for camera in cameras])) + orbit.rise_m
     radius = distances * orbit.radius * shrink
-    eyes = np.stack([centre[0] + radius * np.cos(angles), centre[1] + radius * np.sin(angles), np.full(len(angles), height)], axis=1)
+    eyes = np.stack(
+        [centre[0] + radius * np.cos(angles), centre[1] + radius * np.sin(angles), np.full(len(angles), height)], axis=1
+    )
     times = film_times(orbit.time, orbit.frames, subjects.frames)
     targets = subjects.at(orbit.target, times, name)
     focal = orbit.zoom * usual_focal(cameras, wh[0])

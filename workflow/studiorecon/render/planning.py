@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.render.composite import blocked
 from studiorecon.render.given import GivenPath, path_steps
@@ -20,7 +20,7 @@ from studiorecon.render.shots import every_frame, picture_size
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
 # Where a path stands in something, its distance to the subject is tried with these factors, widest first.
 _SHRINK = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
@@ -35,20 +35,22 @@ def plan(
     held_out: Sequence[Camera],
     subjects: Subjects,
     background: Gaussians,
-) -> list[Step]:
+) -> list[PathStep]:
     """The pictures of a shot.
 
-    ``train`` and ``heldout`` show every frame from every camera of their kind, one segment per camera. Raises Refusal for a shot that is
-    not configured or cannot be made of these cameras and people.
+    ``train`` and ``heldout`` show every frame from every camera of their kind, one segment per camera. Raises UserError
+    for a shot that is not configured or cannot be made of these cameras and people.
     """
     if shot == "train":
         return every_frame(training, subjects.frames)
     if shot not in shots:
-        raise Refusal(f"there is no shot {shot!r} under render.shots; it names {', '.join(shots) or 'none'}")
+        raise UserError(f"there is no shot {shot!r} under render.shots; it names {', '.join(shots) or 'none'}")
     settings = film(shots[shot], shot)
     if isinstance(settings, Heldout):
         if not held_out:
-            raise Refusal(f"shot {shot} shows the held-out cameras, but there are none; name some under held_out in capture.yaml")
+            raise UserError(
+                f"shot {shot} shows the held-out cameras, but there are none; name some under held_out in capture.yaml"
+            )
         return every_frame(held_out, subjects.frames)
     wh = picture_size(training, width)
     if isinstance(settings, Spline):
@@ -58,26 +60,30 @@ def plan(
         return path_steps(settings, shot, wh, subjects.frames)
     if isinstance(settings, DollyZoom):
         return dolly_zoom_steps(settings, shot, training, subjects, wh)
-    maker: Callable = {Orbit: orbit_steps, Oscillate: oscillate_steps, Follow: follow_steps}[type(settings)]
+    makers: dict[type, Callable] = {Orbit: orbit_steps, Oscillate: oscillate_steps, Follow: follow_steps}
+    maker = makers[type(settings)]
 
-    def steps(shrink: np.ndarray) -> list[Step]:
+    def steps(shrink: np.ndarray) -> list[PathStep]:
         return maker(settings, shot, training, subjects, wh, shrink)
 
     return kept_clear(steps, settings.frames, shot, background, clearance_m)
 
 
-def kept_clear(path: Callable[[np.ndarray], list[Step]], pictures: int, shot: str, background: Gaussians, clearance_m: float) -> list[Step]:
+def kept_clear(
+    path: Callable[[np.ndarray], list[PathStep]], pictures: int, shot: str, background: Gaussians, clearance_m: float
+) -> list[PathStep]:
     """A path that comes closer to its subject where it would pass within ``clearance_m`` of solid background.
 
-    ``path`` makes the steps from a factor on the distance of each picture. Where none of the factors tried is clear, the path is left
-    as wide as it was; the ledger of the shot says so (``render/ledger.py``).
+    ``path`` makes the steps from a factor on the distance of each picture. Where none of the factors tried is clear,
+    the path is left as wide as it was; the ledger of the shot says so (``render/statistics.py``).
     """
     inside = np.array([_blocked(path(np.full(pictures, shrink)), background, clearance_m) for shrink in _SHRINK])
     clear = ~inside.all(axis=0)
     factors = np.where(clear, np.array(_SHRINK)[np.argmin(inside, axis=0)], 1.0)
     if inside[0].any():
         say(
-            f"shot {shot} would pass within {clearance_m} m of walls or furniture in {inside[0].sum()} pictures and steps inwards there, "
+            f"shot {shot} would pass within {clearance_m} m of walls or furniture in "
+            f"{inside[0].sum()} pictures and steps inwards there, "
             f"by up to {100 - 100 * factors.min():.0f} %"
         )
     return path(smooth_dips(factors))
@@ -86,8 +92,8 @@ def kept_clear(path: Callable[[np.ndarray], list[Step]], pictures: int, shot: st
 def smooth_dips(factors: np.ndarray) -> np.ndarray:
     """A smooth closed curve that never exceeds ``factors`` (pictures,): how a path goes around what stands in its way.
 
-    The least factor within a fourteenth of the film either side, then a Hann window of the same reach: a mean of values that are each
-    at most the factor here.
+    The least factor within a fourteenth of the film either side, then a Hann window of the same reach: a mean of values
+    that are each at most the factor here.
     """
     count = len(factors)
     reach = max(count // 14, 1)
@@ -96,5 +102,5 @@ def smooth_dips(factors: np.ndarray) -> np.ndarray:
     return factors[around].min(axis=1)[around] @ (window / window.sum())
 
 
-def _blocked(steps: list[Step], background: Gaussians, clearance_m: float) -> np.ndarray:
+def _blocked(steps: list[PathStep], background: Gaussians, clearance_m: float) -> np.ndarray:
     return blocked(np.array([step.camera.centre_m for step in steps]), background, clearance_m)

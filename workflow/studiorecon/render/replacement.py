@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Somebody else in a person's place (paper: human replacement): their looks and build, this person's performance.
 
-A shot's ``replace: {p0: p1}`` takes another person of the same capture, ``replace: {p0: FILE.ply}`` any person in the rest pose: LHM's, or
-``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights along. ``{p0: nobody}`` leaves p0 out.
+A shot's ``replace: {p0: p1}`` takes another person of the same capture, ``replace: {p0: FILE.ply}`` any person in the
+rest pose: LHM's, or ``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights
+along. ``{p0: nobody}`` leaves p0 out.
 """
 
 from __future__ import annotations
@@ -14,15 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.avatar import Avatar, read_avatar
-from studiorecon.body.binding import bind
+from studiorecon.body.avatar.binding import bind
+from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.body.temporal import with_residuals
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.provenance import INVENTED, MEASURED
+from studiorecon.scene.provenance import INVENTED
 
 NOBODY = "nobody"
 """In somebody's place: the room as it is without that person."""
@@ -41,58 +41,73 @@ class Donor:
 
 
 def donor_of(person: Avatar) -> Donor:
-    """A trained person as a donor; colours that drift over their own performance take their mean, because its times are not another's."""
-    own, measured = person.gaussians, person.provenance == MEASURED
-    sums_colour, sums_logit = np.zeros_like(own.sh[:, :1], np.float64), np.zeros(own.count)
-    moments = np.linspace(0, person.frames - 1, _MOMENTS) if person.network else np.zeros(1)
-    for frame in moments:
-        colour, logit = with_residuals(person.network, measured, own.means_m, own.sh[:, :1], own.logit_opacities, frame)
-        sums_colour += colour
-        sums_logit += logit
-    sh = np.concatenate([sums_colour / len(moments), own.sh[:, 1:]], axis=1)
-    settled = Gaussians(own.means_m, own.quaternions, own.log_scales, sums_logit / len(moments), sh)
+    """A trained person as a donor; colours that drift over their own performance take their mean, because its times are
+    not another's."""
+    own = person.gaussians
+    looks = [
+        person.looks_at(frame) for frame in (np.linspace(0, person.frames - 1, _MOMENTS) if person.network else [0])
+    ]
+    sh, logits = (np.stack(values).mean(axis=0, dtype=np.float64) for values in zip(*looks))
+    settled = Gaussians(own.means_m, own.quaternions, own.log_scales, logits, sh)
     return Donor(settled, person.bones, person.weights, person.betas)
 
 
 def read_donor(path: Path, model: BodyModel) -> Donor:
-    """The person of a canonical ``.ply``; raises Refusal that names the file when it holds no person in the rest pose."""
+    """The person of a canonical ``.ply``; raises UserError that names the file when it holds no person in the rest
+    pose."""
     beside = path.with_suffix(".npz")
     if beside.is_file():
         return donor_of(read_avatar(path, beside, model))
     binding = bind(read_ply(path), model, str(path))
-    say(f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of which is within {1000 * binding.misfit_m:.0f} mm")
+    say(
+        f"{path.name}: {binding.gaussians.count} Gaussians are bound to the body, 95 % of which "
+        f"is within {1000 * binding.misfit_m:.0f} mm"
+    )
     return Donor(binding.gaussians, binding.bones, binding.weights, binding.betas)
 
 
 def performing(donor: Donor, performer: Avatar) -> Avatar:
     """The donor doing what the performer did, as ``performer.person``.
 
-    Joint rotations are the performer's, bones keep the donor's length. The pelvis goes where the performer's was, but as much higher or
-    lower that the lowest point of the body stays at its height: shorter legs do not float. Nobody filmed that: all of it is invented.
+    Joint rotations are the performer's, bones keep the donor's length. The pelvis goes where the performer's was, but
+    as much higher or lower that the lowest point of the body stays at its height: shorter legs do not float. Nobody
+    filmed that: all of it is invented.
     """
     model, poses = performer.model, performer.poses
     lowest = [
-        model.vertices(poses, betas, performer.trans, model.proxy_vertices)[..., 2].min(axis=1) for betas in (performer.betas, donor.betas)
+        model.vertices(poses, betas, performer.trans, model.proxy_vertices)[..., 2].min(axis=1)
+        for betas in (performer.betas, donor.betas)
     ]
     trans = np.asarray(performer.trans, np.float64).copy()
     trans[:, 2] += lowest[0].astype(np.float64) - lowest[1]
     provenance = np.full(donor.gaussians.count, INVENTED, np.uint8)
     return replace(
-        performer, gaussians=donor.gaussians, bones=donor.bones, weights=donor.weights, betas=donor.betas, trans=trans,
-        provenance=provenance, network=None, decision="",
-    )  # fmt: skip
+        performer,
+        gaussians=donor.gaussians,
+        bones=donor.bones,
+        weights=donor.weights,
+        betas=donor.betas,
+        trans=trans,
+        provenance=provenance,
+        network=None,
+        decision="",
+    )
 
 
 def replaced(people: Sequence[Avatar], wanted: Mapping[str, str], shot: str) -> list[Avatar]:
-    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or ``NOBODY``) replaced or left out.
+    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or ``NOBODY``)
+    replaced or left out.
 
-    Names always mean the people as they were captured, so ``{p0: p1, p1: p0}`` swaps two. Raises Refusal for names of nobody and for files
-    that hold no person in the rest pose.
+    Names always mean the people as they were captured, so ``{p0: p1, p1: p0}`` swaps two. Raises UserError for names of
+    nobody and for files that hold no person in the rest pose.
     """
     cast = {person.person: person for person in people}
     for name in [*wanted, *(source for source in wanted.values() if re.fullmatch(r"p\d+", source))]:
         if name not in cast:
-            raise Refusal(f"render.shots.{shot}.replace names {name}, but the people of this scene are {', '.join(cast) or 'none'}")
+            raise UserError(
+                f"render.shots.{shot}.replace names {name}, but the people of this "
+                f"scene are {', '.join(cast) or 'none'}"
+            )
     done = []
     for person in people:
         source = wanted.get(person.person)

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The room in the shadow of people and things: its Gaussians that face up, dimmed by what posed bodies and capsules keep from them."""
+"""The room in the shadow of people and things: its Gaussians that face up, dimmed by what posed bodies and capsules
+keep from them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
-from studiorecon.body.avatar import Avatar
-from studiorecon.body.occluders import Occluder, occluder
+from studiorecon.arrays import evenly_spread
+from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.capsules import Occluder, occluder
 from studiorecon.geometry import rotations
-from studiorecon.scene.floor import FLOOR_M
+from studiorecon.geometry.floor import FLOOR_M
+from studiorecon.render.room_light import Light, LitPoints
 from studiorecon.scene.gaussians import SH_C0, Gaussians
-from studiorecon.scene.light import Light
-from studiorecon.scene.objects import RigidObject
+from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, SH
+from studiorecon.splatting.rigid_object import RigidObject
 
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
 _FURNITURE_M = 1.0
@@ -28,35 +32,38 @@ class Shading:
     """Who shades what.
 
     Attributes:
-        light: the estimated light.
-        room: all Gaussians of the room, as the plates show them.
-        at: (M,) those that can be shaded; ``facing`` (M,) how far each faces up, 0..1.
+        lit: the Gaussians that can be shaded, under the estimated light.
+        at: (M,) which of the room's those are, ascending; ``facing`` (M,) how far each faces up, 0..1.
         usual: (M,) share of its light that each had in the plates.
         casters: people with their capsules: whoever a shot shows, stand-ins for themselves.
         things: loose things.
     """
 
-    light: Light
-    room: Gaussians
+    lit: LitPoints
     at: np.ndarray
     facing: np.ndarray
     usual: np.ndarray
     casters: Sequence[tuple[Avatar, Occluder]]
     things: Sequence[RigidObject] = ()
 
-    def room_at(self, frame: float) -> Gaussians:
-        """The room as people and things at a (fractional) frame shade it."""
-        left = self.light.factor(self.room.means_m[self.at], _bodies(self.casters, self.things, frame)) / self.usual
-        return dimmed(self.room, self.at, 1 - self.facing * (1 - left))
+    def factor(self, frame: float) -> np.ndarray:
+        """(M,) float32: what the colours of the Gaussians ``at``, as the plates show them, are multiplied by at a
+        (fractional) frame; see ``dim``."""
+        left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
+        return (1 - self.facing * (1 - left)).astype(np.float32)
 
 
 def shading(
-    light: Light, room: Gaussians, people: Sequence[Avatar], filmed: Sequence[Avatar], things: Sequence[RigidObject] = ()
+    light: Light,
+    room: Gaussians,
+    people: Sequence[Avatar],
+    filmed: Sequence[Avatar],
+    things: Sequence[RigidObject] = (),
 ) -> Shading | None:
     """How ``people`` and ``things`` shade the room; None when the light was not kept or nothing is there.
 
-    ``filmed`` are the people of the footage: where they, or things, shade the floor most of the time, a clean plate shows that shade, and
-    the room with it. What a plate would show is therefore found by its own rule and divided by.
+    ``filmed`` are the people of the footage: where they, or things, shade the floor most of the time, a clean plate
+    shows that shade, and the room with it. What a plate would show is therefore found by its own rule and divided by.
     """
     if not light.kept or not (people or things):
         return None
@@ -64,31 +71,42 @@ def shading(
     at = np.flatnonzero(facing > _LEAST_FACING)
     casters = [(person, occluder(person.model, person.betas)) for person in filmed]
     last = filmed[0].frames - 1 if filmed else len(things[0].centres_m) - 1 if things else 0
-    moments = np.unique(np.linspace(0, last, _MOMENTS).round())
-    usual = most_agreed(np.stack([light.factor(room.means_m[at], _bodies(casters, things, float(m))) for m in moments]))
-    return Shading(light, room, at, facing[at], usual, [(person, occluder(person.model, person.betas)) for person in people], things)
+    moments = evenly_spread(last + 1, _MOMENTS)
+    lit = LitPoints(light, room.means_m[at])
+    usual = most_agreed(np.stack([lit.left(_bodies(casters, things, float(m))) for m in moments]))
+    return Shading(
+        lit,
+        at,
+        facing[at],
+        usual,
+        [(person, occluder(person.model, person.betas)) for person in people],
+        things,
+    )
 
 
 def most_agreed(left: np.ndarray) -> np.ndarray:
-    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as a plate's colours are found; ties go to the brighter."""
+    """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as a plate's colours are found; ties go to
+    the brighter."""
     votes = np.stack([(np.abs(left - own) <= _SAME).sum(axis=0) for own in left])
     best = (votes + 1e-3 * left).argmax(axis=0)
     agree = np.abs(left - np.take_along_axis(left, best[None], axis=0)) <= _SAME
     return (left * agree).sum(axis=0) / agree.sum(axis=0)
 
 
-def _bodies(casters: Sequence[tuple[Avatar, Occluder]], things: Sequence[RigidObject], frame: float) -> list[np.ndarray]:
+def _bodies(
+    casters: Sequence[tuple[Avatar, Occluder]], things: Sequence[RigidObject], frame: float
+) -> list[np.ndarray]:
     posed = []
     for person, capsules in casters:
-        pose, trans = person.pose_at(frame)
-        posed.append(capsules.posed(person.model.joint_transforms(pose[None], person.betas, trans[None])[0]))
+        posed.append(capsules.posed(person.world_from_rest(frame)))
     return [*posed, *(thing.capsule(frame) for thing in things)]
 
 
 def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:
     """(N,) float32: 1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
 
-    Shadows were measured on the floor: what does not face up as it does gets its light from elsewhere, and is left alone.
+    Shadows were measured on the floor: what does not face up as it does gets its light from elsewhere, and is left
+    alone.
     """
     shortest = np.asarray(room.log_scales).argmin(axis=1)
     turned = rotations.from_quaternion(room.quaternions.astype(np.float64))
@@ -97,12 +115,20 @@ def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:
     return np.where(height < FLOOR_M, 1.0, np.where(height < _FURNITURE_M, up, 0.0)).astype(np.float32)
 
 
-def dimmed(room: Gaussians, at: np.ndarray, factor: np.ndarray) -> Gaussians:
-    """The room with the colours of the Gaussians ``at`` (M,) multiplied by ``factor`` (M,), from every side.
+@numba.njit(nogil=True, **KERNEL)
+def dim(sh, at, factor, before, parameters):
+    """Puts harmonics (N, K, 3) of colours multiplied by ``factor`` (M,), from every side, into the blocks of the
+    Gaussians ``at`` (M,); those whose factor is as ``before`` are left alone.
 
     A colour is 0.5 plus its harmonics, so the half is multiplied as well.
     """
-    sh = room.sh.copy()
-    sh[at] *= factor[:, None, None]
-    sh[at, 0] += ((factor - 1) * (0.5 / SH_C0))[:, None]
-    return Gaussians(room.means_m, room.quaternions, room.log_scales, room.logit_opacities, sh)
+    for m in range(len(at)):
+        if factor[m] == before[m]:
+            continue
+        base = (at[m] // LANES) * BLOCK_FLOATS + at[m] % LANES
+        for band in range(sh.shape[1]):
+            for channel in range(3):
+                darker = sh[at[m], band, channel] * factor[m]
+                if band == 0:
+                    darker += (factor[m] - np.float32(1)) * np.float32(0.5 / SH_C0)
+                parameters[base + (SH + 3 * band + channel) * LANES] = darker

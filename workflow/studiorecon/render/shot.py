@@ -1,46 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``render.shot``: one shot of the 4D scene: pictures, depth and truth map, from a single rasterisation of background and people."""
+"""``render.shot``: one shot of the 4D scene: pictures, depth and truth map, from a single rasterisation of background
+and people."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import typing
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.avatar import Avatar, read_avatar
+from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.streams import writing
+from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.geometry.path import scene_centre
-from studiorecon.images.streams import writing
-from studiorecon.images.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
-from studiorecon.render.ledger import Entry, angles_deg, obstacles, shares, write_ledger
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replaced
+from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import shading
+from studiorecon.render.shared import Drawn
+from studiorecon.render.statistics import PictureStatistics, angles_deg, obstacles, shares, write_ledger
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.light import read_light
-from studiorecon.scene.objects import read_objects
-from studiorecon.scene.path import Step, write_path
+from studiorecon.scene.path import PathStep, write_path
+from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
+from studiorecon.splatting.rigid_object import read_objects
 
 
 @dataclass(frozen=True)
-class Settings:
-    shots: dict
-    width: int
-    background_rgb: tuple[float, float, float]
-    near_m: float
-    clearance_m: float
+class Settings(Drawn):
+    """How films are drawn."""
+
+    width: int = setting(
+        0,
+        "Width of films; 0 = the training cameras' working width.",
+        minimum=0,
+        maximum=16384,
+        paper="1280",
+        letter=1280,
+    )
+    background_rgb: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), "Colour where nothing was reconstructed, RGB.", minimum=0, maximum=1
+    )
+    clearance_m: float = setting(
+        0.3,
+        "Orbits, oscillations and following cameras keep this distance to solid background by stepping "
+        "inwards; 0 = do not check.",
+        unit="m",
+        minimum=0,
+        maximum=10,
+    )
 
 
 def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> Subjects:
@@ -50,32 +71,51 @@ def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int
     return Subjects(pelvis, facing, scene_centre(cameras), frames, fps)
 
 
-def picture(canvas: Canvas, step: Step, background_rgb: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def picture(
+    canvas: Canvas, step: PathStep, background_rgb: tuple[float, float, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
     rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
     return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)
 
 
 def read_composite(
-    background: Path, provenance: Path, gaussians: Sequence[Path], avatars: Sequence[Path], body: Path | None, shot: str, shots: Mapping,
-    light: Sequence[Path] = (), objects: Sequence[Path] = (),
-) -> Composite:  # fmt: skip
-    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they shade the room.
+    background: Path,
+    provenance: Path,
+    gaussians: Sequence[Path],
+    avatars: Sequence[Path],
+    body: Path | None,
+    shot: str,
+    shots: Mapping,
+    light: Sequence[Path] = (),
+    objects: Sequence[Path] = (),
+) -> Composite:
+    """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they
+    shade the room.
 
-    Raises Refusal when the provenance is another background's.
+    Raises UserError when the provenance is another background's.
     """
     static = read_ply(background)
     with np.load(provenance, allow_pickle=False) as data:
         classes = np.asarray(data["provenance"], np.uint8)
     if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
-        raise Refusal(f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again")
-    body_model = BodyModel.load(body) if avatars else None
-    people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
+        raise UserError(
+            f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again"
+        )
+    people: list[Avatar] = []
+    if pairs := list(zip(gaussians, avatars, strict=True)):
+        assert body is not None
+        body_model = BodyModel.load(body)
+        people = [read_avatar(ply, npz, body_model) for ply, npz in pairs]
     cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
     things = [thing for path in objects for thing in read_objects(path)]
     shade = shading(read_light(light[0]), static, cast, people, things) if light else None
     names = {person.person for person in cast}
     return Composite(static, classes, cast, shade, things, [person for person in people if person.person not in names])
+
+
+def _of_frames(writer: Callable[..., object]) -> Callable[[Iterator[np.ndarray]], object]:
+    return lambda frames: writer(frames=frames)
 
 
 def run(
@@ -89,35 +129,47 @@ def run(
     gaussians: list[Path],
     avatars: list[Path],
     body: Path | None,
-    video: Path,
-    truth: Path,
-    depth: Path,
-    path: Path,
-    ledger: Path,
+    video: Written,
+    truth: Written,
+    depth: Written,
+    path: Written,
+    ledger: Written,
     light: list[Path] | None = None,
     objects: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
-    """Render one shot; without people files the film shows the background alone, without ``light`` nobody and nothing throws a shadow."""
+    """Render one shot; without people files the film shows the background alone, without ``light`` nobody and nothing
+    throws a shadow."""
     capture = read_manifest(manifest)
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
-    scene = read_composite(background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ())
-    captured = sorted([*scene.people, *scene.absent], key=lambda person: person.person)
+    scene = read_composite(
+        background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ()
+    )
+    everybody = typing.cast("list[Avatar]", [*scene.people, *scene.absent])  # as read_composite made them
+    captured = sorted(everybody, key=lambda person: person.person)
     subjects = subjects_of(captured, training, capture.frames, capture.fps)
-    steps = plan(shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background)
-    say(f"shot {shot}: {len(steps)} pictures of {scene.background.count} background Gaussians and {len(scene.people)} people")
+    steps = plan(
+        shot, settings.shots, settings.width, settings.clearance_m, training, held_out, subjects, scene.background
+    )
+    say(
+        f"shot {shot}: {len(steps)} pictures of {scene.background.count} background "
+        f"Gaussians and {len(scene.people)} people"
+    )
     for thing in scene.objects:
         absent = sum(not np.isfinite(thing.joints_m(step.frame)).all() for step in steps)
-        say(f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} nobody knows where it is, and it is left out")
+        say(
+            f"shot {shot} shows {thing.person} in {len(steps) - absent} pictures; in {absent} "
+            "nobody knows where it is, and it is left out"
+        )
     canvas = Canvas(scene, settings.near_m, resolve(device))
     around = zip(angles_deg(steps, training, subjects.scene_m), obstacles(steps, scene, settings.clearance_m))
     entries = []
     writers = [partial(write_lossless, target, fps=capture.fps) for target in (video, truth, depth)]
-    with writing([lambda frames, w=w: w(frames=frames) for w in writers]) as put:
+    with writing([_of_frames(writer) for writer in writers]) as put:
         for index, (step, (angle, near)) in enumerate(zip(progress(steps, f"pictures of {shot}"), around)):
             rgb, truth_map, depth_mm = picture(canvas, step, settings.background_rgb)
-            entries.append(Entry(index, step.segment, step.frame, *shares(truth_map), float(angle), near))
+            entries.append(PictureStatistics(index, step.segment, step.frame, *shares(truth_map), float(angle), near))
             put(rgb, truth_map, depth_mm)
     write_path(path, steps, capture.fps)
     write_ledger(ledger, entries)

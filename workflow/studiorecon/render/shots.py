@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all shots share: a level camera that looks somewhere, its lens, and which time of the capture a picture shows."""
+"""What all shots share: a level camera that looks somewhere, its lens, and which time of the capture a picture
+shows."""
 
 from __future__ import annotations
 
@@ -11,20 +12,24 @@ import numpy as np
 
 from studiorecon.geometry.path import look_at
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.path import Step
+from studiorecon.scene.path import PathStep
 
-# How time advances over a film: ``stretch`` shows the capture once from start to end whatever the number of pictures, ``loop`` shows it
-# at its own speed and starts again, ``swing`` at its own speed there and back, ``hold`` its first frame only, a number that frame only.
+# How time advances over a film: ``stretch`` shows the capture once from start to end whatever the number of pictures,
+# ``loop`` shows it at its own speed and starts again, ``swing`` at its own speed there and back, ``hold`` its first
+# frame only, a number that frame only.
 Time = Literal["stretch", "loop", "swing", "hold"] | float
 
 
-def every_frame(cameras: Sequence[Camera], frames: int) -> list[Step]:
+def every_frame(cameras: Sequence[Camera], frames: int) -> list[PathStep]:
     """Each camera × each frame; the segment is the camera's name.
 
-    A film has one size, cameras may differ: all get the largest width and height, and their own picture is its top left part.
+    A film has one size, cameras may differ: all get the largest width and height, and their own picture is its top left
+    part.
     """
     wh = max(c.wh[0] for c in cameras), max(c.wh[1] for c in cameras)
-    return [Step(replace(camera, wh=wh), float(frame), camera.name) for camera in cameras for frame in range(frames)]
+    return [
+        PathStep(replace(camera, wh=wh), float(frame), camera.name) for camera in cameras for frame in range(frames)
+    ]
 
 
 def picture_size(cameras: Sequence[Camera], width: int) -> tuple[int, int]:
@@ -35,7 +40,8 @@ def picture_size(cameras: Sequence[Camera], width: int) -> tuple[int, int]:
 
 
 def usual_focal(cameras: Sequence[Camera], width: int) -> float:
-    """Focal length in pixels of a picture ``width`` pixels wide that shows as wide an angle as the training cameras on average."""
+    """Focal length in pixels of a picture ``width`` pixels wide that shows as wide an angle as the training cameras on
+    average."""
     return width * float(np.mean([np.mean(camera.focal_px) / camera.wh[0] for camera in cameras]))
 
 
@@ -47,10 +53,12 @@ def looking_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
     return transform
 
 
-def level_step(name: str, wh: tuple[int, int], focal_px: float, eye_m: np.ndarray, target_m: np.ndarray, frame: float) -> Step:
+def level_step(
+    name: str, wh: tuple[int, int], focal_px: float, eye_m: np.ndarray, target_m: np.ndarray, frame: float
+) -> PathStep:
     """One picture of size ``wh`` by a level camera with the target in its middle."""
     intrinsics = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1.0]])
-    return Step(Camera(name, wh, intrinsics, looking_at(eye_m, target_m)), float(frame), "00")
+    return PathStep(Camera(name, wh, intrinsics, looking_at(eye_m, target_m)), float(frame), "00")
 
 
 def film_times(kind: Time, pictures: int, frames: int) -> np.ndarray:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 
-# ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in metres.
+# ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in
+# metres.
 Target = str | tuple[float, float, float]
 
 
@@ -36,7 +37,7 @@ class Subjects:
     def still(self, target: Target, shot: str) -> np.ndarray:
         """(3,) one point for a whole film: of people the median over all frames.
 
-        Without people ``people`` means ``scene``. Raises Refusal for a person who is not there.
+        Without people ``people`` means ``scene``. Raises UserError for a person who is not there.
         """
         if not isinstance(target, str):
             return np.asarray(target, np.float64)
@@ -47,23 +48,28 @@ class Subjects:
         return np.median(self._of(self.pelvis_m, target, shot), axis=0)
 
     def at(self, target: Target, times: np.ndarray, shot: str, smooth_s: float = 0.5) -> np.ndarray:
-        """(P, 3) where the target is at capture frames ``times`` (P,): a person wherever they go, smoothed over ``smooth_s`` seconds.
+        """(P, 3) where the target is at capture frames ``times`` (P,): a person wherever they go, smoothed over
+        ``smooth_s`` seconds.
 
-        Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step. All other targets stand still.
+        Unsmoothed, a camera that keeps a walking person's pelvis in the middle would nod with every step. All other
+        targets stand still.
         """
         if not isinstance(target, str) or target in ("scene", "people"):
             return np.tile(self.still(target, shot), (len(times), 1))
         return _sampled(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
 
     def facing_at(self, person: str, times: np.ndarray, shot: str, smooth_s: float) -> np.ndarray:
-        """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as angles."""
+        """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as
+        angles."""
         smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)
         return np.arctan2(smooth[:, 1], smooth[:, 0])
 
     def _of(self, tracks: Mapping[str, np.ndarray], person: str, shot: str) -> np.ndarray:
         if person not in tracks:
             known = ", ".join(tracks) or "nobody"
-            raise Refusal(f"shot {shot} looks at {person!r}, but people, scene, a point [x, y, z] and {known} are what there is")
+            raise UserError(
+                f"shot {shot} looks at {person!r}, but people, scene, a point [x, y, z] and {known} are what there is"
+            )
         return tracks[person]
 
 

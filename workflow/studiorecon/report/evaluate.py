@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``report.evaluate``: how good a run's result is, where that can be measured: ``metrics.json``.
 
-Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth where there is any. Every number comes
-with its definition, its raw values per frame and what they were computed with; what could not be measured is null with the reason.
-Without a held-out camera the training cameras are compared instead, under ``training``: what was fitted says little about other views.
+Pictures are compared with the held-out cameras' photos, bodies and identities with exact truth where there is any.
+Every number comes with its definition, its raw values per frame and what they were computed with; what could not be
+measured is null with the reason. Without a held-out camera the training cameras are compared instead, under
+``training``: what was fitted says little about other views.
 """
 
 from __future__ import annotations
@@ -16,31 +17,42 @@ from typing import Any, Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames, read_frames_from
 from studiorecon.images.flow import one_thread
-from studiorecon.images.seeking import read_frames_from
-from studiorecon.images.video import read_frames
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
-from studiorecon.report.bodies import compare_bodies
-from studiorecon.report.definitions import NO_LPIPS, NO_PCK, PROTOCOL, definitions, provenance
-from studiorecon.report.distance import TOO_SMALL, DistanceSettings, opened
-from studiorecon.report.folders import digest
-from studiorecon.report.identities import score_bodies_in_pictures, score_identities
-from studiorecon.report.intervals import Bootstrap
-from studiorecon.report.measures import NAMES, REGIONS, SENSITIVITY, SHARES, TEMPORAL, measure_sequence, summaries, unmeasured
-from studiorecon.report.motion import jitter
-from studiorecon.report.pictures import truth_shares
-from studiorecon.report.truth import read_views, regions, true_joints
+from studiorecon.report.metrics.bodies import compare_bodies
+from studiorecon.report.metrics.bootstrap import Bootstrap
+from studiorecon.report.metrics.definitions import NO_LPIPS, NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.metrics.distance import TOO_SMALL, Net, opened
+from studiorecon.report.metrics.folders import digest
+from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.measures import (
+    NAMES,
+    REGIONS,
+    SENSITIVITY,
+    SHARES,
+    TEMPORAL,
+    measure_sequence,
+    summaries,
+    unmeasured,
+)
+from studiorecon.report.metrics.motion import jitter
+from studiorecon.report.metrics.truth import read_views, regions, true_joints
+from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Manifest, common_start, read_manifest
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.files import write_json
+from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.path import read_path
-from studiorecon.scene.people import Person, read_detections, read_identities, read_person
+from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.signature import Place, Written
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
-_NO_TRUTH = "there is no exact truth (only a made studio has it)"
+_NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
 _NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
 
 # version → film and the index in it of each camera's first frame.
@@ -50,12 +62,23 @@ RegionsOf = Callable[[Camera], Iterator[Mapping[str, np.ndarray]]]
 
 @dataclass(frozen=True)
 class Settings:
-    seen_tolerance: float
-    seen_sensitivity: tuple[float, float]
-    flow_preset: Literal["ultrafast", "fast", "medium"]
-    bootstrap_samples: int
-    seed: int
-    lpips: DistanceSettings
+    """What is measured, and how.
+
+    Attributes:
+        seen_tolerance: a surface is seen when its depth agrees with a training camera's to this share (paper: 0.05,
+            Seen/Unseen Fidelity; U57). ``seen_sensitivity``: shares at which the same is told besides.
+        flow_preset: effort of the optical flow of the photos that temporal measures follow.
+        bootstrap_samples: times that frames are drawn anew for the 95 % intervals, by a generator of this ``seed``.
+    """
+
+    seen_tolerance: float = 0.05
+    seen_sensitivity: tuple[float, float] = (0.02, 0.1)
+    flow_preset: Literal["ultrafast", "fast", "medium"] = "fast"
+    bootstrap_samples: int = 1000
+    seed: int = 0
+    lpips: Net = setting(
+        "none", "Network of LPIPS: alex is what papers call LPIPS, vgg is in the lineage of 3DGS; both need weights."
+    )
 
 
 def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
@@ -64,7 +87,9 @@ def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
     reasons |= dict.fromkeys(SHARES, region)
     if have_truth:
-        reasons |= dict.fromkeys(("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen"), _NO_DEPTH)
+        reasons |= dict.fromkeys(
+            ("psnr_people_seen", "psnr_people_unseen", "ssim_people_seen", "ssim_people_unseen"), _NO_DEPTH
+        )
         reasons |= {"share_people_seen": _NO_DEPTH}
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
@@ -82,12 +107,19 @@ def measure_camera(
     distance: PerceptualDistance | None,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
-    streams = {name: read_frames_from(path, starts[camera], starts[camera] + frames) for name, (path, starts) in versions.items()}
+    streams = {
+        name: read_frames_from(path, starts[camera], starts[camera] + frames)
+        for name, (path, starts) in versions.items()
+    }
 
     def together() -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], Mapping[str, np.ndarray]]]:
         for photo, masks in zip(read_frames(photos, 0, frames), regions_of_frames):
             # Films of cameras of different sizes share one size; a camera's own picture is the top left part.
-            yield photo, {name: next(stream)[: photo.shape[0], : photo.shape[1]] for name, stream in streams.items()}, masks
+            yield (
+                photo,
+                {name: next(stream)[: photo.shape[0], : photo.shape[1]] for name, stream in streams.items()},
+                masks,
+            )
 
     return measure_sequence(together(), flow_preset, distance)
 
@@ -99,24 +131,33 @@ def score_pictures(
     versions: Versions,
     regions_of: RegionsOf | None,
     settings: Settings,
+    lpips: Path,
     threads: int,
 ) -> dict[str, Any]:
     """Measures of every version against the photos of ``cameras``."""
-    distance = opened(settings.lpips, threads, "set report.lpips.net to none")
+    distance = opened(settings.lpips, lpips, threads, "set report.lpips to none")
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(cameras, "cameras"):
         masks = regions_of(camera) if regions_of is not None else repeat({})
         about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance
         for name, values in measure_camera(camera.name, *about).items():
             measured.setdefault(name, {})[camera.name] = values
-    reasons, bootstrap = missing_reasons(regions_of is not None, settings.lpips.net), Bootstrap(settings.bootstrap_samples, settings.seed)
-    return {name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap) for name, found in measured.items()}
+    reasons, bootstrap = (
+        missing_reasons(regions_of is not None, settings.lpips),
+        Bootstrap(settings.bootstrap_samples, settings.seed),
+    )
+    return {
+        name: summaries(found, TEMPORAL if name == "photo" else NAMES, reasons, bootstrap)
+        for name, found in measured.items()
+    }
 
 
 def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:
-    """camera → index of its first picture in a film; Refusal, naming the path's file, when the film is not of this capture's every frame.
+    """camera → index of its first picture in a film; UserError, naming the path's file, when the film is not of this
+    capture's every frame.
 
-    A film of other cameras, another length or every second frame would pair pictures with the wrong photos without an error.
+    A film of other cameras, another length or every second frame would pair pictures with the wrong photos without an
+    error.
     """
     steps, _ = read_path(path)
     starts: dict[str, int] = {}
@@ -124,11 +165,14 @@ def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> di
         starts.setdefault(step.segment, index)
     for camera in cameras:
         if camera.name not in starts:
-            raise Refusal(f"{path} has no pictures of camera {camera.name}: it belongs to another run; render it again")
+            raise UserError(
+                f"{path} has no pictures of camera {camera.name}: it belongs to another run; render it again"
+            )
         shown = [step.frame for step in steps if step.segment == camera.name]
         if shown != list(range(capture.frames)):
-            raise Refusal(
-                f"{path} shows {len(shown)} pictures of camera {camera.name} and the capture has {capture.frames} frames, one each: "
+            raise UserError(
+                f"{path} shows {len(shown)} pictures of camera {camera.name} and the capture "
+                f"has {capture.frames} frames, one each: "
                 "it belongs to another run; render it again"
             )
     return starts
@@ -147,11 +191,14 @@ def score_bodies(people: Sequence[Person], truth: Path | None, first_frame: int)
 
 
 def coverage(truth_maps: Sequence[Path]) -> dict[str, Any]:
-    """Share of each shot's pixels that is measured, inferred, invented: mean over pictures. Needs neither truth nor photos."""
+    """Share of each shot's pixels that is measured, inferred, invented: mean over pictures. Needs neither truth nor
+    photos."""
     result = {}
     for path in truth_maps:
         shares = [truth_shares(frame) for frame in read_frames(path)]
-        result[path.name.split(".")[0]] = {name: float(np.mean([s[name] for s in shares])) for name in ("measured", "inferred", "invented")}
+        result[path.name.split(".")[0]] = {
+            name: float(np.mean([s[name] for s in shares])) for name in ("measured", "inferred", "invented")
+        }
     return result
 
 
@@ -161,6 +208,7 @@ def run(
     manifest: Path,
     model: Path,
     heldout_model: Path,
+    poses: Path,
     videos: list[Path],
     render: list[Path],
     render_path: list[Path],
@@ -169,29 +217,40 @@ def run(
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
-    metrics: Path,
+    metrics: Written,
     truth: list[Path] | None = None,
+    lpips: Place = Path("resources/weights/lpips"),
     threads: int = 1,
 ) -> None:
-    """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras."""
+    """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
+    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``lpips`` is the folder
+    of LPIPS' weights."""
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     exact = truth[0] if truth else None
     if exact is not None and not exact.is_dir():
-        raise Refusal(f"{exact} is not a folder of exact truth; make the studio again, or leave --truth out")
+        raise UserError(f"{exact} is not a folder of exact truth; make the studio again, or leave --truth out")
     cameras, first = held_out or training, common_start(capture.footage)
     starts = first_frames(render_path[0], cameras, capture) if render_path else {}
-    versions = {name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
+    versions = {
+        name: (files[0], starts) for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path
+    }
     views, regions_of = read_views(exact) if exact is not None else {}, None
     if views and held_out:
         names = [camera.name for camera in training]
 
         def regions_of(camera: Camera) -> Iterator[dict[str, np.ndarray]]:
-            return regions(views, camera, names, first, capture.frames, settings.seen_tolerance, settings.seen_sensitivity)
+            return regions(
+                views, camera, names, first, capture.frames, settings.seen_tolerance, settings.seen_sensitivity
+            )
 
     with one_thread():
         footage = {video.stem: video for video in videos}
-        found = score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, threads) if versions else {}
+        found = (
+            score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, lpips, threads)
+            if versions
+            else {}
+        )
     nothing = {name: {measure: unmeasured(_NO_HELD_OUT) for measure in NAMES} for name in ("raw", "enhanced")}
     people = [read_person(path) for path in fits]
     bodies = score_bodies(people, exact, first)
@@ -202,13 +261,14 @@ def run(
             "scene": scene,
             "pictures": found if held_out and found else nothing,
             "training": found if not held_out and found else None,
+            "held_out_cameras": read_json(poses)["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
             "pck": {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": NO_PCK},
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
             "identities": _identities(detections, identities, training, joints),
             "coverage": coverage(truth_maps),
-            "definitions": definitions(settings.lpips.net),
+            "definitions": definitions(settings.lpips),
             "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
             "inputs": {path.name: digest(path) for path in (*videos, *fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in (*render, *enhanced)},
@@ -219,7 +279,12 @@ def run(
 
 
 def _bodies_in_pictures(
-    views: Mapping, cameras: Sequence[Camera], people: Sequence[Person], joints: Mapping[str, np.ndarray], first: int, frames: int
+    views: Mapping,
+    cameras: Sequence[Camera],
+    people: Sequence[Person],
+    joints: Mapping[str, np.ndarray],
+    first: int,
+    frames: int,
 ) -> dict[str, Any]:
     empty = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None}
     if not views or not cameras:
@@ -233,7 +298,12 @@ def _identities(
     detections: Sequence[Path], identities: Sequence[Path], training: Sequence[Camera], joints: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:
     if not joints or not detections or not identities:
-        return {"accuracy": None, "precision": None, "idf1": None, "reason": "nobody was detected" if joints else _NO_TRUTH}
+        return {
+            "accuracy": None,
+            "precision": None,
+            "idf1": None,
+            "reason": "nobody was detected" if joints else _NO_TRUTH,
+        }
     found = [read_detections(path) for path in detections]
     return score_identities(found, read_identities(identities[0]), {camera.name: camera for camera in training}, joints)
 
@@ -244,7 +314,10 @@ def _tell(pictures: Mapping[str, Any], bodies: Mapping[str, Any]) -> None:
         if values["value"] is None:
             say(f"{name} pictures are not measured: {values['reason']}")
         else:
-            say(f"{name} pictures at held-out cameras: PSNR {values['value']:.2f} dB, SSIM {pictures[name]['ssim']['value']:.4f}")
+            say(
+                f"{name} pictures at held-out cameras: PSNR {values['value']:.2f} dB, SSIM "
+                f"{pictures[name]['ssim']['value']:.4f}"
+            )
     if bodies["mpjpe_world_mm"] is None:
         say(f"joint errors are not measured: {bodies['reason']}")
     else:

@@ -1,53 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.page``: everything worth seeing on one page that needs no network, and what the run cost: ``index.html``, ``cost.json``."""
+"""``report.page``: everything worth seeing on one page that needs no network, and what the run cost: ``index.html``,
+``cost.json``."""
 
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 
-from studiorecon.images.exr import read_depth
-from studiorecon.images.seeking import read_frame_at
+from studiorecon.arrays import evenly_spread
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.video import read_frame
+from studiorecon.pages import html
 from studiorecon.progress import say, warn
-from studiorecon.report import appendix, html, presence, sections, sweep_section, terms, verdicts, wipe
-from studiorecon.report.cost import cost
-from studiorecon.report.pictures import depth_picture, difference, mask_picture, truth_picture
-from studiorecon.report.records import read_records
-from studiorecon.report.solvers import section as solvers_section
+from studiorecon.report.sections import appendix, comparison_slider, timeline, verdicts
+from studiorecon.report.sections import licences as terms
+from studiorecon.report.sections import tables as sections
+from studiorecon.report.sections.cost import cost
+from studiorecon.report.sections.pictures import depth_picture, difference, mask_picture, truth_picture
+from studiorecon.report.sections.solvers import section as solvers_section
 from studiorecon.scene.capture import Manifest, read_manifest
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.path import read_path
-from studiorecon.scene.people import read_detections, read_identities, read_person
+from studiorecon.scene.people import read_detections, read_identities
+from studiorecon.signature import Place, Written
+from studiorecon.sweep import section as sweep_section
+from studiorecon.sweep.records import read_records
 
 
 @dataclass(frozen=True)
 class Settings:
-    strip_frames: int
-    picture_width: int
-    least_measured: float
-    largest_angle_deg: float
+    strip_frames: int = 2
+    picture_width: int = 480
+    # Films are warned about where less than this share of a picture is measured, and where the camera stands further
+    # than this from every training camera.
+    min_measured: float = 0.5
+    max_angle_deg: float = 60.0
 
 
 def strips(
     capture: Manifest, videos: Sequence[Path], render: Path, enhanced: Path, path: Path, settings: Settings
 ) -> tuple[str, list[str]]:
-    """A slider, and rows of photo, raw render, enhanced picture and difference, of a few frames of every held-out camera."""
+    """A slider, and rows of photo, raw render, enhanced picture and difference, of a few frames of every held-out
+    camera."""
     steps, _ = read_path(path)
     rows, moments = [], []
     for video in videos:
         camera = video.stem
         first = next(i for i, step in enumerate(steps) if step.segment == camera)
         for frame in spread(capture.frames, settings.strip_frames):
-            photo, raw = read_frame_at(video, frame), read_frame_at(render, first + frame)
-            final = read_frame_at(enhanced, first + frame)
+            photo, raw = read_frame(video, frame), read_frame(render, first + frame)
+            final = read_frame(enhanced, first + frame)
             raw, final = (picture[: photo.shape[0], : photo.shape[1]] for picture in (raw, final))
             about = f"{camera}, frame {frame}"
             made = {"photo": photo, "enhanced": final, "render": raw}
@@ -57,12 +68,22 @@ def strips(
             figures = [html.figure(shown[name], caption) for name, caption in captions.items()]
             missed = html.jpeg(difference(final, photo), settings.picture_width)
             rows.append(html.row([*figures, html.figure(missed, "difference × 3")]))
-    return wipe.slider(moments, "photo", "enhanced"), rows
+    return comparison_slider.slider(moments, "photo", "enhanced"), rows
+
+
+def player(poster: Path, page: Path) -> str:
+    """The player's picture, which opens the player: ``player.html`` beside it, by an address relative to the page."""
+    address = html.text(Path(os.path.relpath(poster.with_suffix(".html"), page.parent)).as_posix())
+    picture_bgr = cv2.imread(str(poster))
+    assert picture_bgr is not None
+    picture = html.jpeg(picture_bgr[..., ::-1], 1600)
+    told = "The scene to move through: orbit, stand at a camera, stop time, see what is measured and what is invented."
+    return f'<a href="{address}">{html.figure(picture, f"▶ {told}")}</a>'
 
 
 def spread(frames: int, wanted: int) -> list[int]:
     """``wanted`` frames spread over a clip, its ends left out; fewer when the clip is shorter."""
-    return [int(frame) for frame in np.unique(np.linspace(0, frames - 1, wanted + 2).round().astype(int)[1:-1])] if wanted else []
+    return [int(frame) for frame in evenly_spread(frames, wanted + 2)[1:-1]] if wanted else []
 
 
 def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) -> list[str]:
@@ -72,6 +93,7 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
         camera = depth.stem
         picture, (near, far) = depth_picture(*read_depth(depth))
         image = cv2.imread(str(plate), cv2.IMREAD_UNCHANGED)
+        assert image is not None
         figures.append(
             "<div>"
             + html.figure(html.jpeg(image[..., 2::-1], width), f"{camera}: clean plate, black where never seen empty")
@@ -84,20 +106,27 @@ def room_pictures(plates: Sequence[Path], depths: Sequence[Path], width: int) ->
 def mask_pictures(videos: Sequence[Path], masks: Sequence[Path], frame: int, width: int) -> list[str]:
     """A photo of each training camera with its people tinted."""
     return [
-        html.figure(html.jpeg(mask_picture(read_frame_at(video, frame), read_frame_at(mask, frame)), width), f"{mask.stem}, frame {frame}")
+        html.figure(
+            html.jpeg(mask_picture(read_frame(video, frame), read_frame(mask, frame)), width),
+            f"{mask.stem}, frame {frame}",
+        )
         for video, mask in zip(videos, masks, strict=True)
     ]
 
 
-def truth_pictures(renders: Sequence[Path], paths: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int) -> list[str]:
+def truth_pictures(
+    renders: Sequence[Path], paths: Sequence[Path], maps: Sequence[Path], metrics: dict, width: int
+) -> list[str]:
     """Three pictures of every film, tinted by what they are based on."""
     rows = []
     for render, path, truth in zip(renders, paths, maps, strict=True):
         shares = metrics["coverage"].get(render.stem, {})
-        caption = ", ".join(f"{100 * shares[name]:.0f} % {name}" for name in ("measured", "inferred", "invented") if name in shares)
+        caption = ", ".join(
+            f"{100 * shares[name]:.0f} % {name}" for name in ("measured", "inferred", "invented") if name in shares
+        )
         steps = len(read_path(path)[0])
         figures = [
-            html.figure(html.jpeg(truth_picture(read_frame_at(truth, i), read_frame_at(render, i)), width), f"picture {i}")
+            html.figure(html.jpeg(truth_picture(read_frame(truth, i), read_frame(render, i)), width), f"picture {i}")
             for i in spread(steps, 3)
         ]
         rows.append(f"<p>Shot <b>{html.text(render.stem)}</b>: {html.text(caption)}</p>" + html.row(figures))
@@ -130,50 +159,66 @@ def run(
     detections: list[Path],
     identities: list[Path],
     linked: list[Path],
-    benchmarks: Path,
-    logs: Path,
+    benchmarks: Place,
+    logs: Place,
     configuration: str,
-    licences: Path,
+    licences: Place,
     paper: Path,
     solvers: Path,
-    sweeps: list[Path],
-    costs: Path,
-    page: Path,
+    poster: Path | None,
+    sweeps: list[Place],
+    costs: Written,
+    page: Written,
 ) -> None:
-    """Write the page; lists of optional files may be empty, and the page then says what is missing. ``sweeps`` are records of them."""
+    """Write the page; lists of optional files may be empty, and the page then says what is missing. ``sweeps`` are
+    records of them."""
     capture, measured, spent = read_manifest(manifest), read_json(metrics), cost(benchmarks)
-    spent["machine"] = {"system": platform.system(), "processor": platform.machine(), "python": platform.python_version()}
+    spent["machine"] = {
+        "system": platform.system(),
+        "processor": platform.machine(),
+        "python": platform.python_version(),
+    }
     write_json(costs, spent)
     width, decided = settings.picture_width, [read_decisions(path) for path in decisions]
     body = [sections.head(scene, capture, len(read_model(model.parent)), measured, spent)]
     shown = [html.film(film.read_bytes(), f"Shot {film.stem}, enhanced") for film in films]
     rows: list[str] = []
     if heldout_render and heldout_enhanced:
-        slider, rows = strips(capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings)
+        slider, rows = strips(
+            capture, heldout_videos, heldout_render[0], heldout_enhanced[0], heldout_path[0], settings
+        )
         shown.insert(1, slider)
-    body += [*shown[:2], html.row(shown[2:], 2) if shown[2:] else ""]
+    body += [player(poster, page) if poster else "", *shown[:2], html.row(shown[2:], 2) if shown[2:] else ""]
     body.append(
-        html.heading("Against the held-out cameras", "Cameras that no stage but this report has looked at. Differences are amplified.")
+        html.heading(
+            "Against the held-out cameras",
+            "Cameras that no stage but this report has looked at. Differences are amplified.",
+        )
     )
     body += rows
     body.append(sections.measures(measured))
     body.append(sections.paper(measured, paper))
     body.append(sections.people(measured))
     bodies = [read_person(path) for path in fits]
-    body.append(presence.surety(bodies, measured["jitter"]))
+    body.append(timeline.surety(bodies, measured["jitter"]))
     if identities:
         names = [person.name for person in bodies]
         whose, found = read_identities(identities[0]), [read_detections(path) for path in detections]
-        body.append(presence.strip(presence.frames_seen(found, whose, names, capture.frames), names))
+        body.append(timeline.strip(timeline.frames_seen(found, whose, names, capture.frames), names))
     if masks:
         body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))
     body.append(
-        html.heading("What is measured", "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it.")
+        html.heading(
+            "What is measured",
+            "Blue: seen by a camera. Yellow: inferred from its surroundings. Red: invented, nobody saw it.",
+        )
     )
     body += truth_pictures(renders, paths, truth_maps, measured, width)
     body.append(html.heading("The room", "What the cameras see without people, and how far away it is."))
     body.append(html.row(room_pictures(plates, depths, width), min(len(plates), 4)))
-    body.append(sections.cameras(read_json(refinement), html.jpeg(cv2.imread(str(sheet))[..., ::-1], 1600)))
+    sheet_bgr = cv2.imread(str(sheet))
+    assert sheet_bgr is not None
+    body.append(sections.cameras(read_json(refinement), html.jpeg(sheet_bgr[..., ::-1], 1600)))
     body.append(sections.coverage(decided))
     body.append(verdicts.decisions(decided, spent))
     body.append(sweep_section.single(measured, spent))
@@ -183,11 +228,13 @@ def run(
     body.append(solvers_section(solvers))
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
-    of_films = appendix.film_warnings(ledgers, settings.least_measured, settings.largest_angle_deg)
+    of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
     body.append(appendix.warnings([*appendix.read_warnings(logs), *of_films]))
     for _, sentence in of_films:
         warn(sentence)
     body.append(appendix.versions(measured["provenance"], spent["machine"]))
-    body.append(appendix.links(page.parents[1], page, [metrics, costs, *decisions, refinement, *identities, *linked], ledgers))
-    write_text(page, html.page(f"{scene}: 4D scene", body, wipe.STYLE))
+    body.append(
+        appendix.links(page.parents[1], page, [metrics, costs, *decisions, refinement, *identities, *linked], ledgers)
+    )
+    write_text(page, html.page(f"{scene}: 4D scene", body, comparison_slider.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One picture that tells what a scene is: the training photos of one moment above views from where nobody filmed.
 
-``python -m studiorecon report.picture --videos results/demo/capture/cam*.mkv --film results/demo/enhance/orbit.mkv --frame 30
+``python -m studiorecon report.picture --videos results/demo/capture/cam*.mkv --film results/demo/enhance/orbit.mkv
+--frame 30
 --picture overview.jpg``
 """
 
@@ -12,8 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.images.seeking import read_frame_at
-from studiorecon.images.video import read_stack
+from studiorecon.footage.video import read_frame, read_stack
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
@@ -38,7 +38,7 @@ def run(videos: list[Path], film: Path, picture: Path, frame: int = 0, views: in
     """Write a JPEG with ``frame`` of every video above ``views`` pictures spread over the film."""
     frames = read_stack(film)
     chosen = [frames[i] for i in (np.arange(views) * len(frames)) // views + len(frames) // (2 * views)]
-    made = overview([read_frame_at(video, frame) for video in videos], chosen)
+    made = overview([read_frame(video, frame) for video in videos], chosen)
     with complete(picture) as partial:
         partial.write_bytes(cv2.imencode(".jpg", made[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
     say(f"{len(videos)} photos and {len(chosen)} views are in {picture}")

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.score``: any method's pictures against the photos: ``python -m studiorecon report.score --renders DIR --truth DIR``.
+"""``report.score``: any method's pictures against the photos: ``python -m studiorecon report.score --renders DIR
+--truth DIR``.
 
-Each folder holds one video (``<camera>.mkv``, ``.mp4``, …) or one folder of pictures (``<camera>/*.png``) per camera, or just one
-sequence; frames are compared in order. ``--masks DIR`` brings masks of people for the true pictures (not black = person), ``--lpips DIR``
-the weights of LPIPS (``alexnet.pth`` of torchvision, ``lpips_alex.pth`` of the package lpips). Prints the measures; ``--output FILE`` keeps
-them as JSON with every raw value. What these inputs cannot tell is null with the reason.
+Each folder holds one video (``<camera>.mkv``, ``.mp4``, …) or one folder of pictures (``<camera>/*.png``) per camera,
+or just one sequence; frames are compared in order. ``--masks DIR`` brings masks of people for the true pictures (not
+black = person), ``--lpips DIR`` the weights of LPIPS (``alexnet.pth`` of torchvision, ``lpips_alex.pth`` of the package
+lpips). Prints the measures; ``--output FILE`` keeps them as JSON with every raw value. What these inputs cannot tell is
+null with the reason.
 """
 
 from __future__ import annotations
@@ -14,20 +16,28 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
 from studiorecon.images.regions import dilated
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
-from studiorecon.report.definitions import NO_PCK, PROTOCOL, definitions, provenance
-from studiorecon.report.distance import TOO_SMALL, DistanceSettings, opened
-from studiorecon.report.folders import cameras_in, digest, frames_of, masks_of
-from studiorecon.report.intervals import Bootstrap
-from studiorecon.report.measures import NAMES, REGIONS, SENSITIVITY, SHARES, TEMPORAL, measure_sequence, summaries
+from studiorecon.report.metrics.bootstrap import Bootstrap
+from studiorecon.report.metrics.definitions import NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.metrics.distance import TOO_SMALL, opened
+from studiorecon.report.metrics.folders import cameras_in, digest, frames_of, masks_of
+from studiorecon.report.metrics.measures import (
+    NAMES,
+    REGIONS,
+    SENSITIVITY,
+    SHARES,
+    TEMPORAL,
+    measure_sequence,
+    summaries,
+)
 from studiorecon.scene.files import write_json
 
 _NO_MASKS = "no masks of people were given: add --masks DIR"
@@ -48,7 +58,7 @@ def people_regions(mask: np.ndarray) -> dict[str, np.ndarray]:
 def score_camera(
     camera: str, renders: Path, truth: Path, masks: Path | None, distance: PerceptualDistance | None = None
 ) -> dict[str, list[dict[str, float | None]]]:
-    """version → measures per frame; raises Refusal, naming the folders, when sizes or numbers of frames differ."""
+    """version → measures per frame; raises UserError, naming the folders, when sizes or numbers of frames differ."""
     sources = {"renders": renders, "photos": truth} | ({} if masks is None else {"masks": masks})
     streams = {name: (masks_of if name == "masks" else frames_of)(source) for name, source in sources.items()}
 
@@ -58,17 +68,24 @@ def score_camera(
             ended = [name for name, value in found.items() if value is None]
             if ended and len(ended) < len(found):
                 longer = next(name for name in found if name not in ended)
-                raise Refusal(
+                raise UserError(
                     f"{sources[ended[0]]} ends after {frame} frames and {sources[longer]} does not (camera {camera}): "
                     "they have different numbers of frames; cut the longer one"
                 )
             if ended:
                 return
-            for name, value in found.items():
-                if value.shape[:2] != found["photos"].shape[:2]:
-                    sizes = " and ".join(f"{v.shape[1]}×{v.shape[0]}" for v in (value, found["photos"]))
-                    raise Refusal(f"frame {frame} of {sources[name]} and {truth} differ in size ({sizes}); resize one of them")
-            yield found["photos"], {"renders": found["renders"]}, people_regions(found["masks"]) if "masks" in found else {}
+            pictures = {name: value for name, value in found.items() if value is not None}
+            for name, value in pictures.items():
+                if value.shape[:2] != pictures["photos"].shape[:2]:
+                    sizes = " and ".join(f"{v.shape[1]}×{v.shape[0]}" for v in (value, pictures["photos"]))
+                    raise UserError(
+                        f"frame {frame} of {sources[name]} and {truth} differ in size ({sizes}); resize one of them"
+                    )
+            yield (
+                pictures["photos"],
+                {"renders": pictures["renders"]},
+                people_regions(pictures["masks"]) if "masks" in pictures else {},
+            )
 
     return measure_sequence(together(), _FLOW_PRESET, distance)
 
@@ -76,9 +93,13 @@ def score_camera(
 def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     """Why each measure may be null."""
     person = "no frame shows at least 256 pixels of it" if have_masks else _NO_MASKS
-    found = {f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in (*REGIONS, *SENSITIVITY) for m in ("psnr", "ssim")}
+    found = {
+        f"{m}_{r}": person if "seen" not in r else _NO_DEPTH for r in (*REGIONS, *SENSITIVITY) for m in ("psnr", "ssim")
+    }
     found |= dict.fromkeys(SHARES, _NO_DEPTH)
-    found |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back")
+    found |= dict.fromkeys(
+        TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
+    )
     found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
     found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
     return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
@@ -90,14 +111,16 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     covers = cameras_in(masks) if masks is not None else {}
     common = [camera for camera in left if camera in right]
     if not common:
-        raise Refusal(f"no camera of {renders} ({', '.join(left)}) is in {truth} ({', '.join(right)}); name the files alike")
+        raise UserError(
+            f"no camera of {renders} ({', '.join(left)}) is in {truth} ({', '.join(right)}); name the files alike"
+        )
     if masks is not None and (bare := [camera for camera in common if camera not in covers]):
-        raise Refusal(f"{masks} has no masks of camera {bare[0]}; add them, or leave --masks out")
+        raise UserError(f"{masks} has no masks of camera {bare[0]}; add them, or leave --masks out")
     alone = sorted(set(left) ^ set(right))
     for camera in alone:
         say(f"camera {camera} is in one folder only and is left out")
-    net = "none" if lpips is None else "alex"
-    distance = opened(DistanceSettings(net, str(lpips)), 1, "leave --lpips out")
+    net: Literal["none", "alex"] = "none" if lpips is None else "alex"
+    distance = None if lpips is None else opened(net, lpips, 1, "leave --lpips out")
     with one_thread(), ThreadPoolExecutor(max_workers=max(1, min(len(common), os.cpu_count() or 1))) as pool:
         jobs = {c: pool.submit(score_camera, c, left[c], right[c], covers.get(c), distance) for c in common}
         measured = {camera: job.result() for camera, job in progress(list(jobs.items()), "cameras")}
@@ -124,7 +147,9 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     }
 
 
-def run(renders: Path, truth: Path, masks: Path | None = None, output: Path | None = None, lpips: Path | None = None) -> None:
+def run(
+    renders: Path, truth: Path, masks: Path | None = None, output: Path | None = None, lpips: Path | None = None
+) -> None:
     """Score every camera that both folders have."""
     result = score(renders, truth, masks, lpips)
     for name, entry in result["pictures"]["renders"].items():

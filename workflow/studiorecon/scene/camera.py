@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.arrays import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 
 @dataclass(frozen=True)
@@ -24,8 +27,8 @@ class Camera:
 
     name: str
     wh: tuple[int, int]
-    intrinsics: np.ndarray
-    camera_from_world: np.ndarray
+    intrinsics: Float[np.ndarray, "3 3"]
+    camera_from_world: Float[np.ndarray, "4 4"]
 
     @property
     def hw(self) -> tuple[int, int]:
@@ -44,7 +47,7 @@ class Camera:
         return self.camera_from_world[:3, :3]
 
     @property
-    def world_from_camera(self) -> np.ndarray:
+    def world_from_camera(self) -> Num[np.ndarray, "4 4"]:
         """(4, 4) inverse of ``camera_from_world``, by transposition: exact for a rotation, no linear solve."""
         inverse = np.eye(4)
         inverse[:3, :3] = self.camera_from_world[:3, :3].T
@@ -52,20 +55,20 @@ class Camera:
         return inverse
 
     @property
-    def centre_m(self) -> np.ndarray:
+    def centre_m(self) -> Num[np.ndarray, " 3"]:
         """(3,) camera centre in the world."""
         return -self.camera_from_world[:3, :3].T @ self.camera_from_world[:3, 3]
 
     @property
-    def forward(self) -> np.ndarray:
+    def forward(self) -> Num[np.ndarray, " 3"]:
         """(3,) unit viewing direction in the world."""
         return self.camera_from_world[2, :3].copy()
 
-    def project(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, points_m: Num[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (..., 2) and depth in metres (...,) of world points (..., 3).
 
-        Points at or behind the camera plane get NaN pixels; their depth (≤ 0) says so (numerics C05); a NaN point gives NaN.
-        Raises ValueError when the last axis is not 3.
+        Points at or behind the camera plane get NaN pixels; their depth (≤ 0) says so (C05); a NaN point gives
+        NaN. Raises ValueError when the last axis is not 3.
         """
         points = np.asarray(points_m, dtype=np.float64)
         require("points_m", points, (..., 3))
@@ -81,7 +84,7 @@ class Camera:
         return pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
 
     def unproject(self, pixels: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-        """World points (..., 3) of pixels (..., 2) at z-depth (...,); not along-ray range (numerics C03).
+        """World points (..., 3) of pixels (..., 2) at z-depth (...,); not along-ray range (C03).
 
         The caller says which depths are real: 0 gives the camera's centre, a negative depth a point behind it (C04; see
         ``geometry.lifting``). Raises ValueError when the shapes do not fit together.
@@ -99,24 +102,31 @@ class Camera:
         np.matmul(self.camera_from_world[:3, :3].T, rays, out=points.T)
         return points.reshape(*depth.shape, 3)
 
-    def pixel_centres(self) -> np.ndarray:
+    def pixel_centres(self) -> Num[np.ndarray, "H W 2"]:
         """(H, W, 2) pixel coordinates of all pixel centres."""
         height, width = self.hw
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         return np.stack([columns, rows], axis=-1)
 
     def rays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Origin (3,) and directions (H, W, 3) in the world, scaled so that one step along a ray is one metre of z-depth."""
+        """Origin (3,) and directions (H, W, 3) in the world, scaled so that one step along a ray is one metre of
+        z-depth."""
         directions = self.unproject(self.pixel_centres(), np.ones(self.hw)) - self.centre_m
         return self.centre_m, directions
 
     def resized(self, wh: tuple[int, int]) -> Camera:
-        """The same camera with another number of pixels. With centres at +0.5 this is a pure scaling of the intrinsics."""
+        """The same camera with another number of pixels. With centres at +0.5 this is a pure scaling of the
+        intrinsics."""
         scale = np.diag([wh[0] / self.wh[0], wh[1] / self.wh[1], 1.0])
         return replace(self, wh=(int(wh[0]), int(wh[1])), intrinsics=scale @ self.intrinsics)
 
     def as_json(self) -> dict[str, Any]:
-        return {"name": self.name, "wh": list(self.wh), "intrinsics": self.intrinsics, "camera_from_world": self.camera_from_world}
+        return {
+            "name": self.name,
+            "wh": list(self.wh),
+            "intrinsics": self.intrinsics,
+            "camera_from_world": self.camera_from_world,
+        }
 
     @staticmethod
     def from_json(value: dict[str, Any]) -> Camera:
@@ -139,17 +149,17 @@ class Lens:
         model: ``"opencv"`` (k1 k2 p1 p2 k3 [k4 k5 k6], zeros allowed) or ``"fisheye"`` (k1 k2 k3 k4).
         distortion: coefficients of ``model``; all zero means a pinhole.
         camera_from_world: (4, 4) float64.
-        calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration
-            (identity when the video has the calibrated size; a pure scaling when it was resized).
+        calibration_from_video: (2, 3) affine map from pixels of the video file to pixels of the calibration (identity
+            when the video has the calibrated size; a pure scaling when it was resized).
     """
 
     name: str
     wh: tuple[int, int]
-    intrinsics: np.ndarray
+    intrinsics: Float[np.ndarray, "3 3"]
     model: str
     distortion: np.ndarray
-    camera_from_world: np.ndarray
-    calibration_from_video: np.ndarray
+    camera_from_world: Float[np.ndarray, "4 4"]
+    calibration_from_video: Num[np.ndarray, "2 3"]
 
     def as_json(self) -> dict[str, Any]:
         return {

@@ -55,7 +55,8 @@ class Footage:
 
 @dataclass(frozen=True)
 class Manifest:
-    """All cameras of a scene; ``footage`` is in the user's camera order, training cameras and held-out ones together."""
+    """All cameras of a scene; ``footage`` is in the user's camera order, training cameras and held-out ones
+    together."""
 
     scene: str
     fps: float
@@ -97,7 +98,9 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
 
 def read_manifest(path: Path) -> Manifest:
     value = read_json(path)
-    return Manifest(value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"]))
+    return Manifest(
+        value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"])
+    )
 
 
 def _footage(value: dict[str, Any]) -> Footage:

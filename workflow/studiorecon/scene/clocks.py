@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One common clock for all cameras, and which frame of each video shows which moment: ``capture/clocks.json``."""
+"""One common clock for all cameras, and which frame of each video shows which moment: ``clocks/clocks.json``."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.files import read_json, write_json
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # Times closer than this share of a frame are one time: what rounding to a file's time base leaves.
 _SAME_FRAMES = 1e-4
@@ -49,7 +53,8 @@ class Clock:
 
 @dataclass(frozen=True)
 class Clocks:
-    """All cameras on one clock, and the moments that the scene is made of: working frame w is at ``start_s`` + w / ``fps``.
+    """All cameras on one clock, and the moments that the scene is made of: working frame w is at ``start_s`` + w /
+    ``fps``.
 
     ``refusal`` is the sentence for which the footage cannot be used as it stands; empty: it can.
     """
@@ -67,21 +72,26 @@ class Clocks:
                 return clock
         raise KeyError(camera)
 
-    def positions(self, camera: str) -> np.ndarray:
-        """(N,) where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working frame 3."""
+    def positions(self, camera: str) -> Num[np.ndarray, " N"]:
+        """(N,) where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working
+        frame 3."""
         exact = (self.of(camera).common_s - self.start_s) * self.fps
         whole = np.round(exact)
         return np.where(np.abs(exact - whole) < _SAME_FRAMES, whole, exact)
 
     def source_frames(self, camera: str) -> np.ndarray:
-        """(frames,) the frame of the camera's footage that is nearest to every working frame; of two equally near ones the earlier."""
+        """(frames,) the frame of the camera's footage that is nearest to every working frame; of two equally near ones
+        the earlier."""
         position, wanted = self.positions(camera), np.arange(self.frames)
         after = np.clip(np.searchsorted(position, wanted), 1, max(len(position) - 1, 1))
         late = position[np.minimum(after, len(position) - 1)] - wanted
-        return np.where(wanted - position[after - 1] <= late + _SAME_FRAMES, after - 1, np.minimum(after, len(position) - 1))
+        return np.where(
+            wanted - position[after - 1] <= late + _SAME_FRAMES, after - 1, np.minimum(after, len(position) - 1)
+        )
 
     def late_frames(self, camera: str) -> np.ndarray:
-        """(frames,) by how many working frames the picture of every working frame comes late; at most half a frame of its camera."""
+        """(frames,) by how many working frames the picture of every working frame comes late; at most half a frame of
+        its camera."""
         return self.positions(camera)[self.source_frames(camera)] - np.arange(self.frames)
 
 

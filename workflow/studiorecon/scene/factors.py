@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What exposure and light did to the pictures of every camera, and pictures without it: ``survey/gains.json``, ``survey/course.json``.
+"""What exposure and light did to the pictures of every camera, and pictures without it: ``survey/gains.json``,
+``survey/brightness.json``.
 
-Both files hold factors of colours in [0, 1]: one (red, green, blue) per camera, or one per frame. Divided by them, the pictures of all
-cameras are of one common exposure, and every frame is lit as the clean plate is.
+Both files hold factors of colours in [0, 1]: one (red, green, blue) per camera, or one per frame. Divided by them, the
+pictures of all cameras are of one common exposure, and every frame is lit as the clean plate is.
 """
 
 from __future__ import annotations
@@ -15,18 +16,20 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.scene.files import read_json, write_json
 
 
 @dataclass(frozen=True)
 class Factors:
-    """``of``: camera → (1, 3) or (frames, 3) float64 factors; cameras that are not named have none, and keep their bytes."""
+    """``of``: camera → (1, 3) or (frames, 3) float64 factors; cameras that are not named have none, and keep their
+    bytes."""
 
     of: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def even(self, camera: str, picture: np.ndarray, frame: int = 0) -> np.ndarray:
-        """A picture (H, W, 3), uint8 or float32 in [0, 1], with its factor divided out, clipped; the same array without a factor."""
+        """A picture (H, W, 3), uint8 or float32 in [0, 1], with its factor divided out, clipped; the same array without
+        a factor."""
         if camera not in self.of:
             return picture
         own = self.of[camera]
@@ -54,18 +57,22 @@ def write_factors(path: Path, factors: Mapping[str, np.ndarray]) -> None:
 def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
     """The product of what the files say; ``frames`` refuses a film's factors of another length.
 
-    Raises Refusal: a file is of another kind, or the factors are not positive, or not one per frame of the capture.
+    Raises UserError: a file is of another kind, or the factors are not positive, or not one per frame of the capture.
     """
     product: dict[str, np.ndarray] = {}
     for path in paths:
         content = read_json(path)
         if "factors" not in content:
-            raise Refusal(f"{path} holds no factors of exposure; run snakemake once with --forcerun survey_decide")
+            raise UserError(f"{path} holds no factors of exposure; run snakemake once with --forcerun survey_decide")
         for camera, listed in content["factors"].items():
             own = np.asarray(listed, np.float64).reshape(-1, 3)
             if not len(own) or not (np.isfinite(own).all() and (own > 0).all()):
-                raise Refusal(f"{path} has factors of camera {camera} that are no positive numbers; run survey.decide again")
+                raise UserError(
+                    f"{path} has factors of camera {camera} that are no positive numbers; run survey.decide again"
+                )
             if frames is not None and len(own) not in (1, frames):
-                raise Refusal(f"{path} has {len(own)} factors of camera {camera} for {frames} frames; run survey.decide again")
+                raise UserError(
+                    f"{path} has {len(own)} factors of camera {camera} for {frames} frames; run survey.decide again"
+                )
             product[camera] = product[camera] * own if camera in product else own
     return Factors(product)

@@ -14,12 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
+
+
+def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
+    """Raises UserError unless there is one file of every kind per camera; a kind's name is said in words."""
+    if any(len(several) != len(cameras) for several in files.values()):
+        counted = ", ".join(f"{len(several)} {kind.replace('_', ' ')}" for kind, several in files.items())
+        counted = " and ".join(counted.rsplit(", ", 1))
+        raise UserError(f"{counted} for {len(cameras)} training cameras; one of each is needed per camera")
 
 
 @contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without an error."""
+    """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without an
+    error."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
     try:
@@ -41,19 +50,26 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read JSON; raises Refusal naming the file when it is missing or not JSON."""
+    """Read JSON; raises UserError naming the file when it is missing or not JSON."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise Refusal(f"{path} is missing") from None
+        raise UserError(f"{path} is missing") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise Refusal(f"{path} is not readable JSON ({error})") from None
+        raise UserError(f"{path} is not readable JSON ({error})") from None
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write a compressed npz, completely or not at all."""
     with complete(path) as partial, open(partial, "wb") as file:
         np.savez_compressed(file, **arrays)
+
+
+def open_npz(path: Path) -> np.lib.npyio.NpzFile:
+    """The arrays of an npz, read as they are asked for; raises UserError when the file is missing."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    return np.load(path, allow_pickle=False)
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
@@ -65,14 +81,17 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a tab-separated table as dictionaries; raises Refusal when the file or one of ``columns`` is missing."""
+    """Rows of a tab-separated table as dictionaries; raises UserError when the file or one of ``columns`` is
+    missing."""
     if not path.is_file():
-        raise Refusal(f"{path} is missing")
+        raise UserError(f"{path} is missing")
     with open(path, newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file, delimiter="\t")
         missing = [c for c in columns if c not in (reader.fieldnames or [])]
         if missing:
-            raise Refusal(f"{path} has no column {missing[0]!r}; its header must be {' '.join(columns)} (tab-separated)")
+            raise UserError(
+                f"{path} has no column {missing[0]!r}; its header must be {' '.join(columns)} (tab-separated)"
+            )
         return list(reader)
 
 

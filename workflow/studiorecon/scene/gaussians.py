@@ -5,8 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 SH_C0 = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0] + higher bands."""
@@ -24,10 +28,10 @@ class Gaussians:
         sh: (N, (degree + 1)², 3) float32 spherical harmonics, 3DGS order and signs.
     """
 
-    means_m: np.ndarray
-    quaternions: np.ndarray
-    log_scales: np.ndarray
-    logit_opacities: np.ndarray
+    means_m: Float[np.ndarray, "N 3"]
+    quaternions: Float[np.ndarray, "N 4"]
+    log_scales: Float[np.ndarray, "N 3"]
+    logit_opacities: Float[np.ndarray, " N"]
     sh: np.ndarray
 
     def __post_init__(self) -> None:
@@ -58,7 +62,13 @@ class Gaussians:
 
     def take(self, index: np.ndarray) -> Gaussians:
         """The Gaussians at ``index`` (integers or a boolean mask), in that order."""
-        return Gaussians(self.means_m[index], self.quaternions[index], self.log_scales[index], self.logit_opacities[index], self.sh[index])
+        return Gaussians(
+            self.means_m[index],
+            self.quaternions[index],
+            self.log_scales[index],
+            self.logit_opacities[index],
+            self.sh[index],
+        )
 
     def with_sh_degree(self, degree: int) -> Gaussians:
         """The same Gaussians with more (zero) or fewer (cut) spherical harmonics."""
@@ -68,31 +78,17 @@ class Gaussians:
         sh[:, :kept] = self.sh[:, :kept]
         return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh)
 
-    def with_colours(self, rgb: np.ndarray) -> Gaussians:
-        """The same shapes with constant colours (N, 3): what feature maps such as the truth map are rendered from."""
-        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh_from_rgb(rgb)[:, None, :])
 
-    def offset(self, logit_opacities: np.ndarray, sh_constant: np.ndarray) -> Gaussians:
-        """The same Gaussians with offsets for one moment of time, (N,) and (N, 3), added to what is stored, not to what is seen.
-
-        Added to logits, an offset of any size leaves the opacity between 0 and 1 and its gradient alive; added to the opacity itself,
-        0.95 + 0.2 would make later layers count negatively (numerics G14, reading U48). An offset of zeros changes nothing.
-        """
-        if logit_opacities.shape != (self.count,) or sh_constant.shape != (self.count, 3):
-            raise ValueError(f"offsets of {logit_opacities.shape} and {sh_constant.shape} do not fit {self.count} Gaussians")
-        sh = self.sh.copy()
-        sh[:, 0] += sh_constant
-        return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities + logit_opacities, sh)
-
-
-def sh_from_rgb(rgb: np.ndarray) -> np.ndarray:
+def sh_from_rgb(rgb: Num[np.ndarray, "... 3"]) -> np.ndarray:
     """The constant spherical harmonic (..., 3) that shows as ``rgb`` (..., 3)."""
     return ((np.asarray(rgb, np.float64) - 0.5) / SH_C0).astype(np.float32)
 
 
 def empty(sh_degree: int) -> Gaussians:
     """A set without Gaussians."""
-    return Gaussians(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, (sh_degree + 1) ** 2, 3)))
+    return Gaussians(
+        np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, (sh_degree + 1) ** 2, 3))
+    )
 
 
 def concatenate(sets: Sequence[Gaussians]) -> Gaussians:

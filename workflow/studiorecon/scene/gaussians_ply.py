@@ -2,7 +2,8 @@
 """Gaussians in the PLY layout of the original 3D Gaussian splatting code, which every viewer reads.
 
 Binary little endian, float32: x y z nx ny nz f_dc_0..2 f_rest_0..(3k−1) opacity scale_0..2 rot_0..3, where f_rest is
-channel-major (all red coefficients, then green, then blue), opacity is a logit, scales are logarithms and rot is (w, x, y, z).
+channel-major (all red coefficients, then green, then blue), opacity is a logit, scales are logarithms and rot is (w, x,
+y, z).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say, warn
 from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import Gaussians
@@ -41,7 +42,14 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
         gaussians.log_scales,
         gaussians.quaternions,
     ]
-    header = ["ply", _FORMAT, f"element vertex {n}", *(f"property float {name}" for name in property_names(bands)), "end_header", ""]
+    header = [
+        "ply",
+        _FORMAT,
+        f"element vertex {n}",
+        *(f"property float {name}" for name in property_names(bands)),
+        "end_header",
+        "",
+    ]
     with complete(path) as partial, open(partial, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(np.ascontiguousarray(np.concatenate(columns, axis=1), dtype="<f4").tobytes())
@@ -50,28 +58,33 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 def read_ply(path: Path) -> Gaussians:
     """The Gaussians of a PLY; properties may come in any order.
 
-    Says which further properties are not used, and how many Gaussians hold a value that is not a number: they are never drawn. Raises
-    Refusal naming the file for anything but this layout.
+    Says which further properties are not used, and how many Gaussians hold a value that is not a number: they are never
+    drawn. Raises UserError naming the file for anything but this layout.
     """
     if not path.is_file():
-        raise Refusal(f"{path} is missing")
+        raise UserError(f"{path} is missing")
     data = path.read_bytes()
     end = data.find(b"end_header", 0, _HEADER_LIMIT)
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body == 0:
-        raise Refusal(f"{path} is not a PLY file (no header)")
+        raise UserError(f"{path} is not a PLY file (no header)")
     count, names = _header(path, data[:end].decode("ascii", errors="replace"))
     bands = _bands(path, names)
     held, row = len(data) - body, 4 * len(names)
     if held < count * row:
-        raise Refusal(f"{path} is cut off: it promises {count} Gaussians and holds {held // row}; make it again")
+        raise UserError(f"{path} is cut off: it promises {count} Gaussians and holds {held // row}; make it again")
     if held > count * row:
-        raise Refusal(f"{path} holds {held - count * row} bytes more than the {count} Gaussians it promises; make it again")
+        raise UserError(
+            f"{path} holds {held - count * row} bytes more than the {count} Gaussians it promises; make it again"
+        )
     table = np.frombuffer(data, "<f4", count * len(names), body).reshape(count, len(names)).astype(np.float32)
     column = {name: i for i, name in enumerate(names)}
     known = property_names(bands)
     if extra := [name for name in names if name not in known]:
-        say(f"{path.name}: {', '.join(extra)} {'is' if len(extra) == 1 else 'are'} not used, the 3DGS layout has no such property")
+        say(
+            f"{path.name}: {', '.join(extra)} {'is' if len(extra) == 1 else 'are'} not "
+            "used, the 3DGS layout has no such property"
+        )
     numbers = table[:, [column[name] for name in known if name not in ("nx", "ny", "nz", "opacity")]]
     # An infinite logit is an opacity of exactly 0 or 1, which some writers store.
     bad = int((~np.isfinite(numbers).all(axis=1) | np.isnan(table[:, column["opacity"]])).sum())
@@ -84,7 +97,9 @@ def read_ply(path: Path) -> Gaussians:
     sh = np.empty((count, bands, 3), np.float32)
     sh[:, 0] = columns("f_dc_0", "f_dc_1", "f_dc_2")
     if bands > 1:
-        sh[:, 1:] = columns(*(f"f_rest_{i}" for i in range(3 * (bands - 1)))).reshape(count, 3, bands - 1).transpose(0, 2, 1)
+        sh[:, 1:] = (
+            columns(*(f"f_rest_{i}" for i in range(3 * (bands - 1)))).reshape(count, 3, bands - 1).transpose(0, 2, 1)
+        )
     return Gaussians(
         columns("x", "y", "z"),
         columns("rot_0", "rot_1", "rot_2", "rot_3"),
@@ -97,14 +112,14 @@ def read_ply(path: Path) -> Gaussians:
 def _header(path: Path, text: str) -> tuple[int, list[str]]:
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if _FORMAT not in lines:
-        raise Refusal(f"{path} is not a binary little endian PLY; export it in the 3DGS layout")
+        raise UserError(f"{path} is not a binary little endian PLY; export it in the 3DGS layout")
     elements = [line.split() for line in lines if line.startswith("element")]
     if [e[1:2] for e in elements] != [["vertex"]] or not elements[0][2:] or not elements[0][2].isdigit():
-        raise Refusal(f"{path} must hold one element 'vertex' and nothing else (is it a mesh?)")
+        raise UserError(f"{path} must hold one element 'vertex' and nothing else (is it a mesh?)")
     properties = [line.split() for line in lines if line.startswith("property")]
     for entry in properties:
         if len(entry) != 3 or entry[1] not in ("float", "float32"):
-            raise Refusal(f"{path} has the property {' '.join(entry[1:])!r}; the 3DGS layout holds floats only")
+            raise UserError(f"{path} has the property {' '.join(entry[1:])!r}; the 3DGS layout holds floats only")
     return int(elements[0][2]), [entry[2] for entry in properties]
 
 
@@ -112,10 +127,12 @@ def _bands(path: Path, names: list[str]) -> int:
     rest = sum(name.startswith("f_rest_") for name in names)
     bands = {0: 1, 9: 4, 24: 9, 45: 16}.get(rest)
     if bands is None:
-        raise Refusal(f"{path} has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45")
+        raise UserError(
+            f"{path} has {rest} f_rest properties; spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
+        )
     missing = [name for name in property_names(bands) if name not in names and name not in ("nx", "ny", "nz")]
     if missing:
-        raise Refusal(f"{path} has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
+        raise UserError(f"{path} has no property {missing[0]!r}; it is not a Gaussian PLY of the 3DGS layout")
     if twice := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise Refusal(f"{path} has the property {twice[0]!r} twice; nobody can tell which one is meant")
+        raise UserError(f"{path} has the property {twice[0]!r} twice; nobody can tell which one is meant")
     return bands

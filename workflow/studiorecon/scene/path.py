@@ -11,7 +11,7 @@ from studiorecon.scene.files import read_json, write_json
 
 
 @dataclass(frozen=True)
-class Step:
+class PathStep:
     """One picture of a path.
 
     Attributes:
@@ -25,12 +25,15 @@ class Step:
     segment: str
 
 
-def write_path(path: Path, steps: list[Step], fps: float) -> None:
-    write_json(path, {"fps": fps, "steps": [{"camera": s.camera.as_json(), "frame": s.frame, "segment": s.segment} for s in steps]})
+def write_path(path: Path, steps: list[PathStep], fps: float) -> None:
+    write_json(
+        path,
+        {"fps": fps, "steps": [{"camera": s.camera.as_json(), "frame": s.frame, "segment": s.segment} for s in steps]},
+    )
 
 
-def read_path(path: Path) -> tuple[list[Step], float]:
+def read_path(path: Path) -> tuple[list[PathStep], float]:
     """The steps and the frame rate of a path file."""
     value = read_json(path)
-    steps = [Step(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
+    steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
     return steps, float(value["fps"])

@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.geometry import rotations
-from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
-from studiorecon.progress import warn
-from studiorecon.scene.files import read_table, write_npz, write_table
+from studiorecon.scene.files import open_npz, read_table, write_npz, write_table
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
 
 PEOPLE_COLUMNS = ("person", "frames", "cameras", "confidence", "source", "status", "reason")
 IDENTITY_COLUMNS = ("camera", "track", "person")
@@ -27,23 +27,26 @@ class Detections:
 
     Attributes:
         camera: camera name.
-        layout: name of the keypoint layout (``body/layouts.py``).
+        layout: name of the keypoint layout (``keypoints/layouts.py``).
         frame: (D,) int, working frame of each detection.
         track: (D,) int, per-camera track id; a track lasts while the same person is followed in this camera.
         keypoints: (D, K, 3) float64: x, y, confidence in [0, 1]; confidence 0 = missing (x, y are then NaN).
         body_pose: (D, 23, 3) axis-angle of a monocular body's joints without the root, NaN where a detection has none;
             None when the detector estimates no bodies.
-        pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown; or None.
-        body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's; or None.
-        points_m: (D, K, 3) a network's guess of where the keypoints are, metres about the middle of the hips, camera's axes; or None.
+        pelvis: (D, 3) x, y of that body's pelvis joint in working pixels and its z-depth in metres, NaN where unknown;
+            or None.
+        body_root: (D, 3) axis-angle of that body's root in its camera's frame; body_shape: (D, 10) its shape, SMPL's;
+            or None.
+        points_m: (D, K, 3) a network's guess of where the keypoints are, metres about the middle of the hips, camera's
+            axes; or None.
         row: (D,) int, row in the detector's file that holds the person's mask (-1 = none); or None.
     """
 
     camera: str
     layout: str
-    frame: np.ndarray
-    track: np.ndarray
-    keypoints: np.ndarray
+    frame: Integer[np.ndarray, " D"]
+    track: Integer[np.ndarray, " D"]
+    keypoints: Float[np.ndarray, "D K 3"]
     body_pose: np.ndarray | None = None
     pelvis: np.ndarray | None = None
     body_root: np.ndarray | None = None
@@ -53,7 +56,9 @@ class Detections:
 
     def only(self, which: np.ndarray) -> Detections:
         """Those that ``which`` (bool mask or indices) chooses."""
-        per_detection = [n for n in self.__dataclass_fields__ if n not in ("camera", "layout") and getattr(self, n) is not None]
+        per_detection = [
+            n for n in self.__dataclass_fields__ if n not in ("camera", "layout") and getattr(self, n) is not None
+        ]
         return replace(self, **{name: getattr(self, name)[which] for name in per_detection})
 
 
@@ -77,12 +82,12 @@ class Person:
     name: str
     body: str
     fps: float
-    poses: np.ndarray
-    trans: np.ndarray
-    betas: np.ndarray
-    joints: np.ndarray
-    valid: np.ndarray
-    sigma: np.ndarray
+    poses: Num[np.ndarray, "T 72"]
+    trans: Num[np.ndarray, "T 3"]
+    betas: Num[np.ndarray, " 10"]
+    joints: Num[np.ndarray, "T 24 3"]
+    valid: Bool[np.ndarray, " T"]
+    sigma: Num[np.ndarray, "T 24"]
     metric: bool
 
 
@@ -92,9 +97,11 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 
 def read_detections(path: Path) -> Detections:
-    with _open(path) as data:
+    with open_npz(path) as data:
         body = (data[name] if name in data.files else None for name in OPTIONAL_FIELDS)
-        return Detections(str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body)
+        return Detections(
+            str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body
+        )
 
 
 def usable(found: Detections) -> tuple[Detections, int]:
@@ -106,52 +113,40 @@ def usable(found: Detections) -> tuple[Detections, int]:
     return replace(found, keypoints=np.where(bad[..., None], [np.nan, np.nan, 0.0], keypoints)), int(bad.sum())
 
 
-def write_person(path: Path, person: Person) -> None:
-    """Write the AMASS-style npz: ``poses trans betas mocap_framerate`` plus this project's own fields."""
-    arrays = {name: getattr(person, name) for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "sigma", "metric")}
-    write_npz(path, arrays | {"mocap_framerate": person.fps})
-
-
-def read_person(path: Path) -> Person:
-    """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled between sound ones.
-
-    Raises Refusal when the file is missing, its arrays have different lengths, no frame is sound, or the shape is not finite.
-    """
-    with _open(path) as data:
-        arrays = {n: data[n] for n in ("poses", "trans", "betas", "joints", "valid", "sigma")}
-        person = Person(str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays)
-    lengths = {n: len(arrays[n]) for n in arrays if n != "betas"}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{n} {length}" for n, length in lengths.items())
-        raise Refusal(f"{path} holds arrays of different numbers of frames ({told}); run people.fit again")
-    sound = np.isfinite(person.poses).all(-1) & np.isfinite(person.trans).all(-1)
-    if sound.all() and np.isfinite(person.betas).all():
-        return person
-    if not sound.any() or not np.isfinite(person.betas).all():
-        raise Refusal(f"{path} holds no body whose numbers are finite; run people.fit again")
-    warn(f"{path.name}: {int((~sound).sum())} frames hold numbers that are not finite; they count as not measured")
-    turns = rotations.exp(np.where(sound[:, None], person.poses, 0.0).reshape(len(sound), -1, 3))
-    filled = rotations.log(fill_rotations(turns, sound)).reshape(person.poses.shape)
-    return replace(
-        person,
-        poses=np.where(sound[:, None], person.poses, filled),
-        trans=fill_vectors(person.trans, sound),
-        joints=fill_vectors(person.joints, sound),
-        valid=person.valid & sound,
-        sigma=np.where(sound[:, None], person.sigma, np.inf),
-    )
-
-
 def write_people(
-    path: Path, rows: list[tuple[str, int, str, float, str]], rejected: Sequence[tuple[str, int, str, float, str, str, str]] = ()
+    path: Path,
+    rows: list[tuple[str, int, str, float, str]],
+    rejected: Sequence[tuple[str, int, str, float, str, str, str]] = (),
 ) -> None:
-    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or "hull"), status
-    ("person" or "rejected") and the reason of the latter, who stand below the people of the scene under names of their own.
+    """Write ``people.tsv``: person, frames seen, cameras (comma-separated), confidence 0..1, source ("keypoints" or
+    "hull"), status ("person" or "rejected") and the reason of the latter, who stand below the people of the scene under
+    names of their own.
 
     May have no rows: an empty room.
     """
     everybody = [*((*row, "person", "") for row in rows), *rejected]
-    write_table(path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", *rest) for p, n, c, confidence, *rest in everybody])
+    write_table(
+        path, PEOPLE_COLUMNS, [(p, n, c, f"{confidence:.3f}", *rest) for p, n, c, confidence, *rest in everybody]
+    )
+
+
+def add_people(path: Path, extended: Path, rows: list[tuple[str, int, str, float, str]]) -> None:
+    """Write ``extended``: the people of ``path``, then ``rows`` as in ``write_people``, then who was rejected."""
+    table = read_table(path, PEOPLE_COLUMNS)
+    kept = [
+        (row["person"], int(row["frames"]), row["cameras"], float(row["confidence"]), row["source"])
+        for row in table
+        if row["status"] == "person"
+    ]
+    rejected = [
+        (
+            *(row["person"], int(row["frames"]), row["cameras"], float(row["confidence"])),
+            *(row["source"], row["status"], row["reason"]),
+        )
+        for row in table
+        if row["status"] != "person"
+    ]
+    write_people(extended, [*kept, *rows], rejected)
 
 
 def read_people(path: Path) -> list[str]:
@@ -161,14 +156,10 @@ def read_people(path: Path) -> list[str]:
 
 def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None:
     """Write ``identities.tsv`` from {(camera, track): person}; an empty person means the track was rejected."""
-    write_table(path, IDENTITY_COLUMNS, [(camera, track, person) for (camera, track), person in sorted(identities.items())])
+    write_table(
+        path, IDENTITY_COLUMNS, [(camera, track, person) for (camera, track), person in sorted(identities.items())]
+    )
 
 
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
     return {(row["camera"], int(row["track"])): row["person"] for row in read_table(path, IDENTITY_COLUMNS)}
-
-
-def _open(path: Path) -> np.lib.npyio.NpzFile:
-    if not path.is_file():
-        raise Refusal(f"{path} is missing")
-    return np.load(path, allow_pickle=False)

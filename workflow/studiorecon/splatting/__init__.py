@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""3D Gaussian splatting on a CPU: a rasteriser with exact gradients, its losses, and a training loop.
+"""3D Gaussian splatting: a rasteriser with exact gradients, and the training of Gaussians.
 
-Reading order: ``conventions`` (constants) · ``simd``, ``simd_rows`` (sixteen lanes inside numba) · ``harmonics`` · ``blocks`` ·
-``projection`` · ``tiles`` · ``forward`` · ``backward`` · ``projection_gradient`` · ``rasterise`` (what other packages call) ·
-``losses`` · ``adam`` · ``training``. ``reference`` is the slow float64 truth that tests compare with.
+In come ``scene.gaussians.Gaussians`` and cameras; out come pictures, gradients, trained Gaussians. In reading order:
 
-numba compiles a kernel when it is first called and keeps the machine code beside the source (or in NUMBA_CACHE_DIR when the
-package folder cannot be written), so who only renders never compiles the gradients.
+``conventions``  constants that both devices share
+``rendering``    what a rasteriser takes and gives
+``cpu``          the rasteriser in numba kernels, and the kernels of losses and Adam
+``cuda``         gsplat behind the same calls, and sets in training as tensors
+``device``       which of the two draws
+``discs``, ``rigid_object``  flat Gaussians on surfaces, and a set of Gaussians that moves as one
+``train``        the one training loop, its terms, optimiser and density control
+``reference``    the slow float64 truth that tests compare with
+
+numba compiles a kernel when it is first called and keeps the machine code beside the source (or in NUMBA_CACHE_DIR when
+the package folder cannot be written), so who only renders never compiles the gradients.
 """

@@ -35,23 +35,26 @@ SH_BANDS = 16
 ROWS = SH + 3 * SH_BANDS
 BLOCK_FLOATS = ROWS * LANES
 
-# Fields of one splat record of 16 floats (one cache line): centre, ellipse (see projection), log2 opacity, colour, depth, half extents,
-# and from MORE on three values of the caller's own.
+# Fields of one splat record of 16 floats (one cache line): centre, ellipse (see projection), log2 opacity, colour,
+# depth, half extents, and from MORE on three values of the caller's own.
 X, Y, ELLIPSE_A, ELLIPSE_K, ELLIPSE_C, OPACITY_LOG2, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, MORE = range(13)
 RECORD = 16
 
-# The camera vector that kernels take: rotation (row-major, 0–8), translation (9–11), focal lengths, principal point, size, near, centre,
-# tangents (left, right, top, bottom) where the projection stops being linearised further out, and 1 for energy compensation.
+# The camera vector that kernels take: rotation (row-major, 0–8), translation (9–11), focal lengths, principal point,
+# size, near, centre, tangents (left, right, top, bottom) where the projection stops being linearised further out, and 1
+# for energy compensation.
 FOCAL, PRINCIPAL, SIZE, NEAR, CENTRE, LIMITS, COMPENSATED = 12, 14, 16, 18, 19, 22, 26
 CAMERA_FLOATS = 27
 
 SANE = np.float32(1e7)
-"""Metres, pixels or colour beyond which a Gaussian is refused: float32 has no resolution left, and integer pixel indices overflow."""
+"""Metres, pixels or colour beyond which a Gaussian is refused: float32 has no resolution left, and integer pixel
+indices overflow."""
 PAIRS_MAX = 1 << 28
 """Splat–tile pairs of one image; beyond 2 GB of lists the scene is broken, not detailed."""
 
 PIECE = 32
-"""Blocks that one thread takes at a time. The loop over them is a function of its own: a parallel one takes twice as long to compile."""
+"""Blocks that one thread takes at a time. The loop over them is a function of its own: a parallel one takes twice as
+long to compile."""
 
 # No reassociation: sums replay bit for bit. No nnan/ninf: NaN inputs must be caught by comparisons, not be undefined.
 KERNEL: dict[str, Any] = {"cache": True, "fastmath": {"nsz", "contract"}, "error_model": "numpy", "boundscheck": False}

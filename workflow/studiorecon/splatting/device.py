@@ -6,13 +6,13 @@ from __future__ import annotations
 import importlib.util
 from typing import TYPE_CHECKING, Literal
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.gpu import claim
 from studiorecon.progress import say
 
 if TYPE_CHECKING:
-    from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
-    from studiorecon.splatting.rasterise import Rasteriser
+    from studiorecon.splatting.cpu.rasterise import Rasteriser
+    from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
 Device = Literal["cpu", "cuda"]
 
@@ -20,29 +20,31 @@ Device = Literal["cpu", "cuda"]
 def resolve(setting: str) -> Device:
     """``setting`` (auto, cpu or cuda) as the device that will be used; says which, once per call.
 
-    auto takes CUDA where gsplat is installed and torch finds a device; without gsplat torch is not even imported. Raises Refusal when
-    cuda is asked for and cannot be had.
+    auto takes CUDA where gsplat is installed and torch finds a device; without gsplat torch is not even imported.
+    Raises UserError when cuda is asked for and cannot be had.
     """
     if setting not in ("auto", "cpu", "cuda"):
-        raise Refusal(f"setting device is {setting!r}; it must be auto, cpu or cuda")
+        raise UserError(f"setting device is {setting!r}; it must be auto, cpu or cuda")
     missing = "" if setting == "cpu" else _missing_for_cuda()
     if setting == "cuda" and missing:
-        raise Refusal(f"device: cuda needs {missing}; or set device: auto")
+        raise UserError(f"device: cuda needs {missing}; or set device: auto")
     device: Device = "cpu" if setting == "cpu" or missing else "cuda"
     say(f"Gaussians are drawn on the {'CUDA device by gsplat' if device == 'cuda' else 'CPU'}")
     return device
 
 
-def rasteriser(device: str, *, near_m: float, threads: int | None = None, antialias: bool = False) -> Rasteriser | GsplatRasteriser:
-    """The rasteriser of a resolved ``device``: both have the same ``forward``, ``backward`` and ``features``.
+def rasteriser(
+    device: str, *, near_m: float, threads: int | None = None, antialias: bool = False
+) -> Rasteriser | GsplatRasteriser:
+    """The rasteriser of a resolved ``device``: both have the same ``forward`` and ``backward``.
 
-    ``draw`` and ``gather``, the CPU training loop's calls, are the CPU's alone; on CUDA train with ``cuda_training``.
+    ``draw`` and ``gather``, which training on the CPU calls, are the CPU's alone.
     """
     if (resolve(device) if device == "auto" else device) == "cuda":
-        from studiorecon.splatting.gsplat_rasteriser import GsplatRasteriser
+        from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
         return GsplatRasteriser(near_m=near_m, antialias=antialias)
-    from studiorecon.splatting.rasterise import Rasteriser
+    from studiorecon.splatting.cpu.rasterise import Rasteriser
 
     return Rasteriser(near_m=near_m, threads=threads, antialias=antialias)
 
@@ -51,7 +53,10 @@ def _missing_for_cuda() -> str:
     """What CUDA would need and does not find, with how to get it; empty when nothing is missing."""
     for name in ("gsplat", "torch"):
         if importlib.util.find_spec(name) is None:
-            return f"the package {name}, which is not installed (uv sync --inexact --extra gpu, or pip install 'studiorecon[gpu]')"
+            return (
+                f"the package {name}, which is not installed (uv sync --inexact --extra "
+                "gpu, or pip install 'studiorecon[gpu]')"
+            )
     claim()
     import torch
 

@@ -42,7 +42,8 @@ def render(
 
 @dataclass(frozen=True)
 class Splats:
-    """Gaussians in the image: centres (N, 2) and dilated covariances (N, 2, 2) in pixels, √(det/det′) (N,), z-depth (N,)."""
+    """Gaussians in the image: centres (N, 2) and dilated covariances (N, 2, 2) in pixels, √(det/det′) (N,), z-depth
+    (N,)."""
 
     centres: torch.Tensor
     covariances: torch.Tensor
@@ -74,10 +75,16 @@ def blend(
     weight = alpha * before
     rest = torch.prod(1 - alpha, 0)
     depth_sum = (weight * depth[drawn, None]).sum(0)
-    return (weight.T @ colours[drawn]).reshape(*camera.hw, -1), (1 - rest).reshape(camera.hw), depth_sum.reshape(camera.hw)
+    return (
+        (weight.T @ colours[drawn]).reshape(*camera.hw, -1),
+        (1 - rest).reshape(camera.hw),
+        depth_sum.reshape(camera.hw),
+    )
 
 
-def project(means_m: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor, camera: Camera, near_m: float) -> Splats:
+def project(
+    means_m: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor, camera: Camera, near_m: float
+) -> Splats:
     """EWA projection as in 3DGS, linearised at most at the limits of ``conventions.FRAME_MARGIN``."""
     camera_from_world = torch.as_tensor(camera.camera_from_world)
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
@@ -109,10 +116,16 @@ def colours_towards(means_m: torch.Tensor, sh: torch.Tensor, camera: Camera) -> 
 def _rotations(quaternions: torch.Tensor) -> torch.Tensor:
     w, x, y, z = (quaternions / quaternions.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return torch.stack(rows, -1).reshape(-1, 3, 3)
 
 
@@ -121,11 +134,20 @@ def _harmonics(directions: torch.Tensor) -> torch.Tensor:
     xx, yy, zz = x * x, y * y, z * z
     basis = [
         torch.full_like(x, 0.28209479177387814),
-        -0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x,
-        1.0925484305920792 * x * y, -1.0925484305920792 * y * z, 0.31539156525252005 * (2 * zz - xx - yy),
-        -1.0925484305920792 * x * z, 0.5462742152960396 * (xx - yy),
-        -0.5900435899266435 * y * (3 * xx - yy), 2.890611442640554 * x * y * z, -0.4570457994644658 * y * (4 * zz - xx - yy),
-        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy), -0.4570457994644658 * x * (4 * zz - xx - yy),
-        1.445305721320277 * z * (xx - yy), -0.5900435899266435 * x * (xx - 3 * yy),
-    ]  # fmt: skip
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * zz - xx - yy),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (xx - yy),
+        -0.5900435899266435 * y * (3 * xx - yy),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * zz - xx - yy),
+        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
+        -0.4570457994644658 * x * (4 * zz - xx - yy),
+        1.445305721320277 * z * (xx - yy),
+        -0.5900435899266435 * x * (xx - 3 * yy),
+    ]
     return torch.stack(basis, -1)

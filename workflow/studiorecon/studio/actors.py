@@ -9,10 +9,10 @@ import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.scene.people import Person
+from studiorecon.studio.clothing import OUTFITS, dressed
 from studiorecon.studio.description import Description
+from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
 from studiorecon.studio.motion import PARTS, perform, shape
-from studiorecon.studio.solids import Solid, Texture, lathe, sphere
-from studiorecon.studio.wardrobe import OUTFITS, dressed
 
 UNOWNED = 255  # mask value of what moves and is nobody: ball and stick
 _BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82
@@ -38,7 +38,7 @@ class Actor:
     texture: Texture
 
 
-class Troupe:
+class Actors:
     """The people and props of a description, posed at the moments (T,) of one clock in seconds."""
 
     def __init__(self, description: Description, body: BodyModel, times_s: np.ndarray) -> None:
@@ -55,7 +55,7 @@ class Troupe:
         self._faces_of_vertices = _incidence(body) if self.actors else None
         self._template_m = body.template_m.astype(np.float32)
 
-    def at(self, frame: int) -> tuple[list[Solid], list[int]]:
+    def at(self, frame: int) -> tuple[list[Mesh], list[int]]:
         """All moving solids in one frame and the mask value of each."""
         solids = [self._person(actor, frame) for actor in self.actors]
         values = [actor.number + 1 for actor in self.actors]
@@ -97,26 +97,33 @@ class Troupe:
             metric=True,
         )
 
-    def _person(self, actor: Actor, frame: int) -> Solid:
+    def _person(self, actor: Actor, frame: int) -> Mesh:
         vertices = self.body.vertices(actor.poses[frame : frame + 1], actor.betas, actor.trans_m[frame : frame + 1])[0]
         a, b, c = (vertices[self.body.faces[:, k]] for k in range(3))
         normals = self._faces_of_vertices @ np.cross(b - a, c - a)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        return Solid(
-            f"person {actor.number}", vertices, self.body.faces, actor.texture, np.eye(4),
-            texture_vertices=self._template_m, vertex_normals=normals,
-        )  # fmt: skip
+        return Mesh(
+            f"person {actor.number}",
+            vertices,
+            self.body.faces,
+            actor.texture,
+            np.eye(4),
+            texture_vertices=self._template_m,
+            vertex_normals=normals,
+        )
 
-    def _stick(self, frame: int) -> Solid:
+    def _stick(self, frame: int) -> Mesh:
         holder = self.actors[0]
-        hand = self.body.joint_transforms(holder.poses[frame : frame + 1], holder.betas, holder.trans_m[frame : frame + 1])[0, _LEFT_HAND]
+        hand = self.body.joint_transforms(
+            holder.poses[frame : frame + 1], holder.betas, holder.trans_m[frame : frame + 1]
+        )[0, _LEFT_HAND]
         grip = np.eye(4)
         grip[:3, 3] = self.body.rest_joints(holder.betas)[_LEFT_HAND] + [0, -0.02, -0.5 * _STICK_LENGTH_M]
         profile = [(0.0, 0.0), (_STICK_RADIUS_M, 0.0), (_STICK_RADIUS_M, _STICK_LENGTH_M), (0.0, _STICK_LENGTH_M)]
         return lathe("stick", profile, hand @ grip, _banded, segments=16)
 
 
-def _ball(time_s: float) -> Solid:
+def _ball(time_s: float) -> Mesh:
     """A ball that bounces on the spot's way between the people: free fall between exact bounces."""
     phase = (time_s / _BALL_PERIOD_S + 0.3) % 1
     height = _BALL_RADIUS_M + _BALL_PEAK_M * 4 * phase * (1 - phase)
@@ -131,7 +138,9 @@ def _beach_ball(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def _banded(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    return np.where(((points[:, 2] / 0.15) % 1 < 0.3)[:, None], np.array((0.66, 0.10, 0.04)), np.array((0.60, 0.47, 0.25)))
+    return np.where(
+        ((points[:, 2] / 0.15) % 1 < 0.3)[:, None], np.array((0.66, 0.10, 0.04)), np.array((0.60, 0.47, 0.25))
+    )
 
 
 def _incidence(body: BodyModel):
@@ -139,4 +148,6 @@ def _incidence(body: BodyModel):
 
     count = len(body.faces)
     rows = body.faces.T.ravel()
-    return csr_matrix((np.ones(3 * count, dtype=np.float32), (rows, np.tile(np.arange(count), 3))), shape=(body.vertex_count, count))
+    return csr_matrix(
+        (np.ones(3 * count, dtype=np.float32), (rows, np.tile(np.arange(count), 3))), shape=(body.vertex_count, count)
+    )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The calibration file a user would bring, in any of the formats the pipeline reads.
 
-Files of OpenCV's family count pixels from 0 at the first pixel's centre, so their principal point is half a pixel smaller than
-ours; COLMAP's and nerfstudio's count from the pixel's corner as we do.
+Files of OpenCV's family count pixels from 0 at the first pixel's centre, so their principal point is half a pixel
+smaller than ours; COLMAP's and nerfstudio's count from the pixel's corner as we do.
 """
 
 from __future__ import annotations
@@ -12,22 +12,28 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from studiorecon.camera_files.colmap import quaternion_from_rotation
 from studiorecon.scene.camera import Lens
-from studiorecon.scene.colmap import quaternion_from_rotation
 
 
 def calibration_texts(form: str, lenses: Sequence[Lens]) -> dict[str, str]:
     """File name → text for one of ``description.CALIBRATION_FILES``."""
-    return {"easymocap": _easymocap, "colmap": _colmap, "pose2sim": _pose2sim, "caliscope": _pose2sim_like, "nerfstudio": _nerfstudio}[
-        form
-    ](lenses)
+    return {
+        "easymocap": _easymocap,
+        "colmap": _colmap,
+        "pose2sim": _pose2sim,
+        "caliscope": _pose2sim_like,
+        "nerfstudio": _nerfstudio,
+    }[form](lenses)
 
 
 def _easymocap(lenses: Sequence[Lens]) -> dict[str, str]:
     intri, extri = (["%YAML:1.0", "---", "names:", *(f'  - "{lens.name}"' for lens in lenses)] for _ in range(2))
     for lens in lenses:
         rotation = lens.camera_from_world[:3, :3]
-        intri += _matrix(f"K_{lens.name}", _integer_centres(lens)) + _matrix(f"dist_{lens.name}", lens.distortion[None, :5])
+        intri += _matrix(f"K_{lens.name}", _integer_centres(lens)) + _matrix(
+            f"dist_{lens.name}", lens.distortion[None, :5]
+        )
         intri += [f"H_{lens.name}: {lens.wh[1]}", f"W_{lens.name}: {lens.wh[0]}"]
         extri += _matrix(f"R_{lens.name}", _rodrigues(rotation)[:, None]) + _matrix(f"Rot_{lens.name}", rotation)
         extri += _matrix(f"T_{lens.name}", lens.camera_from_world[:3, 3:])
@@ -36,7 +42,13 @@ def _easymocap(lenses: Sequence[Lens]) -> dict[str, str]:
 
 def _matrix(name: str, values: np.ndarray) -> list[str]:
     numbers = ", ".join(f"{v:.17g}" if v != int(v) else f"{v:.1f}" for v in values.ravel())
-    return [f"{name}: !!opencv-matrix", f"  rows: {values.shape[0]}", f"  cols: {values.shape[1]}", "  dt: d", f"  data: [{numbers}]"]
+    return [
+        f"{name}: !!opencv-matrix",
+        f"  rows: {values.shape[0]}",
+        f"  cols: {values.shape[1]}",
+        "  dt: d",
+        f"  data: [{numbers}]",
+    ]
 
 
 def _colmap(lenses: Sequence[Lens]) -> dict[str, str]:
@@ -77,7 +89,9 @@ def _toml(lenses: Sequence[Lens], with_names_as_tables: bool) -> str:
         lines += [
             f"[{lens.name}]" if with_names_as_tables else f"[cam_{index}]",
             f'name = "{lens.name}"',
-            f"size = [ {_numbers(lens.wh, ', ')},]" if with_names_as_tables else f"size = [ {lens.wh[0]}, {lens.wh[1]},]",
+            f"size = [ {_numbers(lens.wh, ', ')},]"
+            if with_names_as_tables
+            else f"size = [ {lens.wh[0]}, {lens.wh[1]},]",
             f"matrix = {matrix}",
             f"distortions = [ {_numbers(lens.distortion[: 4 if with_names_as_tables else 5], ', ')},]",
             f"rotation = [ {_numbers(_rodrigues(lens.camera_from_world[:3, :3]), ', ')},]",
@@ -95,10 +109,22 @@ def _nerfstudio(lenses: Sequence[Lens]) -> dict[str, str]:
         world_from_camera[:3, 1:3] *= -1  # OpenGL axes: y up, z backwards
         k, (k1, k2, p1, p2) = lens.intrinsics, lens.distortion[:4]
         frames.append(
-            {"file_path": f"images/{lens.name}.png", "camera_label": lens.name, "transform_matrix": world_from_camera.tolist(),
-             "w": lens.wh[0], "h": lens.wh[1], "fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2],
-             "k1": k1, "k2": k2, "p1": p1, "p2": p2}
-        )  # fmt: skip
+            {
+                "file_path": f"images/{lens.name}.png",
+                "camera_label": lens.name,
+                "transform_matrix": world_from_camera.tolist(),
+                "w": lens.wh[0],
+                "h": lens.wh[1],
+                "fl_x": k[0, 0],
+                "fl_y": k[1, 1],
+                "cx": k[0, 2],
+                "cy": k[1, 2],
+                "k1": k1,
+                "k2": k2,
+                "p1": p1,
+                "p2": p2,
+            }
+        )
     return {"transforms.json": json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n"}
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``studio.capture``: a description → a dataset like a user's, and beside it the exact truth that only ``report`` may read.
+"""``studio.capture``: a description → a dataset like a user's, and beside it the exact truth that only ``report`` may
+read.
 
 The cameras are filmed side by side in separate processes; each traces the empty room once and then what moves.
 """
@@ -12,38 +13,40 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.body.model import BodyModel
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import write_depth
-from studiorecon.images.video import write_lossless, write_watchable
+from studiorecon.body.person_files import write_person
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
+from studiorecon.footage.video import write_lossless, write_watchable
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json, write_text
-from studiorecon.scene.people import write_person
+from studiorecon.signature import Place, Written
 from studiorecon.studio import rig
-from studiorecon.studio.actors import Troupe
+from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import RESOURCES, Description, planned_dataset, read_description
 from studiorecon.studio.detections import detect, openpose_json
 from studiorecon.studio.film import Backdrop, backdrop, exposed, touched_pixels
+from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, developed, sensor_of
-from studiorecon.studio.solids import Solid
 from studiorecon.studio.tracing import Tracer
 from studiorecon.studio.truth import TruthFrames, write_picture
 
 FACTS = "truth.json"
-_MARK = ".made-studio"
+_MARK = ".synthetic-studio"
 _LAYOUT = "body_25"
 
 
 @dataclass(frozen=True)
-class Job:
+class FilmJob:
     """What one process needs to film one camera."""
 
     description: Description
@@ -53,8 +56,9 @@ class Job:
     truth: Path
 
 
-def run(description: Path, dataset: Path, truth: Path, body: Path | None = None, processes: int = 2) -> None:
-    """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, exact truth into ``truth``."""
+def run(description: Path, dataset: Place, truth: Written, body: Path | None = None, processes: int = 2) -> None:
+    """Film the described play: videos, calibration, keypoints and capture.yaml into ``dataset``, exact truth into
+    ``truth``."""
     described = read_description(description)
     body = body or RESOURCES / "body.npz"
     _clear(dataset, truth)
@@ -62,10 +66,11 @@ def run(description: Path, dataset: Path, truth: Path, body: Path | None = None,
     _write_facts(described, truth)
     lenses = rig.true_lenses(described, ideal)
     say(
-        f"{described.people} people, {len(described.training)} training and {len(described.held_out)} held-out cameras, "
+        f"{described.people} people, {len(described.training)} training and "
+        f"{len(described.held_out)} held-out cameras, "
         f"{described.frames} frames of {described.size[0]}×{described.size[1]} at {described.fps:g} fps"
     )
-    jobs = [Job(described, lens, body, dataset, truth) for lens in lenses]
+    jobs = [FilmJob(described, lens, body, dataset, truth) for lens in lenses]
     workers = min(processes, len(jobs))
     if workers > 1:
         # Spawned, not forked: the ray caster's and the decoder's threads do not survive a fork.
@@ -80,23 +85,27 @@ def run(description: Path, dataset: Path, truth: Path, body: Path | None = None,
 
 
 def _clear(dataset: Path, truth: Path) -> None:
-    """Remove an older capture, which may hold cameras that are gone; refuses to touch a folder that no studio filled."""
+    """Remove an older capture, which may hold cameras that are gone; refuses to touch a folder that no studio
+    filled."""
     files = [p for folder in (dataset, truth) for p in folder.rglob("*") if not p.is_dir()]
     if files and not (dataset / _MARK).is_file():
-        raise Refusal(f"{files[0].parent} holds files that the studio did not make; give --dataset and --truth folders of their own")
+        raise UserError(
+            f"{files[0].parent} holds files that the studio did not make; give "
+            "--dataset and --truth folders of their own"
+        )
     for folder in (dataset, truth):
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
     write_text(dataset / _MARK, "made by studio.capture, which may replace everything here\n")
 
 
-def film_camera(job: Job) -> None:
+def film_camera(job: FilmJob) -> None:
     """Write everything that belongs to one camera."""
     described, name = job.description, job.lens.name
     sensor = sensor_of(described, name)
     offset = rig.sync_offsets_frames(described)[name]
     times_s = (np.arange(described.frames) + offset) / described.fps
-    troupe = Troupe(described, BodyModel.load(job.body), times_s)
+    troupe = Actors(described, BodyModel.load(job.body), times_s)
     solids = room(described.seed, described.effects.glossy_floor)
     scene = backdrop(job.lens, solids, described.supersampling)
     training = name in described.training
@@ -117,7 +126,9 @@ def film_camera(job: Job) -> None:
                 path = job.dataset / "keypoints" / name / f"{name}_{frame:012d}_keypoints.json"
                 write_json(path, openpose_json(people))
             light = lamp_swing(described, float(times_s[frame]))
-            yield developed(light * exposed(scene, tracer, moving, touched, soles_m[frame], described.effects), sensor, frame)
+            yield developed(
+                light * exposed(scene, tracer, moving, touched, soles_m[frame], described.effects), sensor, frame
+            )
 
     video = job.dataset / "videos" / f"{name}.mp4"
     if training:
@@ -137,29 +148,34 @@ def lamp_swing(described: Description, time_s: float) -> float:
     return 1 + described.effects.changing_light * float(np.sin(2 * np.pi * time_s / length_s))
 
 
-def _next(troupe: Troupe, frame: int) -> list[Solid] | None:
+def _next(troupe: Actors, frame: int) -> list[Mesh] | None:
     return troupe.at(frame + 1)[0] if frame + 1 < len(troupe.times_s) else None
 
 
-def _write_static(job: Job, scene: Backdrop, truth: TruthFrames, sensor: Sensor) -> None:
+def _write_static(job: FilmJob, scene: Backdrop, truth: TruthFrames, sensor: Sensor) -> None:
     name = job.lens.name
     write_picture(job.truth / "plates" / f"{name}.png", developed(scene.picture(), Sensor.perfect(), 0))
     write_depth(job.truth / "depth" / f"{name}.exr", truth.room_depth_m, np.ones_like(truth.room_depth_m))
     if job.description.plates and name in job.description.training:
-        write_picture(job.dataset / "plates" / f"{name}.png", developed(scene.picture(), sensor, job.description.frames))
+        write_picture(
+            job.dataset / "plates" / f"{name}.png", developed(scene.picture(), sensor, job.description.frames)
+        )
 
 
 def _write_calibration(described: Description, lenses: list[Lens], dataset: Path) -> None:
     for name, text in calibration_texts(described.calibration.format, rig.told_lenses(described, lenses)).items():
         write_text(dataset / name, text)
     plan = planned_dataset(described, dataset, dataset)
-    capture = {"held_out": list(described.held_out), "calibration": [str(p.relative_to(dataset)) for p in plan.calibration]}
+    capture: dict[str, Any] = {
+        "held_out": list(described.held_out),
+        "calibration": [str(p.relative_to(dataset)) for p in plan.calibration],
+    }
     capture |= {"keypoint_layout": _LAYOUT} if described.people else {"people": 0}
     write_text(dataset / "capture.yaml", yaml.safe_dump(capture, sort_keys=True))
 
 
 def _write_truth(described: Description, ideal: list, body: BodyModel, truth: Path) -> None:
-    troupe = Troupe(described, body, np.arange(described.frames) / described.fps)
+    troupe = Actors(described, body, np.arange(described.frames) / described.fps)
     for actor in troupe.actors:
         person = troupe.person(actor)
         write_person(truth / "bodies" / f"{person.name}.npz", person)

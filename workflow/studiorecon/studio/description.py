@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The description of a made studio: a YAML file over ``resources/studio/defaults.yaml`` → a frozen dataclass.
+"""The description of a synthetic studio: a YAML file over ``resources/studio/defaults.yaml`` → a frozen dataclass.
 
 Importable without numpy: the workflow reads it while it makes its plan.
 """
@@ -14,7 +14,7 @@ from typing import Any, Literal
 import yaml
 
 from studiorecon import settings
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.scene.dataset import Dataset
 
@@ -31,7 +31,7 @@ CALIBRATION_FILES: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Rig:
+class RigDescription:
     """Where the cameras stand; see ``resources/studio/defaults.yaml`` for every key."""
 
     training: int
@@ -107,7 +107,7 @@ class Description:
     supersampling: int
     crf: int
     people: int
-    cameras: Rig
+    cameras: RigDescription
     faults: Faults
     effects: Effects
     detections: DetectionOptions
@@ -137,13 +137,14 @@ class Description:
 
 
 def read_description(path: Path) -> Description:
-    """The description in ``path`` over the defaults; raises Refusal naming the file, the key and what is allowed there."""
+    """The description in ``path`` over the defaults; raises UserError naming the file, the key and what is allowed
+    there."""
     defaults = _mapping(DEFAULTS)
     merged = _merge(defaults, _mapping(path), path, "")
     try:
         description = settings.load(Description, merged, path.name)
-    except Refusal as refusal:
-        raise Refusal(f"{path}: {refusal}") from None
+    except UserError as refusal:
+        raise UserError(f"{path}: {refusal}") from None
     _check_ranges(description, path)
     return description
 
@@ -165,6 +166,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
         identities=None,
         pixel_maps={},
         focal_px={},
+        lengths={},
         starts={},
         first_frame=0,
         frame_count=0,
@@ -175,13 +177,13 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
 
 def _mapping(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise Refusal(f"studio description {path} does not exist; resources/studio/demo.yaml is one to start from")
+        raise UserError(f"studio description {path} does not exist; resources/studio/demo.yaml is one to start from")
     try:
         value = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except yaml.YAMLError as error:
-        raise Refusal(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
+        raise UserError(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
     if not isinstance(value, dict):
-        raise Refusal(f"{path} must be a mapping of options; resources/studio/defaults.yaml lists them all")
+        raise UserError(f"{path} must be a mapping of options; resources/studio/defaults.yaml lists them all")
     return value
 
 
@@ -190,10 +192,10 @@ def _merge(defaults: Mapping[str, Any], given: Mapping[str, Any], path: Path, se
     for key, value in given.items():
         if key not in defaults:
             known = ", ".join(sorted(defaults))
-            raise Refusal(f"{path} has the unknown option {section}{key}; known options there are {known}")
+            raise UserError(f"{path} has the unknown option {section}{key}; known options there are {known}")
         if isinstance(defaults[key], dict):
             if not isinstance(value, dict):
-                raise Refusal(f"{path}: {section}{key} must be a section with keys, not {value!r}")
+                raise UserError(f"{path}: {section}{key} must be a section with keys, not {value!r}")
             merged[key] = _merge(defaults[key], value, path, f"{section}{key}.")
         else:
             merged[key] = value
@@ -201,23 +203,44 @@ def _merge(defaults: Mapping[str, Any], given: Mapping[str, Any], path: Path, se
 
 
 def _check_ranges(d: Description, path: Path) -> None:
-    share = [("effects.contact_shading", d.effects.contact_shading), ("effects.glossy_floor", d.effects.glossy_floor),
-             ("effects.changing_light", d.effects.changing_light), ("detections.drop_outs", d.detections.drop_outs),
-             ("detections.false_positives", d.detections.false_positives)]  # fmt: skip
-    between = [("frames", d.frames, 1, 100_000), ("fps", d.fps, 1, 1000), ("supersampling", d.supersampling, 1, 8),
-               ("crf", d.crf, 0, 51), ("people", d.people, 0, 4), ("cameras.training", d.cameras.training, 3, 8),
-               ("cameras.held_out", d.cameras.held_out, 0, 8), ("cameras.arc_deg", d.cameras.arc_deg, 20, 330),
-               ("cameras.radius_m", d.cameras.radius_m, 1.5, 3.4), ("cameras.hfov_deg", d.cameras.hfov_deg, 20, 120),
-               ("faults.exposure", d.faults.exposure, 0, 0.9), ("faults.white_balance", d.faults.white_balance, 0, 0.9),
-               ("faults.radial_distortion", d.faults.radial_distortion, -0.3, 0.3),
-               ("faults.sync_offset_frames", d.faults.sync_offset_frames, 0, 100), ("faults.noise_levels", d.faults.noise_levels, 0, 64),
-               ("detections.noise_px", d.detections.noise_px, 0, 100), *((name, value, 0, 1) for name, value in share)]  # fmt: skip
+    share = [
+        ("effects.contact_shading", d.effects.contact_shading),
+        ("effects.glossy_floor", d.effects.glossy_floor),
+        ("effects.changing_light", d.effects.changing_light),
+        ("detections.drop_outs", d.detections.drop_outs),
+        ("detections.false_positives", d.detections.false_positives),
+    ]
+    between = [
+        ("frames", d.frames, 1, 100_000),
+        ("fps", d.fps, 1, 1000),
+        ("supersampling", d.supersampling, 1, 8),
+        ("crf", d.crf, 0, 51),
+        ("people", d.people, 0, 4),
+        ("cameras.training", d.cameras.training, 3, 8),
+        ("cameras.held_out", d.cameras.held_out, 0, 8),
+        ("cameras.arc_deg", d.cameras.arc_deg, 20, 330),
+        ("cameras.radius_m", d.cameras.radius_m, 1.5, 3.4),
+        ("cameras.hfov_deg", d.cameras.hfov_deg, 20, 120),
+        ("faults.exposure", d.faults.exposure, 0, 0.9),
+        ("faults.white_balance", d.faults.white_balance, 0, 0.9),
+        ("faults.radial_distortion", d.faults.radial_distortion, -0.3, 0.3),
+        ("faults.sync_offset_frames", d.faults.sync_offset_frames, 0, 100),
+        ("faults.noise_levels", d.faults.noise_levels, 0, 64),
+        ("detections.noise_px", d.detections.noise_px, 0, 100),
+        *((name, value, 0, 1) for name, value in share),
+    ]
     for name, value, low, high in between:
         if not low <= value <= high:
-            raise Refusal(f"{path}: {name} is {value}; it must lie between {low} and {high}")
+            raise UserError(f"{path}: {name} is {value}; it must lie between {low} and {high}")
     if d.size[0] % 2 or d.size[1] % 2 or min(d.size) < 32:
-        raise Refusal(f"{path}: size is {list(d.size)}; width and height must be even and at least 32, as H.264 needs")
+        raise UserError(
+            f"{path}: size is {list(d.size)}; width and height must be even and at least 32, as H.264 needs"
+        )
     if d.cameras.layout == "arc" and d.cameras.held_out > d.cameras.training - 1:
-        raise Refusal(f"{path}: an arc of {d.cameras.training} cameras has {d.cameras.training - 1} gaps for cameras.held_out")
+        raise UserError(
+            f"{path}: an arc of {d.cameras.training} cameras has {d.cameras.training - 1} gaps for cameras.held_out"
+        )
     if d.cameras.layout == "ring" and d.cameras.held_out > d.cameras.training:
-        raise Refusal(f"{path}: a ring of {d.cameras.training} cameras has {d.cameras.training} gaps for cameras.held_out")
+        raise UserError(
+            f"{path}: a ring of {d.cameras.training} cameras has {d.cameras.training} gaps for cameras.held_out"
+        )

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""2D keypoints as a detector would report them: projected body points with occlusion, noise, drop-outs, phantoms and shuffled order."""
+"""2D keypoints as a detector would report them: projected body points with occlusion, noise, drop-outs, phantoms and
+shuffled order."""
 
 from __future__ import annotations
 
@@ -16,13 +17,20 @@ _HIDDEN_NOISE = 3.0  # a detector guesses hidden points this much worse
 
 
 def detect(
-    points_m: np.ndarray, lens: Lens, tracer: Tracer, first_actor: int, options: DetectionOptions, rng: np.random.Generator
+    points_m: np.ndarray,
+    lens: Lens,
+    tracer: Tracer,
+    first_actor: int,
+    options: DetectionOptions,
+    rng: np.random.Generator,
 ) -> list[np.ndarray]:
-    """People as one camera's detector sees them in one frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 = missing.
+    """People as one camera's detector sees them in one frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 =
+    missing.
 
-    ``points_m`` (P, K, 3) are everybody's keypoints, ``tracer`` holds the room and then, from index ``first_actor``, the people.
-    Visible points get a confidence near 0.9, points behind the own body near 0.55, points behind somebody or something else
-    near 0.2 or are missing; points outside the picture are missing. Somebody with fewer than five good points is not reported.
+    ``points_m`` (P, K, 3) are everybody's keypoints, ``tracer`` holds the room and then, from index ``first_actor``,
+    the people. Visible points get a confidence near 0.9, points behind the own body near 0.55, points behind somebody
+    or something else near 0.2 or are missing; points outside the picture are missing. Somebody with fewer than five
+    good points is not reported.
     """
     people = []
     width, height = lens.wh
@@ -54,8 +62,17 @@ def openpose_json(people: list[np.ndarray]) -> dict:
     for keypoints in people:
         shifted = keypoints - [0.5, 0.5, 0.0]
         flat = np.where(keypoints[:, 2:] > 0, shifted, 0.0).ravel()
-        rest = {f"{part}_keypoints_{d}d": [] for part in ("face", "hand_left", "hand_right") for d in (2, 3)}
-        entries.append({"person_id": [-1], "pose_keypoints_2d": [round(float(v), 4) for v in flat], "pose_keypoints_3d": [], **rest})
+        rest: dict[str, list[float]] = {
+            f"{part}_keypoints_{d}d": [] for part in ("face", "hand_left", "hand_right") for d in (2, 3)
+        }
+        entries.append(
+            {
+                "person_id": [-1],
+                "pose_keypoints_2d": [round(float(v), 4) for v in flat],
+                "pose_keypoints_3d": [],
+                **rest,
+            }
+        )
     return {"version": 1.3, "people": entries}
 
 

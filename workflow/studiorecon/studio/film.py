@@ -11,9 +11,9 @@ import numpy as np
 from studiorecon.geometry.distortion import distort
 from studiorecon.scene.camera import Lens
 from studiorecon.studio.description import Effects
+from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.rig import directions
 from studiorecon.studio.room import HEIGHT_M, LAMPS_M
-from studiorecon.studio.solids import Solid
 from studiorecon.studio.tracing import Tracer, lamp_points, radiance
 
 _NEAR_M = 0.05
@@ -33,7 +33,7 @@ class Backdrop:
     """
 
     lens: Lens
-    solids: list[Solid]
+    solids: list[Mesh]
     rays: np.ndarray
     depth_m: np.ndarray
     colour: np.ndarray
@@ -50,12 +50,16 @@ class Backdrop:
         return self.mean.reshape(self.lens.wh[1], self.lens.wh[0], 3)
 
 
-def backdrop(lens: Lens, solids: list[Solid], supersampling: int) -> Backdrop:
+def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
     """Trace the empty room through a lens."""
     rays = directions(lens, supersampling).astype(np.float32)
     tracer = Tracer(solids)
     lamps = [lamp_points(s, len(rays)) for s in range(len(rays))]
-    depth, colour, seen = np.zeros(rays.shape[:2]), np.zeros(rays.shape, dtype=np.float32), np.zeros(rays.shape[:2], dtype=np.int16)
+    depth, colour, seen = (
+        np.zeros(rays.shape[:2]),
+        np.zeros(rays.shape, dtype=np.float32),
+        np.zeros(rays.shape[:2], dtype=np.int16),
+    )
     for s, subset in enumerate(rays):
         hits = tracer.cast(centre_m(lens), subset)
         if not hits.met.all():
@@ -66,7 +70,9 @@ def backdrop(lens: Lens, solids: list[Solid], supersampling: int) -> Backdrop:
     return Backdrop(lens, solids, rays, depth, colour, seen, colour.mean(axis=0, dtype=np.float64), lamps)
 
 
-def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], touched: np.ndarray, soles_m: np.ndarray, effects: Effects) -> np.ndarray:
+def exposed(
+    scene: Backdrop, tracer: Tracer, moving: list[Mesh], touched: np.ndarray, soles_m: np.ndarray, effects: Effects
+) -> np.ndarray:
     """(H, W, 3) radiance of one frame with the ``moving`` solids in the room.
 
     ``tracer`` holds room and moving solids, the room first; ``touched`` (N,) are the pixels of ``touched_pixels``.
@@ -85,15 +91,20 @@ def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], touched: np.nd
     direct, again = touched[changed], shaded[changed]
     retrace = np.flatnonzero(direct | again)
     origin = scene.centre_m.astype(np.float32)
-    shade = contact_shade(_floor_points(scene, changed), soles_m, effects.contact_shading) if effects.contact_shading else None
+    shade = (
+        contact_shade(_floor_points(scene, changed), soles_m, effects.contact_shading)
+        if effects.contact_shading
+        else None
+    )
     total = np.zeros((len(changed), 3))
     for s, every_ray in enumerate(scene.rays):
         colour, solid_seen = scene.colour[s, changed], scene.solid[s, changed].astype(np.int64)
         rays = every_ray[changed[retrace]]
         hits = tracer.cast(origin, rays)
         is_moving = hits.solid >= len(scene.solids)
-        # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame to frame.
-        # Half the lamp points do for what moves; the room must be lit by the same ones as in its stored colour.
+        # The room keeps its stored colour wherever nothing moving is seen or casts a shadow: bit for bit the same frame
+        # to frame. Half the lamp points do for what moves; the room must be lit by the same ones as in its stored
+        # colour.
         for part, lamps in ((is_moving, scene.lamps[s][::2]), (hits.met & ~is_moving & again[retrace], scene.lamps[s])):
             chosen = np.flatnonzero(part)
             if len(chosen):
@@ -107,10 +118,11 @@ def exposed(scene: Backdrop, tracer: Tracer, moving: list[Solid], touched: np.nd
     return picture.reshape(height, width, 3)
 
 
-def touched_pixels(lens: Lens, moving: Sequence[Solid]) -> np.ndarray:
+def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> np.ndarray:
     """(N,) bool: all pixels that the solids can cover, and a few around them.
 
-    Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than that.
+    Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than
+    that.
     """
     import cv2
 
@@ -129,13 +141,14 @@ def touched_pixels(lens: Lens, moving: Sequence[Solid]) -> np.ndarray:
         columns, rows = (np.floor(pixels[front]).astype(np.int64) + reach).T
         inside = (columns >= 0) & (columns < marked.shape[1]) & (rows >= 0) & (rows < marked.shape[0])
         marked[rows[inside], columns[inside]] = 1
-        grown = cv2.dilate(marked, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+        grown: np.ndarray = cv2.dilate(marked, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
         touched |= grown[reach : reach + height, reach : reach + width]
     return touched.ravel() > 0
 
 
 def projected(lens: Lens, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the camera."""
+    """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the
+    camera."""
     in_camera = points_m @ lens.camera_from_world[:3, :3].T + lens.camera_from_world[:3, 3]
     depth = in_camera[..., 2]
     normalised = in_camera[..., :2] / np.where(depth > _NEAR_M, depth, 1.0)[..., None]
@@ -151,7 +164,8 @@ def centre_m(lens: Lens) -> np.ndarray:
 
 
 def contact_shade(points_m: np.ndarray, soles_m: np.ndarray, strength: float) -> np.ndarray:
-    """(N,) factor by which the floor darkens near soles (P, 4, 3): soft within a hand's width, gone when the foot is lifted."""
+    """(N,) factor by which the floor darkens near soles (P, 4, 3): soft within a hand's width, gone when the foot is
+    lifted."""
     shade = np.ones(len(points_m))
     for sole in soles_m.reshape(-1, 3):
         away = np.sum((points_m[:, :2] - sole[:2]) ** 2, axis=1) / _CONTACT_REACH_M**2
@@ -168,7 +182,10 @@ def _contact_pixels(scene: Backdrop, soles_m: np.ndarray) -> np.ndarray:
     for sole in soles_m.reshape(-1, 3):
         pixels, depth = projected(scene.lens, rim + np.append(sole[:2], 0.0))
         if (depth > _NEAR_M).all():
-            (left, top), (right, bottom) = np.floor(pixels.min(axis=0)).astype(int), np.ceil(pixels.max(axis=0)).astype(int)
+            (left, top), (right, bottom) = (
+                np.floor(pixels.min(axis=0)).astype(int),
+                np.ceil(pixels.max(axis=0)).astype(int),
+            )
             near[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = True
     return near.ravel() & (scene.solid == 0).any(axis=0)
 
@@ -180,7 +197,7 @@ def _floor_points(scene: Backdrop, pixels: np.ndarray) -> np.ndarray:
     return scene.centre_m + rays * (-scene.centre_m[2] / downward)[:, None]
 
 
-def _shadowed_pixels(scene: Backdrop, moving: list[Solid]) -> np.ndarray:
+def _shadowed_pixels(scene: Backdrop, moving: list[Mesh]) -> np.ndarray:
     """(N,) bool: pixels whose way to a lamp may pass a moving solid, by upright bounding cylinders."""
     points = scene.centre_m + scene.rays[0].astype(np.float64) * scene.depth_m[0][:, None]
     found = np.zeros(len(points), dtype=bool)
@@ -190,7 +207,9 @@ def _shadowed_pixels(scene: Backdrop, moving: list[Solid]) -> np.ndarray:
         for cx, cy, hx, hy in LAMPS_M:
             climb = np.clip((high[2] - points[:, 2]) / np.maximum(HEIGHT_M - points[:, 2], 0.05), 0, 1)
             along = np.array([cx, cy]) - points[:, :2]
-            nearest = np.einsum("ij,ij->i", axis - points[:, :2], along) / np.maximum(np.einsum("ij,ij->i", along, along), 1e-9)
+            nearest = np.einsum("ij,ij->i", axis - points[:, :2], along) / np.maximum(
+                np.einsum("ij,ij->i", along, along), 1e-9
+            )
             nearest = np.clip(nearest, 0, climb)
             gap = np.linalg.norm(points[:, :2] + nearest[:, None] * along - axis, axis=1)
             # One pixel's rays see different points: a margin of a hand's width covers their spread.
@@ -198,5 +217,5 @@ def _shadowed_pixels(scene: Backdrop, moving: list[Solid]) -> np.ndarray:
     return found
 
 
-def _mirrored(solid: Solid) -> Solid:
-    return Solid(solid.name, solid.vertices_m * [1, 1, -1], solid.faces, solid.texture, solid.world_from_solid)
+def _mirrored(solid: Mesh) -> Mesh:
+    return Mesh(solid.name, solid.vertices_m * [1, 1, -1], solid.faces, solid.texture, solid.world_from_solid)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feet on the floor: foot plants along a path, the pelvis above them, and legs that reach them (two-bone inverse kinematics).
+"""Feet on the floor: foot plants along a path, the pelvis above them, and legs that reach them (two-bone inverse
+kinematics).
 
 A planted foot does not move, so nothing slides; the heel rises about the ball of the foot, the toes stay flat.
 """
@@ -91,16 +92,25 @@ def pelvis_distance(clock: np.ndarray, stride_m: float, path: Path) -> np.ndarra
     shifts = np.linspace(-0.4, 0.4, 17)
     weights = np.exp(-0.5 * (shifts / 0.17) ** 2)
     total = sum(
-        w * (foot_track(clock + s, 0.0, stride_m, path).distance_m + foot_track(clock + s, 0.5, stride_m, path).distance_m) / 2
+        w
+        * (
+            foot_track(clock + s, 0.0, stride_m, path).distance_m
+            + foot_track(clock + s, 0.5, stride_m, path).distance_m
+        )
+        / 2
         for s, w in zip(shifts, weights)
     )
     return total / weights.sum()
 
 
-def reach_knee(hip_m: np.ndarray, ankle_m: np.ndarray, thigh_m: float, shin_m: float, forward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Knee positions (T, 3) and hinge axes (T, 3) (to the body's left) for hips and ankles (T, 3); the knee bends ``forward``.
+def reach_knee(
+    hip_m: np.ndarray, ankle_m: np.ndarray, thigh_m: float, shin_m: float, forward: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Knee positions (T, 3) and hinge axes (T, 3) (to the body's left) for hips and ankles (T, 3); the knee bends
+    ``forward``.
 
-    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` is (T, 3) and need not be a right angle off.
+    Law of cosines; a target out of reach stretches the leg towards it. ``forward`` is (T, 3) and need not be a right
+    angle off.
     """
     span = ankle_m - hip_m
     distance = np.linalg.norm(span, axis=1)
@@ -110,7 +120,8 @@ def reach_knee(hip_m: np.ndarray, ankle_m: np.ndarray, thigh_m: float, shin_m: f
     bend = forward - along * np.einsum("ij,ij->i", forward, along)[:, None]
     bend = bend / np.linalg.norm(bend, axis=1, keepdims=True)
     knee = hip_m + thigh_m * (cosine[:, None] * along + np.sqrt(1 - cosine**2)[:, None] * bend)
-    # Down the leg × the knee's forward points to the walker's left: (0, 0, -1) × (1, 0, 0) = (0, -1, 0) is right, so negated.
+    # Down the leg × the knee's forward points to the walker's left: (0, 0, -1) × (1, 0, 0) = (0, -1, 0) is right, so
+    # negated.
     return knee, -np.cross(along, bend)
 
 

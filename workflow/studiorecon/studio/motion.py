@@ -22,7 +22,7 @@ _LEFT, _UP, _FORWARD = np.eye(3)
 
 
 @dataclass(frozen=True)
-class Part:
+class MotionPart:
     """What one person does.
 
     Attributes:
@@ -40,24 +40,26 @@ class Part:
     squats_s: float
 
 
-# The first walks a circle and begins to wave; the second crosses it, stops so that the first passes close behind, and squats.
+# The first walks a circle and begins to wave; the second crosses it, stops so that the first passes close behind, and
+# squats.
 PARTS = (
-    Part(Path((0.1, -0.1), 1.0, np.radians(270), -NEVER, NEVER), 1.18, 0.90, 0.10, 0.8, NEVER),
-    Part(Path((1.05, 0.68), 0.0, np.radians(214), -NEVER, 1.25), 1.16, 0.92, -0.10, NEVER, 1.35),
-    Part(Path((-1.75, -0.55), 0.0, np.radians(15), 0.0, 0.0), 1.2, 0.9, 0.0, 0.2, NEVER),
-    Part(Path((0.2, 1.75), 0.0, np.radians(260), 0.0, 0.0), 1.2, 0.9, 0.0, NEVER, 0.2),
+    MotionPart(Path((0.1, -0.1), 1.0, np.radians(270), -NEVER, NEVER), 1.18, 0.90, 0.10, 0.8, NEVER),
+    MotionPart(Path((1.05, 0.68), 0.0, np.radians(214), -NEVER, 1.25), 1.16, 0.92, -0.10, NEVER, 1.35),
+    MotionPart(Path((-1.75, -0.55), 0.0, np.radians(15), 0.0, 0.0), 1.2, 0.9, 0.0, 0.2, NEVER),
+    MotionPart(Path((0.2, 1.75), 0.0, np.radians(260), 0.0, 0.0), 1.2, 0.9, 0.0, NEVER, 0.2),
 )
 
 
 def shape(seed: int, number: int) -> np.ndarray:
-    """(10,) betas of one person: people alternate between tall and short, the rest is drawn within one standard deviation."""
+    """(10,) betas of one person: people alternate between tall and short, the rest is drawn within one standard
+    deviation."""
     rng = np.random.default_rng([seed, 21, number])
     betas = np.clip(rng.normal(0, 0.5, 10), -1, 1)
     betas[0] = (0.75, -0.55, 0.3, -0.9)[number]
     return betas
 
 
-def perform(part: Part, body: BodyModel, betas: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def perform(part: MotionPart, body: BodyModel, betas: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses (T, 72) axis-angle and pelvis positions (T, 3) of one person at the given moments (T,)."""
     clock = part.clock + part.cadence_hz * times_s
     feet = [foot_track(clock, phase, part.stride_m, part.path) for phase in (0.0, 0.5)]
@@ -88,7 +90,9 @@ def perform(part: Part, body: BodyModel, betas: np.ndarray, times_s: np.ndarray)
         hip_m = pelvis + (root @ (rest[hip] - rest[0]))
         # Knees point with the toes, a little outwards when squatting.
         outward = (1, -1)[side] * (0.10 + 0.35 * squat)[:, None] * left
-        knee_m, hinge = reach_knee(hip_m, ankles[side], _length(thigh), _length(shin), foot_frames[side][:, :, 2] + forward + outward)
+        knee_m, hinge = reach_knee(
+            hip_m, ankles[side], _length(thigh), _length(shin), foot_frames[side][:, :, 2] + forward + outward
+        )
         hip_global = frame(knee_m - hip_m, hinge) @ frame(thigh, _LEFT).T
         knee_global = frame(ankles[side] - knee_m, hinge) @ frame(shin, _LEFT).T
         local[:, hip] = _transposed(root) @ hip_global
@@ -123,15 +127,21 @@ def _upper_body(
         bend = np.radians(16) + np.radians(12) * walking - sign * swing * np.radians(9)
         hanging_elbow = _turn(_UP, -sign * bend)
         # Raised: the upper arm level and forward, the forearm up, swaying from side to side.
-        raise_arm = _turn(_UP, np.full_like(reach, -sign * np.radians(22))) @ _turn(_FORWARD, np.full_like(reach, sign * np.radians(8)))
+        raise_arm = _turn(_UP, np.full_like(reach, -sign * np.radians(22))) @ _turn(
+            _FORWARD, np.full_like(reach, sign * np.radians(8))
+        )
         raised_elbow = _turn(_FORWARD, sign * (np.radians(82) + np.radians(22) * waving))
         local[:, collar] = _turn(_FORWARD, sign * np.radians(6) * raised)
         local[:, shoulder] = rotations.slerp(hang, raise_arm, raised)
         local[:, elbow] = rotations.slerp(hanging_elbow, raised_elbow, raised)
-        local[:, wrist] = _turn(_UP, sign * raised * np.radians(14) * waving) @ _turn(_FORWARD, sign * np.radians(6) * (1 - raised))
+        local[:, wrist] = _turn(_UP, sign * raised * np.radians(14) * waving) @ _turn(
+            _FORWARD, sign * np.radians(6) * (1 - raised)
+        )
 
 
-def _feet(part: Part, feet: list[FootTrack], rest: np.ndarray, sole: tuple[float, float]) -> tuple[list, list, list]:
+def _feet(
+    part: MotionPart, feet: list[FootTrack], rest: np.ndarray, sole: tuple[float, float]
+) -> tuple[list, list, list]:
     """Ankle positions (T, 3), flat foot frames world_from_body (T, 3, 3) and toe bends (T,), left foot first."""
     sole_height, heel_forward = sole
     ankles, frames, toes = [], [], []
@@ -144,14 +154,18 @@ def _feet(part: Part, feet: list[FootTrack], rest: np.ndarray, sole: tuple[float
         heel = np.array([0.0, down, heel_forward - rest[ankle, 2]])
         pivot = np.where((track.pitch_rad > 0)[:, None], ball, heel)
         turned = np.einsum("tij,tj->ti", _turn(_LEFT, track.pitch_rad), pivot)
-        ankle_m = np.concatenate([print_m, (track.lift_m - down)[:, None]], axis=1) + np.einsum("tij,tj->ti", flat, pivot - turned)
+        ankle_m = np.concatenate([print_m, (track.lift_m - down)[:, None]], axis=1) + np.einsum(
+            "tij,tj->ti", flat, pivot - turned
+        )
         ankles.append(ankle_m)
         frames.append(flat)
         toes.append(-np.maximum(track.pitch_rad, 0))
     return ankles, frames, toes
 
 
-def _pelvis_height(pelvis: np.ndarray, root: np.ndarray, rest: np.ndarray, ankles: list[np.ndarray], squat: np.ndarray) -> np.ndarray:
+def _pelvis_height(
+    pelvis: np.ndarray, root: np.ndarray, rest: np.ndarray, ankles: list[np.ndarray], squat: np.ndarray
+) -> np.ndarray:
     """(T,) as high as both legs allow, a little bent, and lower by the squat: a smooth minimum over the two legs."""
     heights = []
     for hip, knee, ankle, ankle_m in ((1, 4, 7, ankles[0]), (2, 5, 8, ankles[1])):
@@ -164,7 +178,7 @@ def _pelvis_height(pelvis: np.ndarray, root: np.ndarray, rest: np.ndarray, ankle
     return -softness_m * np.logaddexp(-heights[0] / softness_m, -heights[1] / softness_m) - _SQUAT_M * squat
 
 
-def _smooth_amplitude(part: Part, clock: np.ndarray) -> np.ndarray:
+def _smooth_amplitude(part: MotionPart, clock: np.ndarray) -> np.ndarray:
     """(T,) how much of a full stride is being walked, smoothed over half a stride."""
     shifts = np.linspace(-0.3, 0.3, 13)
     tracks = [foot_track(clock + s, phase, part.stride_m, part.path).amplitude for s in shifts for phase in (0.0, 0.5)]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the made studio's cameras stand, their lenses and rays, and how wrong the calibration is that the user gets."""
+"""Where the synthetic studio's cameras stand, their lenses and rays, and how wrong the calibration is that the user
+gets."""
 
 from __future__ import annotations
 
@@ -58,7 +59,9 @@ def true_lenses(description: Description, ideal: list[Camera]) -> list[Lens]:
         k1 = description.faults.radial_distortion if camera.name in description.training else 0.0
         distortion = np.array([k1, 0.0, 0.0, 0.0, 0.0])
         affine = np.eye(3)[:2]
-        lenses.append(Lens(camera.name, camera.wh, camera.intrinsics, "opencv", distortion, camera.camera_from_world, affine))
+        lenses.append(
+            Lens(camera.name, camera.wh, camera.intrinsics, "opencv", distortion, camera.camera_from_world, affine)
+        )
     return lenses
 
 
@@ -85,14 +88,16 @@ def told_lenses(description: Description, lenses: list[Lens]) -> list[Lens]:
 
 
 def sync_offsets_frames(description: Description) -> dict[str, float]:
-    """How far each camera's clock is off, in frames: frame k shows the moment k + offset. Held-out cameras are exact."""
+    """How far each camera's clock is off, in frames: frame k shows the moment k + offset. Held-out cameras are
+    exact."""
     rng = np.random.default_rng([description.seed, 13])
     most = description.faults.sync_offset_frames
     return {n: most * float(rng.uniform(-1, 1)) if n in description.training else 0.0 for n in description.names}
 
 
 def directions(lens: Lens, supersampling: int) -> np.ndarray:
-    """(S, H·W, 3) world directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's centre."""
+    """(S, H·W, 3) world directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's
+    centre."""
     width, height = lens.wh
     steps = (np.arange(supersampling) + 0.5) / supersampling
     columns, rows = np.meshgrid(np.arange(width), np.arange(height))

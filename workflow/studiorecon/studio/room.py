@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The static room: 8.4 × 7.2 × 3 m, painted walls, furniture along them, a table, a pillar and two lamps. Floor z = 0."""
+"""The static room: 8.4 × 7.2 × 3 m, painted walls, furniture along them, a table, a pillar and two lamps. Floor z =
+0."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from studiorecon.studio import textures
-from studiorecon.studio.solids import Solid, Texture, box, box_texture, lathe, placed, plain, quad
+from studiorecon.studio.meshes import Mesh, Texture, box, box_texture, lathe, placed, plain, quad
 
 HALF_X_M, HALF_Y_M, HEIGHT_M = 4.2, 3.6, 3.0
 # Centre and half-size of the two luminous panels in the ceiling; tracing.py samples the same rectangles.
@@ -17,44 +18,79 @@ LAMP_BELOW_CEILING_M = 0.06
 LAMP_RADIANCE = 2.5
 
 
-def room(seed: int, glossy_floor: float) -> list[Solid]:
+def room(seed: int, glossy_floor: float) -> list[Mesh]:
     """All solids of the room; furniture is shifted a little and every texture drawn anew by the seed."""
     return _shell(seed, glossy_floor) + _furniture(seed, np.random.default_rng(seed))
 
 
-def _shell(seed: int, glossy_floor: float) -> list[Solid]:
+def _shell(seed: int, glossy_floor: float) -> list[Mesh]:
     x, y, z = HALF_X_M, HALF_Y_M, HEIGHT_M
     floor = quad("floor", [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]], _floor(seed + 1))
     solids = [
-        Solid(floor.name, floor.vertices_m, floor.faces, floor.texture, floor.world_from_solid, mirror=glossy_floor),
+        Mesh(floor.name, floor.vertices_m, floor.faces, floor.texture, floor.world_from_solid, mirror=glossy_floor),
         quad("ceiling", [[-x, -y, z], [-x, y, z], [x, y, z], [x, -y, z]], _ceiling(seed + 2)),
-        quad("brick wall", [[-x, -y, 0], [-x, y, 0], [-x, y, z], [-x, -y, z]], _wall(textures.bricks, seed + 3, 1, pictures=0)),
-        quad("plaster wall", [[x, -y, 0], [x, y, 0], [x, y, z], [x, -y, z]], _wall(textures.plaster, seed + 4, 1, pictures=3)),
-        quad("papered wall", [[-x, -y, 0], [x, -y, 0], [x, -y, z], [-x, -y, z]], _wall(textures.wallpaper, seed + 5, 0, pictures=3)),
+        quad(
+            "brick wall",
+            [[-x, -y, 0], [-x, y, 0], [-x, y, z], [-x, -y, z]],
+            _wall(textures.bricks, seed + 3, 1, pictures=0),
+        ),
+        quad(
+            "plaster wall",
+            [[x, -y, 0], [x, y, 0], [x, y, z], [x, -y, z]],
+            _wall(textures.plaster, seed + 4, 1, pictures=3),
+        ),
+        quad(
+            "papered wall",
+            [[-x, -y, 0], [x, -y, 0], [x, -y, z], [-x, -y, z]],
+            _wall(textures.wallpaper, seed + 5, 0, pictures=3),
+        ),
         quad("tiled wall", [[-x, y, 0], [x, y, 0], [x, y, z], [-x, y, z]], _wall(_half_tiled, seed + 6, 0, pictures=4)),
     ]
     for k, (cx, cy, hx, hy) in enumerate(LAMPS_M):
         where = placed((cx, cy, HEIGHT_M - LAMP_BELOW_CEILING_M))
         lamp = box(f"lamp {k}", (2 * hx, 2 * hy, LAMP_BELOW_CEILING_M - 0.001), where, plain((0.9, 0.9, 0.88)))
-        solids.append(Solid(lamp.name, lamp.vertices_m, lamp.faces, lamp.texture, lamp.world_from_solid, emission=LAMP_RADIANCE))
+        solids.append(
+            Mesh(lamp.name, lamp.vertices_m, lamp.faces, lamp.texture, lamp.world_from_solid, emission=LAMP_RADIANCE)
+        )
     return solids
 
 
-def _furniture(seed: int, rng: np.random.Generator) -> list[Solid]:
+def _furniture(seed: int, rng: np.random.Generator) -> list[Mesh]:
     def shift(most_m: float = 0.12) -> float:
         return float(rng.uniform(-most_m, most_m))
 
-    dark_wood = box_texture(lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), seed + 21)
+    dark_wood = box_texture(
+        lambda u, v, s: textures.planks(v, u, s, (0.10, 0.045, 0.02), (0.20, 0.10, 0.05)), seed + 21
+    )
     light_wood = box_texture(textures.planks, seed + 20)
     cloth = [box_texture(textures.fabric, seed + 40 + k) for k in range(4)]
     table = placed((-1.95 + shift(), 1.15 + shift(), 0))
     tx, ty = table[0, 3], table[1, 3]
     solids = [box("table top", (1.5, 0.85, 0.05), placed((tx, ty, 0.70)), light_wood)]
-    solids += [box("table leg", (0.07, 0.07, 0.70), placed((tx + a, ty + b, 0)), light_wood) for a in (-0.67, 0.67) for b in (-0.35, 0.35)]
-    vase = [(0.0, 0.0), (0.07, 0.0), (0.11, 0.10), (0.09, 0.20), (0.045, 0.27), (0.06, 0.32), (0.045, 0.32), (0.03, 0.25), (0.0, 0.25)]
+    solids += [
+        box("table leg", (0.07, 0.07, 0.70), placed((tx + a, ty + b, 0)), light_wood)
+        for a in (-0.67, 0.67)
+        for b in (-0.35, 0.35)
+    ]
+    vase = [
+        (0.0, 0.0),
+        (0.07, 0.0),
+        (0.11, 0.10),
+        (0.09, 0.20),
+        (0.045, 0.27),
+        (0.06, 0.32),
+        (0.045, 0.32),
+        (0.03, 0.25),
+        (0.0, 0.25),
+    ]
     solids += [
         lathe("vase", vase, placed((tx - 0.42, ty + 0.1, 0.75)), _ringed((0.05, 0.16, 0.30), (0.55, 0.45, 0.30))),
-        box("book pile", (0.30, 0.22, 0.16), placed((tx + 0.25, ty - 0.05, 0.75), 0.5), box_texture(textures.fabric, seed + 47)),
+        box(
+            "book pile",
+            (0.30, 0.22, 0.16),
+            placed((tx + 0.25, ty - 0.05, 0.75), 0.5),
+            box_texture(textures.fabric, seed + 47),
+        ),
     ]
     sofa_y = 0.3 + shift()
     solids += [
@@ -73,19 +109,52 @@ def _furniture(seed: int, rng: np.random.Generator) -> list[Solid]:
     sideboard_y = -0.7 + shift()
     solids += [
         box("sideboard", (0.48, 1.7, 0.74), placed((3.95, sideboard_y, 0.10)), dark_wood),
-        *(box("foot", (0.06, 0.06, 0.1), placed((3.95 + a, sideboard_y + b, 0)), dark_wood) for a in (-0.18, 0.18) for b in (-0.8, 0.8)),
-        lathe("bowl", [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)],
-              placed((3.92, sideboard_y + 0.3, 0.84)), _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12))),
-        box("crate", (0.55, 0.55, 0.48), placed((2.55 + shift(), -1.05 + shift(), 0), 0.6), box_texture(textures.planks, seed + 26)),
+        *(
+            box("foot", (0.06, 0.06, 0.1), placed((3.95 + a, sideboard_y + b, 0)), dark_wood)
+            for a in (-0.18, 0.18)
+            for b in (-0.8, 0.8)
+        ),
+        lathe(
+            "bowl",
+            [(0.0, 0.0), (0.08, 0.0), (0.19, 0.10), (0.17, 0.10), (0.07, 0.03), (0.0, 0.03)],
+            placed((3.92, sideboard_y + 0.3, 0.84)),
+            _ringed((0.45, 0.13, 0.04), (0.60, 0.40, 0.12)),
+        ),
+        box(
+            "crate",
+            (0.55, 0.55, 0.48),
+            placed((2.55 + shift(), -1.05 + shift(), 0), 0.6),
+            box_texture(textures.planks, seed + 26),
+        ),
         box("parcel", (0.34, 0.26, 0.22), placed((2.55, -1.05, 0.48), 0.2), box_texture(textures.picture, seed + 27)),
-        lathe("stool", [(0.0, 0.0), (0.19, 0.0), (0.15, 0.05), (0.06, 0.10), (0.06, 0.36), (0.20, 0.42), (0.20, 0.47), (0.0, 0.47)],
-              placed((-0.2 + shift(), -2.75 + shift(), 0)), _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14))),
+        lathe(
+            "stool",
+            [
+                (0.0, 0.0),
+                (0.19, 0.0),
+                (0.15, 0.05),
+                (0.06, 0.10),
+                (0.06, 0.36),
+                (0.20, 0.42),
+                (0.20, 0.47),
+                (0.0, 0.47),
+            ],
+            placed((-0.2 + shift(), -2.75 + shift(), 0)),
+            _ringed((0.35, 0.06, 0.05), (0.45, 0.30, 0.14)),
+        ),
         box("pouf", (0.55, 0.55, 0.40), placed((-1.75 + shift(), -2.65 + shift(), 0), 0.25), cloth[2]),
         box("plant box", (0.40, 0.40, 0.45), placed((3.7, 3.2, 0)), box_texture(textures.tiles, seed + 33)),
-        lathe("plant", [(0.04, 0.0), (0.30, 0.25), (0.34, 0.60), (0.22, 0.95), (0.0, 1.15)], placed((3.7, 3.2, 0.45)), _leaves(seed + 34)),
-    ]  # fmt: skip
+        lathe(
+            "plant",
+            [(0.04, 0.0), (0.30, 0.25), (0.34, 0.60), (0.22, 0.95), (0.0, 1.15)],
+            placed((3.7, 3.2, 0.45)),
+            _leaves(seed + 34),
+        ),
+    ]
     pillar = [(0.27, 0.0), (0.27, 0.15), (0.20, 0.20), (0.20, 2.82), (0.27, 2.88), (0.27, HEIGHT_M)]
-    solids.append(lathe("pillar", pillar, placed((-3.25 + shift(0.05), -2.55 + shift(0.05), 0)), _pillar(seed + 31), segments=64))
+    solids.append(
+        lathe("pillar", pillar, placed((-3.25 + shift(0.05), -2.55 + shift(0.05), 0)), _pillar(seed + 31), segments=64)
+    )
     return solids
 
 
@@ -112,7 +181,9 @@ def _ceiling(seed: int) -> Texture:
 
 
 def _half_tiled(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
-    colour = np.where((v < 1.2)[:, None], textures.tiles(u, v, seed), textures.plaster(u, v, seed + 1, (0.50, 0.36, 0.26)))
+    colour = np.where(
+        (v < 1.2)[:, None], textures.tiles(u, v, seed), textures.plaster(u, v, seed + 1, (0.50, 0.36, 0.26))
+    )
     return np.where((np.abs(v - 1.2) < 0.025)[:, None], np.asarray((0.16, 0.08, 0.04)), colour)
 
 
@@ -123,7 +194,9 @@ def _wall(texture, seed: int, along: int, pictures: int) -> Texture:
     frames = []
     for k in range(pictures):
         middle = (k + 0.5) / pictures * length - length / 2 + rng.uniform(-0.2, 0.2)
-        frames.append((middle, rng.uniform(1.55, 1.85), rng.uniform(0.25, 0.52), rng.uniform(0.22, 0.42), int(rng.integers(1000))))
+        frames.append(
+            (middle, rng.uniform(1.55, 1.85), rng.uniform(0.25, 0.52), rng.uniform(0.22, 0.42), int(rng.integers(1000)))
+        )
 
     def paint(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         u, v = points[:, along], points[:, 2]
@@ -136,7 +209,9 @@ def _wall(texture, seed: int, along: int, pictures: int) -> Texture:
             colour[mount] = (0.68, 0.66, 0.60)
             colour[canvas] = textures.picture((u - middle)[canvas] + number, (v - height)[canvas] + 0.3, number)
         skirting = v < 0.11
-        colour[skirting] = np.asarray((0.50, 0.47, 0.42)) * np.where(np.abs(v[skirting] - 0.085) < 0.006, 0.5, 1.0)[:, None]
+        colour[skirting] = (
+            np.asarray((0.50, 0.47, 0.42)) * np.where(np.abs(v[skirting] - 0.085) < 0.006, 0.5, 1.0)[:, None]
+        )
         colour[v > HEIGHT_M - 0.07] = (0.55, 0.53, 0.48)
         return colour
 

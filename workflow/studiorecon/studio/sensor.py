@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.images.video import to_bytes
+from studiorecon.footage.video import to_bytes
 from studiorecon.studio.description import Description
 
 _GAMMA = 2.2
@@ -40,14 +40,17 @@ def sensor_of(description: Description, name: str) -> Sensor:
     index = description.names.index(name)
     rng = np.random.default_rng([description.seed, 41])
     exposure, red, blue = rng.uniform(-1, 1, (len(description.training), 3))[index] * (
-        description.faults.exposure, description.faults.white_balance, description.faults.white_balance,
-    )  # fmt: skip
+        description.faults.exposure,
+        description.faults.white_balance,
+        description.faults.white_balance,
+    )
     gains = (float((1 + exposure) * (1 + red)), float(1 + exposure), float((1 + exposure) * (1 + blue)))
     return Sensor(gains, description.faults.noise_levels, (description.seed, 42, index))
 
 
 def developed(radiance: np.ndarray, sensor: Sensor, frame: int) -> np.ndarray:
-    """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame number."""
+    """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame
+    number."""
     picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / _GAMMA)
     picture = picture * np.asarray(sensor.gains, dtype=np.float32)
     if sensor.noise_levels > 0:

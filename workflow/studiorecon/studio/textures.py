@@ -32,7 +32,7 @@ def noise(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
 def clouds(u: np.ndarray, v: np.ndarray, seed: int, octaves: int = 3) -> np.ndarray:
     """(N,) sum of octaves of noise, in [0, 1)."""
     total = sum(noise(u * 2.0**k, v * 2.0**k, seed + k) * 0.5**k for k in range(octaves))
-    return total / sum(0.5**k for k in range(octaves))
+    return np.asarray(total / sum(0.5**k for k in range(octaves)))
 
 
 def mix(a: Colour | np.ndarray, b: Colour | np.ndarray, share_of_b: np.ndarray) -> np.ndarray:
@@ -45,14 +45,19 @@ def near_line(x: np.ndarray, period: float, half_width: float) -> np.ndarray:
     return np.abs(x - np.round(x / period) * period) < half_width
 
 
-def planks(u: np.ndarray, v: np.ndarray, seed: int, dark: Colour = (0.20, 0.105, 0.05), light: Colour = (0.44, 0.27, 0.14)) -> np.ndarray:
+def planks(
+    u: np.ndarray, v: np.ndarray, seed: int, dark: Colour = (0.20, 0.105, 0.05), light: Colour = (0.44, 0.27, 0.14)
+) -> np.ndarray:
     """Oak boards 14 cm wide and 1.4 m long, with grain and gaps."""
     width, length = 0.14, 1.4
     row = np.floor(v / width)
     shifted = u + hashed(row, row * 0, seed) * length
     board = np.floor(shifted / length)
     colour = mix(dark, light, 0.15 + 0.85 * hashed(row, board, seed + 1))
-    grain = noise(u * 2.5 + 9 * hashed(row, board, seed + 3), v * 38, seed + 2) * 0.6 + noise(u * 14, v * 90, seed + 4) * 0.4
+    grain = (
+        noise(u * 2.5 + 9 * hashed(row, board, seed + 3), v * 38, seed + 2) * 0.6
+        + noise(u * 14, v * 90, seed + 4) * 0.4
+    )
     colour = colour * (0.74 + 0.52 * grain)[:, None]
     gap = near_line(v, width, 0.0028) | near_line(shifted, length, 0.0035)
     return np.where(gap[:, None], colour * 0.3, colour)
@@ -68,7 +73,9 @@ def bricks(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     colour = mix(colour, (0.16, 0.08, 0.07), (hashed(row, column, seed + 9) > 0.86) * 0.6)
     colour = colour * (0.72 + 0.55 * clouds(u * 16, v * 16, seed + 3))[:, None]
     joint = near_line(v, height, 0.0075) | near_line(shifted, length, 0.0075)
-    return np.where(joint[:, None], np.asarray((0.46, 0.42, 0.37)) * (0.85 + 0.3 * noise(u * 60, v * 60, seed + 5))[:, None], colour)
+    return np.where(
+        joint[:, None], np.asarray((0.46, 0.42, 0.37)) * (0.85 + 0.3 * noise(u * 60, v * 60, seed + 5))[:, None], colour
+    )
 
 
 def tiles(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
@@ -135,7 +142,9 @@ def books(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     colour = np.where(label[:, None], np.asarray((0.62, 0.52, 0.30)), colour)
     colour = np.where((near_line(shifted, 0.045, 0.002))[:, None], colour * 0.3, colour)
     top = 0.2 + 0.09 * hashed(column, shelf, seed + 6)
-    colour = np.where(((height > top) | (hashed(column, shelf, seed + 7) > 0.93))[:, None], np.asarray((0.035, 0.022, 0.013)), colour)
+    colour = np.where(
+        ((height > top) | (hashed(column, shelf, seed + 7) > 0.93))[:, None], np.asarray((0.035, 0.022, 0.013)), colour
+    )
     board = (height < 0.022) | (height > 0.325)
     return np.where(board[:, None], planks(u, v, seed + 9) * 0.8, colour)
 

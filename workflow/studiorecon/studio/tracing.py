@@ -10,8 +10,8 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMP_SHARES, LAMPS_M
-from studiorecon.studio.solids import Solid
 
 POINTS_PER_LAMP = 16
 _LAMP_WEIGHT = 9.4
@@ -49,9 +49,10 @@ class Hits:
 
 
 class Tracer:
-    """Solids in a ray-casting structure that is built once; rays are cast by one thread, since cameras run side by side instead."""
+    """Solids in a ray-casting structure that is built once; rays are cast by one thread, since cameras run side by side
+    instead."""
 
-    def __init__(self, solids: Sequence[Solid]) -> None:
+    def __init__(self, solids: Sequence[Mesh]) -> None:
         self._scene = EmbreeScene(robust=True)
         for solid in solids:
             vertices = np.ascontiguousarray(solid.vertices_m, dtype=np.float32)
@@ -77,9 +78,11 @@ class Tracer:
 
 
 def lamp_points(subset: int, subsets: int) -> np.ndarray:
-    """(M, 4) points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both lamps.
+    """(M, 4) points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both
+    lamps.
 
-    A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is smooth.
+    A low-discrepancy sequence (the plastic number's), so that a subset is spread as well and a pixel's penumbra is
+    smooth.
     """
     per_lamp = max(2, POINTS_PER_LAMP // subsets)
     k = np.arange(subset * per_lamp, (subset + 1) * per_lamp)
@@ -94,7 +97,8 @@ def lamp_points(subset: int, subsets: int) -> np.ndarray:
 
 
 def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps: np.ndarray, tracer: Tracer) -> np.ndarray:
-    """(N,) irradiance from the lamp points (M, 4), shadows included: their mean of both cosines over distance squared."""
+    """(N,) irradiance from the lamp points (M, 4), shadows included: their mean of both cosines over distance
+    squared."""
     gains = np.stack([lamp_gain(points_m, normals, lamp[:3]) * lamp[3] for lamp in lamps.astype(points_m.dtype)])
     lamp, point = np.nonzero(gains)
     starts = points_m + normals * points_m.dtype.type(_SKIN_M)
@@ -111,7 +115,8 @@ def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> 
 
 
 def ambient_light(points_m: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(N,) light bounced by the room: brighter on what faces up, darker in its edges and corners (closed form, no rays)."""
+    """(N,) light bounced by the room: brighter on what faces up, darker in its edges and corners (closed form, no
+    rays)."""
     light = _AMBIENT * (1 + 0.22 * normals[:, 2])
     for axis, half in ((0, HALF_X_M), (1, HALF_Y_M)):
         gap = np.minimum(half - points_m[:, axis], half + points_m[:, axis])
@@ -128,8 +133,9 @@ def _rays(origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np
 
 
 @dataclass(frozen=True)
-class Surface:
-    """The surfaces that rays met: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3), emission and mirror (N,)."""
+class TracedSurface:
+    """The surfaces that rays met: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3), emission
+    and mirror (N,)."""
 
     points_m: np.ndarray
     normals: np.ndarray
@@ -138,8 +144,9 @@ class Surface:
     mirror: np.ndarray
 
 
-def surfaces(solids: Sequence[Solid], hits: Hits, origins_m: np.ndarray, directions: np.ndarray) -> Surface:
-    """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at once."""
+def surfaces(solids: Sequence[Mesh], hits: Hits, origins_m: np.ndarray, directions: np.ndarray) -> TracedSurface:
+    """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at
+    once."""
     points = origins_m + directions * hits.distance[:, None]
     normals = hits.normal.astype(points.dtype)
     albedo = np.zeros_like(points)
@@ -161,11 +168,11 @@ def surfaces(solids: Sequence[Solid], hits: Hits, origins_m: np.ndarray, directi
     # Thin walls are seen from one side only, but a mesh's winding need not know which.
     normals = np.where((np.einsum("ij,ij->i", hits.normal, directions) > 0)[:, None], -normals, normals)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Surface(points, normals, albedo, emission, mirror)
+    return TracedSurface(points, normals, albedo, emission, mirror)
 
 
 def radiance(
-    solids: Sequence[Solid],
+    solids: Sequence[Mesh],
     tracer: Tracer,
     hits: Hits,
     origins_m: np.ndarray,
@@ -173,9 +180,12 @@ def radiance(
     lamps: np.ndarray,
     bounces: int = 1,
 ) -> np.ndarray:
-    """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one mirror bounce."""
+    """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one
+    mirror bounce."""
     surface = surfaces(solids, hits, origins_m, directions)
-    light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(surface.points_m, surface.normals)
+    light = lamp_light(surface.points_m, surface.normals, lamps, tracer) + ambient_light(
+        surface.points_m, surface.normals
+    )
     colour = surface.albedo * (light + surface.emission)[:, None]
     glossy = np.flatnonzero(surface.mirror > 0)
     if bounces and len(glossy):
@@ -186,7 +196,9 @@ def radiance(
         mirrored = tracer.cast(starts, outgoing)
         seen = np.flatnonzero(mirrored.met)
         reflection = np.zeros((len(glossy), 3))
-        reflection[seen] = radiance(solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps, bounces - 1)
+        reflection[seen] = radiance(
+            solids, tracer, mirrored.take(seen), starts[seen], outgoing[seen], lamps, bounces - 1
+        )
         # Schlick's approximation: a varnish reflects little straight down and much at a grazing angle.
         cosine = np.abs(across) / np.linalg.norm(incoming, axis=1)
         share = (surface.mirror[glossy] * (0.25 + 0.75 * (1 - cosine) ** 5))[:, None]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact truth of one camera, by one ray through every pixel's centre of the ideal pinhole: depth, who is where, motion."""
+"""Exact truth of one camera, by one ray through every pixel's centre of the ideal pinhole: depth, who is where,
+motion."""
 
 from __future__ import annotations
 
@@ -8,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.images.video import write_lossless
+from studiorecon.footage.video import write_lossless
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import complete, write_npz
 from studiorecon.studio.description import TruthOptions
 from studiorecon.studio.film import centre_m, projected
+from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.rig import directions
-from studiorecon.studio.solids import Solid
 from studiorecon.studio.tracing import Tracer
 
 _DEPTH_UNITS_PER_M = 1000
@@ -27,11 +28,11 @@ class TruthFrames:
         room_depth_m: (H, W) float32 z-depth of the empty room.
         masks: per frame (H, W) uint8: 0 room, k + 1 person k, 255 props.
         depths: per frame (H, W) uint16 millimetres, when wanted.
-        flows: per frame (H, W, 2) float16 motion to the next frame in pixels, NaN where the point leaves the picture's side
-            of the camera, when wanted.
+        flows: per frame (H, W, 2) float16 motion to the next frame in pixels, NaN where the point leaves the picture's
+            side of the camera, when wanted.
     """
 
-    def __init__(self, lens: Lens, solids: list[Solid], options: TruthOptions) -> None:
+    def __init__(self, lens: Lens, solids: list[Mesh], options: TruthOptions) -> None:
         self.lens = replace(lens, distortion=np.zeros_like(lens.distortion))
         self.options = options
         self.first_moving = len(solids)
@@ -42,7 +43,9 @@ class TruthFrames:
         self.depths: list[np.ndarray] = []
         self.flows: list[np.ndarray] = []
 
-    def add(self, tracer: Tracer, moving: list[Solid], touched: np.ndarray, values: list[int], following: list[Solid] | None) -> None:
+    def add(
+        self, tracer: Tracer, moving: list[Mesh], touched: np.ndarray, values: list[int], following: list[Mesh] | None
+    ) -> None:
         """Trace one frame at the pixels ``touched`` (N,); ``following`` are the ``moving`` solids one frame later."""
         touched = np.flatnonzero(touched)
         hits = tracer.cast(centre_m(self.lens), self._rays[touched])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.body.layouts import LAYOUTS
 from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -30,9 +30,14 @@ class Tracks:
 
 
 def tracks(
-    found: Sequence[Detections], identities: Mapping[tuple[str, int], str], people: Sequence[str], frames: int, least: float
+    found: Sequence[Detections],
+    identities: Mapping[tuple[str, int], str],
+    people: Sequence[str],
+    frames: int,
+    least: float,
 ) -> Tracks:
-    """Keypoints surer than ``least`` of detections that ``identities`` gives to one of ``people``, in the names all layouts share."""
+    """Keypoints surer than ``least`` of detections that ``identities`` gives to one of ``people``, in the names all
+    layouts share."""
     layouts = [LAYOUTS[d.layout].keypoints for d in found]
     names = tuple(n for n in layouts[0] if all(n in other for other in layouts)) if layouts else ()
     shape = (len(found), len(people), frames, len(names))
@@ -49,8 +54,11 @@ def tracks(
     return Tracks(pixels, confidence, names)
 
 
-def in_world(found: Tracks, names: Sequence[str], cameras: Sequence[Camera], limits: Limits) -> tuple[np.ndarray, np.ndarray]:
-    """World points (P, T, K, 3) of those of ``names`` that the tracks have, NaN where undetermined, and their confidence (V, P, T, K)."""
+def in_world(
+    found: Tracks, names: Sequence[str], cameras: Sequence[Camera], limits: Limits
+) -> tuple[np.ndarray, np.ndarray]:
+    """World points (P, T, K, 3) of those of ``names`` that the tracks have, NaN where undetermined, and their
+    confidence (V, P, T, K)."""
     columns = [found.names.index(n) for n in names if n in found.names]
     pixels, confidence = found.pixels[:, :, :, columns], found.confidence[:, :, :, columns]
     if not pixels.size:

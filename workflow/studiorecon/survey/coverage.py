@@ -9,16 +9,17 @@ import numpy as np
 
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, decide
 
-# Sides from which a surface must be seen to be placed (numerics T01).
-_PARALLAX_DEG = 2.0
+# Sides from which a surface must be seen to be placed (T01).
+PARALLAX_DEG = 2.0
 
 
 def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> np.ndarray:
-    """(N, 3) grid points between the cameras: their horizontal surroundings of the point they look at, from the floor to ``height_m``.
+    """(N, 3) grid points between the cameras: their horizontal surroundings of the point they look at, from the floor
+    to ``height_m``.
 
-    The stage is a disc about the point nearest to all optical axes, with the distance of the nearest camera as its radius.
+    The stage is a disc about the point nearest to all optical axes, with the distance of the nearest camera as its
+    radius.
     """
     centre, radius_m = stage(cameras)
     along = np.arange(-radius_m, radius_m + 1e-9, step_m)
@@ -33,17 +34,22 @@ def stage(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
     directions = np.array([c.forward[:2] for c in cameras])
     lengths = np.linalg.norm(directions, axis=1)
     # A camera that looks straight down has no horizontal direction; its own place is what it looks at.
-    normals = np.eye(2) - np.einsum("ci,cj->cij", directions, directions) / np.maximum(lengths, 1e-9)[:, None, None] ** 2
+    normals = (
+        np.eye(2) - np.einsum("ci,cj->cij", directions, directions) / np.maximum(lengths, 1e-9)[:, None, None] ** 2
+    )
     # Parallel axes meet nowhere: a little pull towards the mean position keeps the answer finite.
     system = normals.sum(axis=0) + 1e-3 * np.eye(2)
     centre = np.linalg.solve(system, np.einsum("cij,cj->i", normals, positions) + 1e-3 * positions.mean(axis=0))
     return centre, float(np.linalg.norm(positions - centre, axis=1).min())
 
 
-def seen_by(points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float) -> np.ndarray:
+def seen_by(
+    points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float
+) -> np.ndarray:
     """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind what its depth map shows.
 
-    Unknown depth (0, or what is not finite) hides nothing. ``tolerance`` is the share of depth by which a point may lie behind the surface.
+    Unknown depth (0, or what is not finite) hides nothing. ``tolerance`` is the share of depth by which a point may lie
+    behind the surface.
     """
     seen = np.zeros((len(cameras), len(points_m)), bool)
     for index, (camera, depth_m) in enumerate(zip(cameras, depths_m)):
@@ -55,7 +61,7 @@ def seen_by(points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[
 
 
 def from_two_sides(points_m: np.ndarray, cameras: Sequence[Camera], seen: np.ndarray, least_deg: float) -> np.ndarray:
-    """(N,) bool: two cameras that see the point do so from directions at least ``least_deg`` apart (numerics T01)."""
+    """(N,) bool: two cameras that see the point do so from directions at least ``least_deg`` apart (T01)."""
     rays = np.stack([points_m - c.centre_m for c in cameras])
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-12)
     apart = np.zeros(len(points_m), bool)
@@ -76,7 +82,8 @@ def largest_gap_deg(cameras: Sequence[Camera]) -> float:
 def mean_pair_deg(cameras: Sequence[Camera]) -> float:
     """Mean azimuth between every two cameras about what they look at, degrees; 0 for a single one.
 
-    This is the reading U56 of cameras said to be so many degrees apart "from the centre": four on an even ring have 120.
+    This is the reading U56 of cameras said to be so many degrees apart "from the centre": four on an even ring have
+    120.
     """
     centre, _ = stage(cameras)
     offsets = np.array([c.centre_m[:2] - centre for c in cameras])
@@ -84,51 +91,3 @@ def mean_pair_deg(cameras: Sequence[Camera]) -> float:
     first, second = np.triu_indices(len(cameras), 1)
     apart = np.abs(azimuths[first] - azimuths[second])
     return float(np.minimum(apart, 360 - apart).mean()) if len(first) else 0.0
-
-
-def decide_ring(cameras: Sequence[Camera], threshold_deg: float, was_on: bool = False) -> Decision:
-    """Do the cameras surround the stage? A ring has its gap between every two neighbours, an arc a wide one beyond its ends."""
-    gap = largest_gap_deg(cameras)
-    around = "surround the stage" if gap <= threshold_deg else "leave one side open"
-    reason = (
-        f"the cameras {around}: the widest gap is {gap:.0f} degrees, and any two are {mean_pair_deg(cameras):.0f} degrees apart on average"
-    )
-    statistic = "largest azimuth between neighbouring cameras"
-    return decide("closed_path", statistic, gap, (gap, gap), threshold_deg, reason, unit="degrees", on_above=False, was_on=was_on)
-
-
-def decide_views(
-    cameras: Sequence[Camera],
-    depths_m: Sequence[np.ndarray],
-    *,
-    grid_m: float,
-    height_m: float,
-    tolerance: float,
-    gap_deg: float,
-    threshold: float,
-    was_on: bool = False,
-) -> Decision:
-    """Do the photos leave so much of the stage open that views between them have to be synthesised?
-
-    Where neighbours stand further apart than ``gap_deg``, what both see still looks different from between them: the share that counts
-    as covered is lowered by the ratio of the two.
-    """
-    statistic = f"share of the stage not seen from two sides, nor from within {gap_deg:.0f} degrees"
-    points = stage_points(cameras, grid_m, height_m)
-    if not len(points):
-        reason = "the cameras stand on the spot they look at, so there is no stage between them"
-        return decide("view_synthesis", statistic, None, None, threshold, reason)
-    seen = seen_by(points, cameras, depths_m, tolerance)
-    once, twice = float(seen.any(axis=0).mean()), float(from_two_sides(points, cameras, seen, _PARALLAX_DEG).mean())
-    gap = largest_gap_deg(cameras)
-    near = min(gap_deg / gap, 1.0)
-    error = float(np.sqrt(max(twice * (1 - twice), 1e-6) / len(points)))
-    reason = (
-        f"{once:.0%} of the stage is seen by one camera or more and {twice:.0%} from two sides, with up to {gap:.0f} degrees between "
-        "neighbours"
-    )
-    value = 1 - near * twice
-    interval = max(value - 2 * near * error, 0.0), min(value + 2 * near * error, 1.0)
-    counts = seen.sum(axis=0)
-    shares = [float((counts >= least).mean()) for least in range(1, len(cameras) + 1)]
-    return decide("view_synthesis", statistic, value, interval, threshold, reason, was_on=was_on, detail={"seen_by": shares})

@@ -1,36 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which effects does this scene call for? Each decision has a statistic, a threshold and a sentence, and can be forced.
 
-Only what a decision is about is simulated later; "undetermined" takes the cheaper branch and says so. What shows only in a trained scene
-is listed here, and decided by ``survey.trained``. What later steps divide out of the pictures is written beside the decisions: the
-cameras' gains and the light's course, both empty where they are not called for.
+Only what a decision is about is simulated later; "undetermined" takes the cheaper branch and says so. What shows only
+in a trained scene is listed here, and decided by ``report.audit``. What later steps divide out of the pictures is
+written beside the decisions, by the effects themselves: something empty where they are not called for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import read_depth
-from studiorecon.images.stills import read_plate
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.stills import read_plate
 from studiorecon.progress import say
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.decisions import Decision, forced, in_order, switched_on, write_decisions
-from studiorecon.scene.factors import write_factors
-from studiorecon.scene.files import write_json
-from studiorecon.scene.people import read_detections, read_identities, read_people
-from studiorecon.scene.shell import read_shell
+from studiorecon.scene.decisions import forced, switched_on, write_decisions
+from studiorecon.scene.files import one_each
+from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
+from studiorecon.scene.room import read_room
+from studiorecon.signature import Written
 from studiorecon.survey.bodies import tracks
-from studiorecon.survey.course import cost_s, course_of
-from studiorecon.survey.effects import Material, Settings, judge
-from studiorecon.survey.exposures import View
-from studiorecon.survey.films import read_film
-from studiorecon.survey.renders import later
+from studiorecon.survey.clips import read_film
+from studiorecon.survey.effects import EARLY, EFFECTS
+from studiorecon.survey.evidence import Evidence, Material, Recordings
+from studiorecon.survey.exposures import ExposureView
+from studiorecon.survey.judge import Settings, judge
 
 __all__ = ["Settings", "run"]
 
@@ -46,65 +43,53 @@ def run(
     plates: list[Path],
     depths: list[Path],
     shell: Path,
-    decisions: Path,
-    gains: Path,
-    course: Path,
-    gloss: Path,
+    earlier: list[Path],
+    decisions: Written,
+    artefacts: list[Written],
 ) -> None:
-    """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be empty.
+    """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be
+    empty.
 
-    What an earlier run measured to be on is kept in ``.last`` beside ``decisions``, for the hysteresis.
+    ``earlier``: decisions of an earlier run, for the hysteresis. ``artefacts``: where every effect that has a file of
+    its own writes it, found by the file's name.
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
-    if not len(cameras) == len(videos) == len(plates) == len(depths) or len(detections) not in (0, len(cameras)):
-        raise Refusal(
-            f"{len(cameras)} training cameras, but {len(videos)} videos, {len(plates)} plates, {len(depths)} depth maps and "
-            f"{len(detections)} files of keypoints; one of each is needed per camera"
-        )
+    one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)
     found = [read_detections(path) for path in detections]
     names = read_people(people[0]) if people else None
     whose = read_identities(identities[0]) if identities else {}
-    views = [View(c, *read_plate(p), read_depth(d)[0]) for c, p, d in zip(cameras, plates, depths)]
+    views = [ExposureView(c, *read_plate(p), read_depth(d)[0]) for c, p, d in zip(cameras, plates, depths)]
+    own_points: Sequence[Detections | None] = found or [None] * len(cameras)
     films = [
         read_film(
-            video, camera, capture.frames, capture.fps, own, pictures=settings.pictures, run=settings.run, longest_px=settings.longest_px
+            video,
+            camera,
+            capture.frames,
+            capture.fps,
+            own,
+            pictures=settings.pictures,
+            run=settings.run,
+            longest_px=settings.longest_px,
         )
-        for video, camera, own in zip(videos, cameras, found or [None] * len(cameras))
-    ]  # fmt: skip
-    followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
-    material = Material(cameras, names, views, films, followed, float(read_shell(shell).low_m[2]), capture.fps)
-    last = decisions.parent / ".last" / decisions.name
-    measured = in_order([*judge(material, settings, switched_on(last)), *later()])
-    spared_s = cost_s(cameras, capture.frames)
-    made = [
-        replace(d, cost_saved_estimate_s=spared_s) if d.effect == "changing_light" and not d.called_for else d
-        for d in forced(measured, settings.force)
+        for video, camera, own in zip(videos, cameras, own_points)
     ]
-    for decision in made:
+    followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
+    material = Material(cameras, names, views, films, followed, float(read_room(shell).low_m[2]), capture.fps)
+    by_file = {path.name: path for path in artefacts}
+    evidence = Evidence(material, settings)
+    early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier))}
+    measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
+    made = {d.effect: d for d in forced(measured, settings.force)}
+    recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)
+    for effect in EARLY:
+        decision = made[effect.name]
+        if effect.artefact and effect.artefact.cost_s and not decision.called_for:
+            saved_s = effect.artefact.cost_s(cameras, capture.frames)
+            made[effect.name] = replace(decision, cost_saved_estimate_s=saved_s)
+    for decision in made.values():
         say(f"{decision.effect}: {decision.verdict}; {decision.reason}")
     say(f"{len(cameras)} cameras surveyed, {sum(len(f.times) for f in films)} pictures")
-    verdicts = {d.effect: d for d in made}
-    write_factors(gains, gains_called_for(verdicts["exposure"]))
-    changes: dict[str, np.ndarray] = {}
-    if verdicts["changing_light"].called_for:
-        for video, view, own in zip(videos, views, found or [None] * len(cameras)):
-            told = course_of(video, view.camera, capture.frames, own, view, settings.longest_px)
-            if told is None:
-                say(f"{view.camera.name}: too little of the room is seen without people to follow its light; its frames stay as they are")
-            else:
-                changes[view.camera.name] = told
-    write_factors(course, changes)
-    # A file apart, because who waits for the verdict is to run again only when this changes.
-    write_json(gloss, {"degree": verdicts["view_dependent_colour"].detail["degree"]})
-    write_decisions(last, measured)
-    write_decisions(decisions, made)
-
-
-def gains_called_for(exposure: Decision) -> Mapping[str, np.ndarray]:
-    """Camera → (1, 3) gains to divide pictures by; none unless the verdict is on, nor for cameras that could not be compared."""
-    if not exposure.called_for:
-        return {}
-    found = {name: own for name, own in exposure.detail.get("gains", {}).items() if name not in exposure.detail["alone"]}
-    if not found:
-        say("exposure is forced on, but no two cameras share enough surface to compare their colours: every camera keeps its own")
-    return {name: np.array([own]) for name, own in found.items()}
+    for effect in EARLY:
+        if effect.artefact:
+            effect.artefact.write(by_file[effect.artefact.file], made[effect.name], evidence, recordings)
+    write_decisions(decisions, list(made.values()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the cameras agree on the colour of the surfaces they share?"""
+"""How much the cameras differ on the colour of the surfaces they share."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ import numpy as np
 from studiorecon.images.exposure import Overlap, compare, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, decide
 
 # Every so many pixels a surface point is compared: neighbours share their errors, and count as one.
 _STRIDE = 4
-# Least common surface points of two cameras that are evidence. A difference is certain beyond five standard errors; the interval has two.
-_LEAST_PIXELS, _CERTAIN, _INTERVAL = 50, 5.0, 2.0
+# Least common surface points of two cameras that are evidence. A difference is certain beyond five standard errors; the
+# interval has two.
+LEAST_PIXELS, CERTAIN, INTERVAL = 50, 5.0, 2.0
 
 
 @dataclass(frozen=True)
-class View:
-    """One camera's clean plate: rgb (H, W, 3) in [0, 1], measured (H, W), depth_m (H, W) of the empty room, 0 = unknown."""
+class ExposureView:
+    """One camera's clean plate: rgb (H, W, 3) in [0, 1], measured (H, W), depth_m (H, W) of the empty room, 0 =
+    unknown."""
 
     camera: Camera
     rgb: np.ndarray
@@ -29,8 +30,9 @@ class View:
     depth_m: np.ndarray
 
 
-def overlaps(views: Sequence[View], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
-    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and each one's standard error."""
+def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
+    """Colour ratios of every pair of cameras on surfaces whose depths agree to ``tolerance``, and each one's standard
+    error."""
     found, errors = [], []
     for i, first in enumerate(views):
         pixels = first.camera.pixel_centres()[::_STRIDE, ::_STRIDE].reshape(-1, 2)
@@ -51,27 +53,6 @@ def overlaps(views: Sequence[View], tolerance: float, least_pixels: int) -> tupl
                 found.append(overlap)
                 errors.append(_standard_error(colours[same], rgb[0][same], overlap))
     return found, errors
-
-
-def decide_exposure(views: Sequence[View], tolerance: float, threshold: float, was_on: bool = False) -> tuple[Decision, np.ndarray]:
-    """Do the cameras' exposures differ enough to matter (ignored, 2 % caps PSNR at 40 dB, 10 % at 26 dB)? And the gains (V, 3)."""
-    statistic = "largest difference of a camera's gain from the mean, share"
-    found, errors = overlaps(views, tolerance, _LEAST_PIXELS)
-    if not found:
-        reason = "no two cameras share enough surface to compare their colours"
-        return decide("exposure", statistic, None, None, threshold, reason), np.ones((len(views), 3))
-    value, error, gains = disagreement(len(views), found, errors)
-    worst = int(np.abs(gains - 1).max(axis=1).argmax())
-    told = " ".join(f"{g:.3f}" for g in gains[worst])
-    reason = f"{views[worst].camera.name} differs most (red, green, blue × {told})"
-    low = value - _INTERVAL * error if value > _CERTAIN * error else min(value - _INTERVAL * error, 0.0)
-    joined = {index for overlap in found for index in (overlap.first, overlap.second)}
-    alone = [v.camera.name for k, v in enumerate(views) if k not in joined]
-    if alone:
-        reason += f"; {', '.join(alone)} shares too little with the others to be compared and keeps its own exposure"
-    detail = {"gains": {v.camera.name: [round(float(g), 4) for g in own] for v, own in zip(views, gains)}, "alone": alone}
-    interval = (low, value + _INTERVAL * error)
-    return decide("exposure", statistic, value, interval, threshold, reason, was_on=was_on, detail=detail), gains
 
 
 def disagreement(cameras: int, found: Sequence[Overlap], errors: Sequence[float]) -> tuple[float, float, np.ndarray]:

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.images.exposure import BRIGHTEST, DARKEST
-from studiorecon.scene.decisions import Decision, decide
-from studiorecon.scene.intervals import Estimate, largest
 
 # Blocks per side; texture in a block below this many grey levels per pixel holds no flow.
 _BLOCKS, _LEAST_BLOCKS, _LEAST_TEXTURE = 6, 6, 1.5
@@ -20,19 +16,28 @@ _STEPS = 3
 
 
 def block_shifts(reference: np.ndarray, picture: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """(B, 2) shift in px of every block of ``picture`` (H, W, 3) uint8 against ``reference``, where ``free`` (H, W); NaN without texture.
+    """(B, 2) shift in px of every block of ``picture`` (H, W, 3) uint8 against ``reference``, where ``free`` (H, W);
+    NaN without texture.
 
-    Lucas-Kanade with a gain and an offset per block, so that a change of light is none of place; started by phase correlation.
+    Lucas-Kanade with a gain and an offset per block, so that a change of light is none of place; started by phase
+    correlation.
     """
-    require("free", free, require("picture", picture, ("H", "W", 3)) and picture.shape[:2])
-    first, second = (cv2.GaussianBlur(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0) for p in (reference, picture))
+    require("picture", picture, ("H", "W", 3))
+    require("free", free, picture.shape[:2])
+    first, second = (
+        cv2.GaussianBlur(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
+        for p in (reference, picture)
+    )
     height, width = first.shape
     window = cv2.createHanningWindow((width, height), cv2.CV_32F) * free
     (dx, dy), response = cv2.phaseCorrelate((first - first.mean()) * window, (second - second.mean()) * window)
     start = np.array([dx, dy]) if response > 0.1 and np.hypot(dx, dy) < 0.1 * width else np.zeros(2)
     shifts = np.full((_BLOCKS * _BLOCKS, 2), np.nan)
     rows, columns = (np.linspace(2, n - 2, _BLOCKS + 1).astype(int) for n in (height, width))
-    gradient_x, gradient_y = cv2.Sobel(first, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(first, cv2.CV_32F, 0, 1, scale=1 / 8)
+    gradient_x, gradient_y = (
+        cv2.Sobel(first, cv2.CV_32F, 1, 0, scale=1 / 8),
+        cv2.Sobel(first, cv2.CV_32F, 0, 1, scale=1 / 8),
+    )
     for block in range(_BLOCKS * _BLOCKS):
         r, c = divmod(block, _BLOCKS)
         here = slice(rows[r], rows[r + 1]), slice(columns[c], columns[c + 1])
@@ -53,29 +58,13 @@ def block_shifts(reference: np.ndarray, picture: np.ndarray, free: np.ndarray) -
     return shifts
 
 
-def decide_still(
-    names: Sequence[str], shifts: Sequence[np.ndarray], scales_px: Sequence[float], threshold_px: float, was_on: bool = False
-) -> Decision:
-    """Do the cameras move? ``shifts``: per camera (T, B, 2) from ``block_shifts``; ``scales_px``: working pixels per pixel they are in."""
-    values, errors = [], []
-    for found, scale_px in zip(shifts, scales_px, strict=True):
-        # Median flow of a frame, its error from the scatter of the blocks; a camera's value is that of its worst frame.
-        known = np.isfinite(found).all(-1)
-        enough = known.sum(axis=1) >= _LEAST_BLOCKS if len(found) else np.zeros(0, bool)
-        frames = [_median_vector(f[k]) for f, k in zip(found[enough], known[enough])]
-        worst = max(frames, key=lambda f: f[0] - 3 * f[1], default=(np.nan, np.nan))
-        values.append(worst[0] * scale_px)
-        errors.append(worst[1] * scale_px)
-    estimate = largest(values, errors)
-    if estimate.value is None:
-        reason = "the room has too little texture to see whether cameras move"
-    else:
-        reason = (
-            f"{names[estimate.which]}'s room shifts by up to {estimate.value:.2f} px against its first picture; cameras must stand still, "
-            "and everything after this rests on it"
-        )
-    statistic = "largest median shift of a camera's room between the first and any picture"
-    return decide("moving_cameras", statistic, estimate.value, estimate.interval, threshold_px, reason, unit="px", was_on=was_on)
+def worst_shift(shifts: np.ndarray) -> tuple[float, float]:
+    """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error from the
+    scatter of the blocks, px; NaN when too few blocks tell."""
+    known = np.isfinite(shifts).all(-1)
+    enough = known.sum(axis=1) >= _LEAST_BLOCKS if len(shifts) else np.zeros(0, bool)
+    frames = [_median_vector(f[k]) for f, k in zip(shifts[enough], known[enough])]
+    return max(frames, key=lambda f: f[0] - 3 * f[1], default=(np.nan, np.nan))
 
 
 def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
@@ -85,12 +74,15 @@ def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
 
 
 def light(frames: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little of it is seen.
+    """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little of
+    it is seen.
 
-    ``frames`` (T, H, W, 3) uint8, ``free`` (T, H, W) where nobody stands. Each block says the middle of its densest half, so that who
-    covers up to half of it does not count; the answer is the blocks' median and the error their scatter: light changes everywhere at once.
+    ``frames`` (T, H, W, 3) uint8, ``free`` (T, H, W) where nobody stands. Each block says the middle of its densest
+    half, so that who covers up to half of it does not count; the answer is the blocks' median and the error their
+    scatter: light changes everywhere at once.
     """
-    require("free", free, require("frames", frames, ("T", "H", "W", 3)) and frames.shape[:3])
+    require("frames", frames, ("T", "H", "W", 3))
+    require("free", free, frames.shape[:3])
     value, error = np.full(len(frames), np.nan), np.full(len(frames), np.nan)
     rows, columns = (np.linspace(0, n, _BLOCKS + 1).astype(int) for n in frames.shape[1:3])
     low, high = DARKEST * 255, BRIGHTEST * 255
@@ -108,9 +100,8 @@ def light(frames: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             if both.sum() >= 0.25 * both.size:
                 middles.append(_densest(level[t][here][both] - level[0][here][both]))
         if len(middles) >= _LEAST_BLOCKS:
-            middles = np.array(middles)
             value[t] = np.median(middles)
-            error[t] = 1.25 * 1.4826 * np.median(np.abs(middles - value[t])) / np.sqrt(len(middles))
+            error[t] = 1.25 * 1.4826 * np.median(np.abs(np.array(middles) - value[t])) / np.sqrt(len(middles))
     return value, error
 
 
@@ -120,26 +111,3 @@ def _densest(values: np.ndarray) -> float:
     half = max(len(ordered) // 2, 1)
     at = int((ordered[half:] - ordered[: len(ordered) - half]).argmin()) if len(ordered) > half else 0
     return float(ordered[at : at + half + 1].mean())
-
-
-def decide_light(names: Sequence[str], found: Sequence[tuple[np.ndarray, np.ndarray]], threshold: float, was_on: bool = False) -> Decision:
-    """Does the light change while filming? ``found``: per camera what ``light`` gave."""
-    worst = [_worst(value, error) for value, error in found]
-    estimate = largest([w.value if w.value is not None else np.nan for w in worst], [_error(w) for w in worst])
-    reason = "too little of the room is seen without people to compare its brightness over time"
-    if estimate.value is not None:
-        every = sum(1 for w in worst if w.interval is not None and w.interval[0] > threshold)
-        whose = "all cameras see it: the light" if every == len(names) > 1 else f"{every} of {len(names)} cameras see it"
-        reason = f"brightness changes by up to {estimate.value:.1%} in {names[estimate.which]}" + (f"; {whose}" if every else "")
-    statistic = "largest change of the room's brightness against the first picture, log"
-    return decide("changing_light", statistic, estimate.value, estimate.interval, threshold, reason, was_on=was_on)
-
-
-def _worst(value: np.ndarray, error: np.ndarray) -> Estimate:
-    return largest(value[1:], error[1:])
-
-
-def _error(estimate: Estimate) -> float:
-    if estimate.value is None or estimate.interval is None:
-        return np.nan
-    return (estimate.interval[1] - estimate.value) / 3

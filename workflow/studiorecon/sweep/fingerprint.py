@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""On what and with what a sweep ran: seconds mean nothing without the machine, metrics little without versions and seeds."""
+"""On what and with what a sweep ran: seconds mean nothing without the machine, metrics little without versions and
+seeds."""
 
 from __future__ import annotations
 
@@ -51,13 +52,15 @@ def seeds(configuration: Mapping[str, Any], above: str = "") -> dict[str, int]:
 
 
 def busy_s() -> tuple[float, float]:
-    """Processor seconds so far: of everything on the machine, and of the processes that this one started and that have ended."""
+    """Processor seconds so far: of everything on the machine, and of the processes that this one started and that have
+    ended."""
     times, own = psutil.cpu_times(), resource.getrusage(resource.RUSAGE_CHILDREN)
     return times.user + times.system + times.nice, own.ru_utime + own.ru_stime
 
 
 def compiled_since(moment_s: float) -> bool:
-    """Whether numba has compiled kernels since then (seconds of the epoch): whoever did paid for all who use them later."""
+    """Whether numba has compiled kernels since then (seconds of the epoch): whoever did paid for all who use them
+    later."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     place = Path(given) if given else Path(studiorecon.__file__).parent
     return any(path.stat().st_mtime >= moment_s for path in place.rglob("*.nbc"))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Jobs as Snakemake remembers them: what each made, from what, under which settings, and what it cost.
 
-A job's key is a digest of its rule, its log's name (which holds its wildcards) and the sections of the configuration that it and
-everything above it read. Jobs of two configurations with the same key made the same files, so the second one may start from those.
-Snakemake still decides on what has to run again: a key that is wrong costs time, never correctness.
+A job's key is a digest of its rule, its log's name (which holds its wildcards) and the sections of the configuration
+that it and everything above it read. Jobs of two configurations with the same key made the same files, so the second
+one may start from those. Snakemake still decides on what has to run again: a key that is wrong costs time, never
+correctness.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.report.cost import read_benchmark
+from studiorecon.report.sections.cost import read_benchmark
 
 METADATA = Path(".snakemake/metadata")
 # Settings that say where things are or which sweep this is, not how they are made.
@@ -46,7 +47,7 @@ class Job:
 
     @property
     def stage(self) -> str:
-        """The stage whose settings it reads; ``studio`` for the made studio."""
+        """The stage whose settings it reads; ``studio`` for the synthetic studio."""
         parts = Path(self.log).parts  # logs/<scene>/<stage>/… or logs/studio/<name>/…
         return "studio" if parts[1] == "studio" else parts[2]
 
@@ -64,13 +65,17 @@ def read_jobs(folder: Path) -> dict[str, Job]:
         record = json.loads(path.read_text(encoding="utf-8"))
         if not record.get("log") or record.get("incomplete") or not (folder / output).exists():
             continue
-        job = parts.setdefault(record["log"][0], {"rule": record["rule"], "started": 0.0, "made": {}, "inputs": set(), "records": []})
+        job = parts.setdefault(
+            record["log"][0], {"rule": record["rule"], "started": 0.0, "made": {}, "inputs": set(), "records": []}
+        )
         job["made"][output] = record
         job["started"] = max(job["started"], record.get("starttime") or 0.0)
         job["inputs"] |= set(record.get("input") or ())
         job["records"].append(str(path.relative_to(folder)))
     return {
-        log: Job(j["rule"], log, tuple(sorted(j["made"])), tuple(sorted(j["inputs"])), j["started"], tuple(j["records"]))
+        log: Job(
+            j["rule"], log, tuple(sorted(j["made"])), tuple(sorted(j["inputs"])), j["started"], tuple(j["records"])
+        )
         for log, j in parts.items()
     }
 
@@ -111,8 +116,8 @@ def keys(jobs: Mapping[str, Job], configuration: Mapping[str, Any]) -> dict[str,
 def share(source: Path, jobs: Iterable[Job], target: Path) -> None:
     """Put finished jobs into another run's folder: outputs as hard links (copies where the disk has none), times kept.
 
-    Steps write beside a name and rename, and Snakemake removes outputs before it runs their job, so that a link's other end never
-    changes. Benchmarks and Snakemake's records are written in place, and are therefore copied.
+    Steps write beside a name and rename, and Snakemake removes outputs before it runs their job, so that a link's other
+    end never changes. Benchmarks and Snakemake's records are written in place, and are therefore copied.
     """
     for job in jobs:
         for path in job.outputs:
@@ -123,7 +128,9 @@ def share(source: Path, jobs: Iterable[Job], target: Path) -> None:
                 shutil.copy2(source / path, target / path)
 
 
-def charge(folder: Path, jobs: Iterable[Job], paid: frozenset[tuple[str, float]] = frozenset(), kind: str = "seconds") -> dict[str, float]:
+def charge(
+    folder: Path, jobs: Iterable[Job], paid: frozenset[tuple[str, float]] = frozenset(), kind: str = "seconds"
+) -> dict[str, float]:
     """stage → wall seconds (or ``kind`` cpu_seconds) of the jobs, but for executions that are already paid for.
 
     A job whose time Snakemake could not measure (a few hundredths of a second) counts nothing.
@@ -166,7 +173,8 @@ def _maker(makers: Mapping[str, Job], path: str) -> Job | None:
 
 
 def _output(record: Path) -> str:
-    """Snakemake's name of a record is the output's path in base64; long ones are split into folders whose names begin with @."""
+    """Snakemake's name of a record is the output's path in base64; long ones are split into folders whose names begin
+    with @."""
     return urlsafe_b64decode("".join(part.removeprefix("@") for part in record.parts)).decode()
 
 

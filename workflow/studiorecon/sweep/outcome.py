@@ -10,19 +10,31 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.images.metrics import mean_of
 from studiorecon.scene.files import read_json
 
 NOTHING_MEASURED = "no picture was compared with a photo"
-_PICTURES = ("psnr", "ssim", "ssim_3dgs", "psnr_people", "psnr_background", "psnr_seen", "psnr_unseen", "warp_rms", "temporal_l1", "lpips")
+_PICTURES = (
+    "psnr",
+    "ssim",
+    "ssim_3dgs",
+    "psnr_people",
+    "psnr_background",
+    "psnr_seen",
+    "psnr_unseen",
+    "warp_rms",
+    "temporal_l1",
+    "lpips",
+)
 # What two results must share to be comparable, as in report.compare.
 _SCORED = ("masks", "libraries", "code", "settings")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Metrics, their intervals, PSNR per camera and frame, the worst of them; ``sentence`` is empty unless the run failed."""
+    """Metrics, their intervals, PSNR per camera and frame, the worst of them; ``sentence`` is empty unless the run
+    failed."""
 
     sentence: str = ""
     metrics: Mapping[str, float | None] = field(default_factory=dict)
@@ -36,7 +48,7 @@ def outcome(path: Path) -> Outcome:
     """The brief of a run's ``metrics.json``. A PSNR that is not a finite number is a failure, not a low score."""
     try:
         metrics = read_json(path)
-    except Refusal as refusal:
+    except UserError as refusal:
         return Outcome(sentence=str(refusal))
     pictures = metrics["pictures"]["enhanced" if "enhanced" in metrics["pictures"] else "raw"]
     if not pictures["psnr"]["cameras"]:
@@ -65,7 +77,9 @@ def outcome(path: Path) -> Outcome:
 def worst(cameras: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """The camera and the single frame with the lowest PSNR; a cheap run may win on average and lose one of them."""
     by_camera = {camera: entry["value"] for camera, entry in cameras.items() if _is_number(entry["value"])}
-    by_frame = {(c, t): value for c, entry in cameras.items() for t, value in enumerate(entry["frames"]) if _is_number(value)}
+    by_frame = {
+        (c, t): value for c, entry in cameras.items() for t, value in enumerate(entry["frames"]) if _is_number(value)
+    }
     if not by_camera or not by_frame:
         return {}
     camera, (frame_camera, frame) = min(by_camera, key=by_camera.__getitem__), min(by_frame, key=by_frame.__getitem__)
@@ -94,7 +108,9 @@ def why_it_failed(output: str, folder: Path, limit_minutes: float | None) -> str
 
 def _lines(path: Path) -> list[str]:
     return (
-        [line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()] if path.is_file() else []
+        [line.strip() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+        if path.is_file()
+        else []
     )
 
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sweep.plan``: a table of configurations from the list of knobs: one at a time, a full factorial of some, or a Latin hypercube.
+"""``sweep.plan``: a table of configurations from the list of parameters: one at a time, a full factorial of some, or a
+Latin hypercube.
 
-``python -m studiorecon sweep.plan --knobs config/sweeps/knobs.tsv --design one_at_a_time --table config/sweeps/one_at_a_time.tsv``
+``python -m studiorecon sweep.plan --parameters-file config/sweeps/parameters.tsv --design one_at_a_time --table
+config/sweeps/one_at_a_time.tsv``
 """
 
 from __future__ import annotations
@@ -14,91 +16,103 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.files import read_table, write_table
 from studiorecon.sweep.table import BASE, COLUMNS, Configuration, format_settings, parse_settings
 
-KNOB_COLUMNS = ("knob", "levels", "stage", "cost grows with", "missing")
+PARAMETER_COLUMNS = ("parameter", "levels", "stage", "cost grows with", "missing")
 
 
 @dataclass(frozen=True)
 class Level:
-    """One position of a knob: a short name, and what it sets; nothing where it is the base's own."""
+    """One position of a parameter: a short name, and what it sets; nothing where it is the base's own."""
 
     name: str
     settings: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class Knob:
-    """A knob of the method; without levels there is a sentence in ``missing`` why this project cannot turn it."""
+class Parameter:
+    """A parameter of the method; without levels there is a sentence in ``missing`` why this project cannot turn it."""
 
     name: str
     levels: tuple[Level, ...]
     missing: str
 
 
-def knobs(path: Path) -> list[Knob]:
-    """Every knob of the list, the row called base included; Refusal naming the row for anything unreadable.
+def parameters(path: Path) -> list[Parameter]:
+    """Every parameter of the list, the row called base included; UserError naming the row for anything unreadable.
 
     Levels are written ``name: key=value ; key=value | name: …``; ``name:`` alone is the base's own position.
     """
     found = []
-    for number, row in enumerate(read_table(path, KNOB_COLUMNS), 2):
+    for number, row in enumerate(read_table(path, PARAMETER_COLUMNS), 2):
         where = f"row {number} of {path}"
         levels = []
         for part in filter(None, (p.strip() for p in (row["levels"] or "").split(" | "))):
             name, colon, settings = part.partition(":")
             if not colon:
-                raise Refusal(f"{where}: level {part!r} is not of the form name: key=value")
+                raise UserError(f"{where}: level {part!r} is not of the form name: key=value")
             levels.append(Level(name.strip(), parse_settings(settings, where)))
         if bool(levels) == bool(row["missing"]):
-            raise Refusal(f"{where}: knob {row['knob']} needs either levels or the reason why there are none")
-        found.append(Knob(row["knob"], tuple(levels), row["missing"] or ""))
+            raise UserError(
+                f"{where}: parameter {row['parameter']} needs either levels or the reason why there are none"
+            )
+        found.append(Parameter(row["parameter"], tuple(levels), row["missing"] or ""))
     if not found or found[0].name != BASE or len(found[0].levels) != 1:
-        raise Refusal(f"the first row of {path} must be called {BASE} and have one level: what every other row is laid over")
+        raise UserError(
+            f"the first row of {path} must be called {BASE} and have one level: what every other row is laid over"
+        )
     return found
 
 
-def one_at_a_time(known: Sequence[Knob]) -> list[Configuration]:
-    """Every level of every knob beside the base, without the levels that are the base itself."""
-    return [Configuration(level.name, knob.name, "", level.settings) for knob in known[1:] for level in knob.levels if level.settings]
+def one_at_a_time(known: Sequence[Parameter]) -> list[Configuration]:
+    """Every level of every parameter beside the base, without the levels that are the base itself."""
+    return [
+        Configuration(level.name, parameter.name, "", level.settings)
+        for parameter in known[1:]
+        for level in parameter.levels
+        if level.settings
+    ]
 
 
-def factorial(known: Sequence[Knob], names: Sequence[str]) -> list[Configuration]:
-    """Every combination of the levels of the named knobs, but for the base itself."""
-    if absent := [name for name in names if name not in [knob.name for knob in known if knob.levels]]:
-        raise Refusal(f"there is no knob {absent[0]!r} with levels in the list of knobs")
-    chosen = [knob for name in names for knob in known if knob.name == name]
+def factorial(known: Sequence[Parameter], names: Sequence[str]) -> list[Configuration]:
+    """Every combination of the levels of the named parameters, but for the base itself."""
+    if absent := [name for name in names if name not in [parameter.name for parameter in known if parameter.levels]]:
+        raise UserError(f"there is no parameter {absent[0]!r} with levels in the list of parameters")
+    chosen = [parameter for name in names for parameter in known if parameter.name == name]
     return [
         row
-        for levels in product(*(knob.levels for knob in chosen))
+        for levels in product(*(parameter.levels for parameter in chosen))
         if (row := _joined("+".join(level.name for level in levels), levels)).settings
     ]
 
 
-def hypercube(known: Sequence[Knob], rows: int, seed: int) -> list[Configuration]:
-    """Random configurations in which every level of every knob comes up equally often, give or take one: McKay, Beckman, Conover 1979,
-    for knobs with few positions."""
+def hypercube(known: Sequence[Parameter], rows: int, seed: int) -> list[Configuration]:
+    """Random configurations in which every level of every parameter comes up equally often, give or take one: McKay,
+    Beckman, Conover 1979, for parameters with few positions."""
     rng = np.random.default_rng(seed)
-    turned = [knob for knob in known[1:] if knob.levels]
-    drawn = [rng.permutation(np.arange(rows) % len(knob.levels)) for knob in turned]
-    return [_joined(f"random-{row:02d}", [knob.levels[column[row]] for knob, column in zip(turned, drawn)]) for row in range(rows)]
+    turned = [parameter for parameter in known[1:] if parameter.levels]
+    drawn = [rng.permutation(np.arange(rows) % len(parameter.levels)) for parameter in turned]
+    return [
+        _joined(f"random-{row:02d}", [parameter.levels[column[row]] for parameter, column in zip(turned, drawn)])
+        for row in range(rows)
+    ]
 
 
-def run(knobs_file: Path, design: str, table: Path, names: list[str], rows: int = 20, seed: int = 0) -> None:
-    """Write a table; ``names`` are the knobs of a factorial, ``rows`` and ``seed`` are a Latin hypercube's."""
-    known = knobs(knobs_file)
+def run(parameters_file: Path, design: str, table: Path, names: list[str], rows: int = 20, seed: int = 0) -> None:
+    """Write a table; ``names`` are the parameters of a factorial, ``rows`` and ``seed`` are a Latin hypercube's."""
+    known = parameters(parameters_file)
     designs = {
         "one_at_a_time": lambda: one_at_a_time(known),
         "factorial": lambda: factorial(known, names),
         "latin_hypercube": lambda: hypercube(known, rows, seed),
     }
     if design not in designs:
-        raise Refusal(f"there is no design {design!r}; it must be one of {', '.join(designs)}")
+        raise UserError(f"there is no design {design!r}; it must be one of {', '.join(designs)}")
     made = [Configuration(BASE, "", "", known[0].levels[0].settings), *designs[design]()]
-    write_table(table, COLUMNS, [(c.name, c.knob, c.preset, format_settings(c.settings)) for c in made])
+    write_table(table, COLUMNS, [(c.name, c.parameter, c.preset, format_settings(c.settings)) for c in made])
     say(f"{table}: {len(made)} configurations, the base included")
 
 

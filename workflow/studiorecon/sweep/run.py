@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``sweep.run``: every configuration of a table, one after the other, each as a Snakemake run of its own: ``records.jsonl``.
+"""``sweep.run``: every configuration of a table, one after the other, each as a Snakemake run of its own:
+``records.jsonl``.
 
-A run starts from every finished job that its settings leave alone, so that it makes only what they change. A run that fails, takes too
-long or measures nothing is a record with its reason, and the sweep goes on. Interrupted, it goes on where it was.
+A run starts from every finished job that its settings leave alone, so that it makes only what they change. A run that
+fails, takes too long or measures nothing is a record with its reason, and the sweep goes on. Interrupted, it goes on
+where it was.
 """
 
 from __future__ import annotations
@@ -20,16 +22,17 @@ from typing import Any
 import psutil
 import yaml
 
-from studiorecon.errors import Refusal
+from studiorecon.errors import UserError
 from studiorecon.progress import say
-from studiorecon.report.records import FAILED, OK, Record, write_records
 from studiorecon.scene.files import read_json, write_json, write_text
+from studiorecon.signature import Place, Written
 from studiorecon.sweep.fingerprint import busy_s, compiled_since, machine, seeds, versions
 from studiorecon.sweep.jobs import Job, charge, cone, peak_memory_mb, read_jobs, reusable, share
 from studiorecon.sweep.outcome import NOTHING_MEASURED, Outcome, outcome, why_it_failed
+from studiorecon.sweep.records import FAILED, OK, Record, write_records
 from studiorecon.sweep.table import Configuration, changes, full_configuration, read_configurations
 
-# Filming a made studio is no cost of reconstructing it, and scoring is none of making the film.
+# Filming a synthetic studio is no cost of reconstructing it, and scoring is none of making the film.
 _NOT_CHARGED = ("studio", "report")
 # Files of a run's folder: when it was begun, and what it took once it has come to its end.
 _BEGUN, _CLOCK = "begun", "clock.json"
@@ -39,14 +42,15 @@ def run(
     configuration: str,
     scene: str,
     table: Path,
-    presets: Path,
-    snakefile: Path,
+    presets: Place,
+    snakefile: Place,
     cores: int,
     minutes: float,
-    records: Path,
-    work: Path,
+    records: Written,
+    work: Place,
 ) -> None:
-    """Run the table's configurations over ``configuration`` (JSON); ``work`` keeps one folder per run, ``minutes`` is each one's limit."""
+    """Run the table's configurations over ``configuration`` (JSON); ``work`` keeps one folder per run, ``minutes`` is
+    each one's limit."""
     given = with_absolute_paths(json.loads(configuration))
     given["dataset"] = str(Path(given["dataset"]).resolve()) if Path(given["dataset"]).exists() else given["dataset"]
     rows = read_configurations(table, given, presets)
@@ -64,7 +68,10 @@ def run(
         status, output, wall_s, others_s = _timed(*about)
         # A run that was timed before compiled nothing: those that did were made anew.
         if status == 0 and not (folder / _CLOCK).is_file() and compiled_since((folder / _BEGUN).stat().st_mtime):
-            say(f"{row.name}: kernels were compiled in this run; it runs once more, so that no other is charged for that")
+            say(
+                f"{row.name}: kernels were compiled in this run; it runs once more, "
+                "so that no other is charged for that"
+            )
             shutil.rmtree(folder)
             status, output, wall_s, others_s = _timed(*about)
         made = read_jobs(folder)
@@ -97,10 +104,16 @@ def run(
             base_paid = frozenset(paid)
         _tell(number, len(rows), told[-1])
         if row is rows[0] and result.sentence == NOTHING_MEASURED:
-            raise Refusal(f"scene {scene}: {NOTHING_MEASURED}: a sweep needs held-out cameras; name some under held_out in capture.yaml")
+            raise UserError(
+                f"scene {scene}: {NOTHING_MEASURED}: a sweep needs held-out cameras; name "
+                "some under held_out in capture.yaml"
+            )
     write_records(records, str(table), told)
     failed = [record.name for record in told if record.verdict != OK]
-    say(f"{len(told) - len(failed)} of {len(told)} configurations ran" + (f"; these failed: {', '.join(failed)}" if failed else ""))
+    say(
+        f"{len(told) - len(failed)} of {len(told)} configurations ran"
+        + (f"; these failed: {', '.join(failed)}" if failed else "")
+    )
 
 
 def _record(
@@ -120,11 +133,14 @@ def _record(
     beside_base = charge(folder, jobs.values(), base_paid or frozenset())
     ran = charge(folder, jobs.values(), paid)
     processor = charge(folder, jobs.values(), kind="cpu_seconds")
-    charged = [{stage: s for stage, s in part.items() if stage not in _NOT_CHARGED} for part in (stages, beside_base, ran, processor)]
+    charged = [
+        {stage: s for stage, s in part.items() if stage not in _NOT_CHARGED}
+        for part in (stages, beside_base, ran, processor)
+    ]
     return Record(
         scene=scene,
         name=row.name,
-        knob=row.knob,
+        parameter=row.parameter,
         preset=row.preset,
         settings=changes(row, base),
         verdict=FAILED if result.sentence else OK,
@@ -159,7 +175,8 @@ def _timed(
     cores: int,
     minutes: float,
 ) -> tuple[int | None, str, float, float]:
-    """Status and output of one start of a run, its clock seconds, and processor seconds of everything else meanwhile."""
+    """Status and output of one start of a run, its clock seconds, and processor seconds of everything else
+    meanwhile."""
     _prepare(folder, full, finished)
     began, before = time.monotonic(), busy_s()
     status, output = _snakemake(snakefile, folder, target, cores, minutes)
@@ -167,7 +184,9 @@ def _timed(
     return status, output, wall_s, max(0.0, (after[0] - before[0]) - (after[1] - before[1]))
 
 
-def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, Mapping[str, Job], Mapping[str, Any]]]) -> None:
+def _prepare(
+    folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, Mapping[str, Job], Mapping[str, Any]]]
+) -> None:
     """The run's folder: its whole configuration and, unless it was begun before, every job it can start from."""
     begun = (folder / ".snakemake").is_dir()
     write_text(folder / "config.yaml", yaml.safe_dump(dict(full), sort_keys=True, allow_unicode=True))
@@ -184,8 +203,8 @@ def _prepare(folder: Path, full: Mapping[str, Any], finished: list[tuple[Path, M
 
 
 def clock(folder: Path, made: Mapping[str, Job], wall_s: float, others_s: float) -> tuple[float, float]:
-    """Clock seconds of a run, and processor seconds of everything else meanwhile, over all times it was started; a start that had
-    nothing left to do does not count."""
+    """Clock seconds of a run, and processor seconds of everything else meanwhile, over all times it was started; a
+    start that had nothing left to do does not count."""
     path, jobs = folder / _CLOCK, sorted([log, started] for log, started in (job.execution for job in made.values()))
     if path.is_file():
         earlier = read_json(path)
@@ -197,9 +216,26 @@ def clock(folder: Path, made: Mapping[str, Job], wall_s: float, others_s: float)
 
 
 def _snakemake(snakefile: Path, folder: Path, target: str, cores: int, minutes: float) -> tuple[int | None, str]:
-    """Exit status (None: stopped at the limit) and everything Snakemake said, which is also kept in the run's folder."""
-    command = [sys.executable, "-m", "snakemake", target, "--snakefile", str(snakefile.resolve()), "--directory", str(folder.resolve())]
-    command += ["--cores", str(cores), "--configfile", str((folder / "config.yaml").resolve()), "--nolock", "--rerun-incomplete"]
+    """Exit status (None: stopped at the limit) and everything Snakemake said, which is also kept in the run's
+    folder."""
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        target,
+        "--snakefile",
+        str(snakefile.resolve()),
+        "--directory",
+        str(folder.resolve()),
+    ]
+    command += [
+        "--cores",
+        str(cores),
+        "--configfile",
+        str((folder / "config.yaml").resolve()),
+        "--nolock",
+        "--rerun-incomplete",
+    ]
     with open(folder / "snakemake.txt", "w+", encoding="utf-8") as log:
         running = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=_environment())
         try:
@@ -227,7 +263,8 @@ def _stop(running: subprocess.Popen) -> None:
 
 
 def with_absolute_paths(value: Any) -> Any:
-    """A configuration whose files and folders that exist from here have absolute names, since every run has a folder of its own.
+    """A configuration whose files and folders that exist from here have absolute names, since every run has a folder of
+    its own.
 
     A word without a slash or a dot, such as ``depth``, is a choice and no path, whatever folders lie around.
     """
@@ -243,12 +280,18 @@ def _check_same_machine(work: Path, here: Mapping[str, Any]) -> None:
     """Seconds of two machines do not belong into one picture."""
     path = work / "machine.json"
     if path.is_file() and read_json(path) != json.loads(json.dumps(here)):
-        raise Refusal(f"{work} was begun on another machine or with other versions of software; move it away and start the sweep anew")
+        raise UserError(
+            f"{work} was begun on another machine or with other versions of software; "
+            "move it away and start the sweep anew"
+        )
     write_json(path, here)
 
 
 def _tell(number: int, count: int, record: Record) -> None:
     psnr, seconds = record.metrics.get("psnr"), record.seconds
     reached = f"{psnr:.2f} dB" if psnr is not None else record.sentence
-    spent = f"{seconds['from_nothing']:.0f} s from nothing, ran {seconds['ran']:.0f} s of it, {seconds['wall']:.0f} s by the clock"
+    spent = (
+        f"{seconds['from_nothing']:.0f} s from nothing, ran {seconds['ran']:.0f} s of "
+        f"it, {seconds['wall']:.0f} s by the clock"
+    )
     say(f"{number}/{count} {record.name}: {reached}; {spent}")

@@ -6,53 +6,68 @@ What no photo shows is the network's invention and stays named so: 0 in the mask
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.video import read_frames, to_bytes, to_float, write_lossless
-from studiorecon.models import gen3c
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
+from studiorecon.models.catalogue.selection import CHOICES
+from studiorecon.models.choices import Synthesizer
+from studiorecon.models.loading import adapter
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
-from studiorecon.views.forward import Source, blend
+from studiorecon.signature import Written
+from studiorecon.views.forward import WarpSource, blend
 from studiorecon.views.frame import frame_of
+from studiorecon.views.shared import Made, Warping
 from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment, support_levels
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How support is measured; see config.yaml."""
-
-    sources: int
-    oversampling: int
-    z_tolerance: float
-    depth_jump: float
-    fade_deg: float
-    inpaint_radius: int
+class Settings(Made, Warping):
+    """Whose film it is, and how support is measured."""
 
 
-def fitted(picture: np.ndarray, camera: Camera, radius: int) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W, 3) uint8 working picture of a film's, and (H, W) bool: the film shows it; what it does not is painted from its rim."""
+def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
+    """(h, w) that films of this network have; of all networks for films that were made elsewhere."""
+    networks = CHOICES["views.synthesizer"].networks
+    return [adapter("view synthesizer", name).hw for name in networks if synthesizer in (name, "precomputed")]
+
+
+def fitted(
+    picture: np.ndarray, camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) uint8 working picture of a film's, and (H, W) bool: the film shows it; what it does not is painted from
+    its rim.
+
+    ``sizes`` (h, w) are what networks make. Raises UserError for a picture of another size than they or the camera.
+    """
     if picture.shape[:2] == camera.hw:
         return picture, np.ones(camera.hw, bool)
-    if picture.shape[:2] != gen3c.HW:
-        raise Refusal(
-            f"the film's pictures are {picture.shape[1]}×{picture.shape[0]}; they must be {gen3c.HW[1]}×{gen3c.HW[0]}, the "
+    if picture.shape[:2] not in sizes:
+        own = " or ".join(f"{width}×{height}" for height, width in sizes)
+        raise UserError(
+            f"the film's pictures are {picture.shape[1]}×{picture.shape[0]}; they must be {own}, the "
             f"network's own size, or {camera.wh[0]}×{camera.wh[1]}, the working size"
         )
-    made, inside = frame_of(camera.hw, gen3c.HW).back(to_float(picture))
+    made, inside = frame_of(camera.hw, picture.shape[:2]).back(to_float(picture))
     return (to_bytes(made) if inside.all() else paint_holes(made, inside.astype(np.float32), radius)), inside
 
 
-def views_of(film: Iterator[np.ndarray], cameras: list[Camera], photos: list[Source], settings: Settings) -> Iterator[tuple]:
+def views_of(
+    film: Iterator[np.ndarray], cameras: list[Camera], photos: list[WarpSource], settings: Settings
+) -> Iterator[tuple]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment."""
+    sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
-        own, inside = fitted(picture, camera, settings.inpaint_radius)
+        own, inside = fitted(picture, camera, sizes, settings.inpaint_radius)
         chosen = nearest_sources(camera, photos, settings.sources)
-        _, support, _ = blend(camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg))
+        _, support, _ = blend(
+            camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
+        )
         yield own, support_levels(np.where(inside, support, 0))
 
 
@@ -65,16 +80,17 @@ def run(
     plates: list[Path],
     depth: list[Path],
     exposure: list[Path],
-    views: Path,
-    support: Path,
+    views: Written,
+    support: Written,
 ) -> None:
     """Write the pictures and the support of one segment from its ``film``, one picture per view of the path."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))
     if count != len(cameras):
-        raise Refusal(
-            f"{film} has {count} pictures for {len(cameras)} views of segment {segment}; set views.views_per_segment to {count - 1}"
+        raise UserError(
+            f"{film} has {count} pictures for {len(cameras)} views of segment {segment}; "
+            f"set views.views_per_segment to {count - 1}"
         )
     made = list(views_of(read_frames(film), cameras, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])

@@ -15,13 +15,15 @@ from studiorecon.scene.camera import Camera
 
 # Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.
 _NEAR_M = 0.1
-# Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does with itself).
+# Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does
+# with itself).
 _SAME_SURFACE = 0.03
 
 
 @dataclass(frozen=True)
-class Source:
-    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may be carried."""
+class WarpSource:
+    """A photo with depth: camera, (H, W, 3) float32 RGB, (H, W) depth in metres, (H, W) bool pixels that may be
+    carried."""
 
     camera: Camera
     rgb: np.ndarray
@@ -29,16 +31,20 @@ class Source:
     usable: np.ndarray
 
 
-def source(camera: Camera, rgb: np.ndarray, measured: np.ndarray, depth_m: np.ndarray, jump: float) -> Source:
+def source(camera: Camera, rgb: np.ndarray, measured: np.ndarray, depth_m: np.ndarray, jump: float) -> WarpSource:
     """A source without the pixels whose colour is not measured or whose depth is unknown or beside a jump."""
-    return Source(camera, rgb.astype(np.float32), depth_m.astype(np.float64), measured & ~depth_breaks(depth_m, jump))
+    return WarpSource(
+        camera, rgb.astype(np.float32), depth_m.astype(np.float64), measured & ~depth_breaks(depth_m, jump)
+    )
 
 
-def carry(photo: Source, camera: Camera, oversampling: int, z_tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def carry(
+    photo: WarpSource, camera: Camera, oversampling: int, z_tolerance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
 
-    Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that continue the
-    surface; a pixel keeps the mean of the samples within ``z_tolerance`` of its nearest.
+    Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that
+    continue the surface; a pixel keeps the mean of the samples within ``z_tolerance`` of its nearest.
     """
     target_from_source = camera.camera_from_world @ photo.camera.world_from_camera
     pixel_map = camera.intrinsics @ target_from_source[:3, :3] @ np.linalg.inv(photo.camera.intrinsics)
@@ -47,15 +53,29 @@ def carry(photo: Source, camera: Camera, oversampling: int, z_tolerance: float) 
     total = np.zeros((*camera.hw, 3))
     count = np.zeros(camera.hw)
     for gather in (False, True):
-        _splat(photo.rgb, photo.depth_m, photo.usable, pixel_map, shift, oversampling, z_tolerance, gather, nearest, total, count)
+        _splat(
+            photo.rgb,
+            photo.depth_m,
+            photo.usable,
+            pixel_map,
+            shift,
+            oversampling,
+            z_tolerance,
+            gather,
+            nearest,
+            total,
+            count,
+        )
     return close_pinholes(total / np.maximum(count, 1)[..., None], nearest, count)
 
 
-def close_pinholes(rgb: np.ndarray, depth_m: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def close_pinholes(
+    rgb: np.ndarray, depth_m: np.ndarray, count: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fill pixels that fell between the samples of one surface; they count half a sample, so their support stays low.
 
-    A pixel is such a pinhole when at least five of its eight neighbours are covered and lie at one depth; the edge of a true hole
-    has neighbours missing on one side or a nearer surface on the other.
+    A pixel is such a pinhole when at least five of its eight neighbours are covered and lie at one depth; the edge of a
+    true hole has neighbours missing on one side or a nearer surface on the other.
     """
     covered = count > 0
     ones = np.ones((3, 3))
@@ -65,7 +85,9 @@ def close_pinholes(rgb: np.ndarray, depth_m: np.ndarray, count: np.ndarray) -> t
     farthest = -cv2.dilate(np.where(covered, -inverse, -np.inf), ones, borderType=cv2.BORDER_REPLICATE)
     pinhole = ~covered & (around >= 5) & (nearest < farthest * (1 + 2 * _SAME_SURFACE))
     share = np.maximum(around, 1)
-    mean_rgb = cv2.filter2D(np.where(covered[..., None], rgb, 0), -1, ones, borderType=cv2.BORDER_CONSTANT) / share[..., None]
+    mean_rgb = (
+        cv2.filter2D(np.where(covered[..., None], rgb, 0), -1, ones, borderType=cv2.BORDER_CONSTANT) / share[..., None]
+    )
     mean_inverse = cv2.filter2D(inverse, -1, ones, borderType=cv2.BORDER_CONSTANT) / share
     return (
         np.where(pinhole[..., None], mean_rgb, rgb),
@@ -91,11 +113,14 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
                 for sx in range(oversampling):
                     p = (sx + 0.5) / oversampling - 0.5
                     i = min(max(x + (1 if p > 0 else -1), 0), width - 1)
-                    # Beside a dropped neighbour the surface is continued by its own pixel, never mixed with the other side.
+                    # Beside a dropped neighbour the surface is continued by its own pixel, never mixed with the other
+                    # side.
                     smooth = usable[y, i] and usable[j, x] and usable[j, i]
                     a, b = (abs(p), abs(q)) if smooth else (0.0, 0.0)
                     inverse = (
-                        (1 - b) * ((1 - a) * here + a / depth[y, i]) + b * ((1 - a) / depth[j, x] + a / depth[j, i]) if smooth else here
+                        (1 - b) * ((1 - a) * here + a / depth[y, i]) + b * ((1 - a) / depth[j, x] + a / depth[j, i])
+                        if smooth
+                        else here
                     )
                     z_source = 1.0 / inverse
                     u, v = x + 0.5 + p, y + 0.5 + q
@@ -126,12 +151,13 @@ def ray_angles_rad(camera: Camera, depth_m: np.ndarray, other_centre_m: np.ndarr
 
 
 def blend(
-    camera: Camera, sources: Sequence[Source], oversampling: int, z_tolerance: float, fade_rad: float
+    camera: Camera, sources: Sequence[WarpSource], oversampling: int, z_tolerance: float, fade_rad: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one camera.
+    """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one
+    camera.
 
-    The nearest surface wins; photos that show it are averaged with weight exp(-angle/fade). Support is 1 where some photo shows the
-    pixel at no less than half its resolution, falls with thinner sampling, and is 0 in holes.
+    The nearest surface wins; photos that show it are averaged with weight exp(-angle/fade). Support is 1 where some
+    photo shows the pixel at no less than half its resolution, falls with thinner sampling, and is 0 in holes.
     """
     carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
     nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)

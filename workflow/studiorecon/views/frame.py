@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network's picture and ours: 1280×704 laid over a working picture, so that it fills the network's frame; the rest is cut."""
+"""The network's picture and ours: 1280×704 laid over a working picture, so that it fills the network's frame; the rest
+is cut."""
 
 from __future__ import annotations
 
@@ -7,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.models.sizes import placed, placed_nearest
+from studiorecon.errors import UserError
+from studiorecon.images.sizes import placed, placed_nearest
 from studiorecon.scene.camera import Camera
 
 # 16:9 footage loses 2 % of its rows in 1280×704; what loses more than this needs another crop, not this one.
@@ -17,7 +18,8 @@ _MOST_CUT = 0.15
 
 @dataclass(frozen=True)
 class Frame:
-    """One network pixel is ``step`` working pixels; the network's upper left corner lies at (row, column) ``start`` of ours."""
+    """One network pixel is ``step`` working pixels; the network's upper left corner lies at (row, column) ``start`` of
+    ours."""
 
     working_hw: tuple[int, int]
     network_hw: tuple[int, int]
@@ -46,13 +48,14 @@ class Frame:
 
 
 def frame_of(working_hw: tuple[int, int], network_hw: tuple[int, int]) -> Frame:
-    """How a working picture fills the network's frame, centred; Refusal when too much of it would be cut."""
+    """How a working picture fills the network's frame, centred; UserError when too much of it would be cut."""
     step = min(ours / theirs for ours, theirs in zip(working_hw, network_hw))
     left = tuple(ours - theirs * step for ours, theirs in zip(working_hw, network_hw))
     cut = 1 - (step * network_hw[0]) * (step * network_hw[1]) / (working_hw[0] * working_hw[1])
     if cut > _MOST_CUT:
-        raise Refusal(
-            f"footage of {working_hw[1]}×{working_hw[0]} would lose {cut:.0%} of its picture in {network_hw[1]}×{network_hw[0]}; "
+        raise UserError(
+            f"footage of {working_hw[1]}×{working_hw[0]} would lose {cut:.0%} of its "
+            f"picture in {network_hw[1]}×{network_hw[0]}; "
             "set views.synthesizer to warp"
         )
     return Frame(working_hw, network_hw, step, (left[0] / 2, left[1] / 2))

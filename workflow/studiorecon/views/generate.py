@@ -1,50 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``views.generate``: GEN3C's films of checked requests, lossless; the network is loaded once for all requests of a job."""
+"""``views.generate``: a network's films of checked requests, lossless; the network is loaded once for all requests of a
+job."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.video import write_lossless
-from studiorecon.models.gen3c import Gen3c, Options
-from studiorecon.models.gen3c_request import check_form, read_request
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import write_lossless
+from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
+from studiorecon.signature import Place, Written
+from studiorecon.views.shared import Made
 
 _FPS = 24.0
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How the network runs; see config.yaml."""
+class Gen3cSettings:
+    """How GEN3C runs: denoising steps, guidance, seed, whether parts wait in main memory, and which points of the
+    cache are dropped."""
 
-    gen3c: Options
+    steps: int = 35
+    guidance: float = 1.0
+    seed: int = 0
+    offload: bool = setting(
+        True,
+        "Keep parts of the network in main memory while others run: 48 GB of GPU memory instead of 80, some "
+        "minutes more.",
+    )
+    filter_points: float = 0.05
+
+
+@dataclass(frozen=True)
+class Settings(Made):
+    """Which network, and how it runs."""
+
+    gen3c: Gen3cSettings = setting(Gen3cSettings(), "How GEN3C runs.")
+
+
+def read_request(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a request (npz); UserError when it cannot be read."""
+    try:
+        with np.load(path) as stored:
+            return {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, KeyError) as error:
+        raise UserError(f"{path} is not a readable request ({error}); delete it and run again") from None
 
 
 def frames_of(network: ViewSynthesizer, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
-    """(704, 1280, 3) uint8 pictures of one request; Refusal when there are more or fewer than were asked for."""
+    """(H, W, 3) uint8 pictures of one request; UserError when there are more or fewer than were asked for."""
     wanted, made = len(request["w2cs_all"]), 0
     for part in network.views(request):
         made += len(part)
         say(f"{made} of {wanted} views")
         yield from part
     if made != wanted:
-        raise Refusal(f"GEN3C made {made} views of {wanted}; use upstream at the pin in the table of models")
+        raise UserError(f"the network made {made} views of {wanted}; use upstream at the pin in the table of models")
 
 
-def run(settings: Settings, requests: list[Path], films: list[Path], weights: Path) -> None:
+def run(settings: Settings, requests: list[Path], films: list[Written], weights: Place) -> None:
     """Write one film per request, in order; a film that is finished stays when a later one fails."""
     if len(requests) != len(films):
-        raise Refusal(f"{len(requests)} requests for {len(films)} films")
+        raise UserError(f"{len(requests)} requests for {len(films)} films")
     asked = [read_request(path) for path in requests]
     for request in asked:
-        check_form(request)
-    network = Gen3c(weights, settings.gen3c)
+        adapter("view synthesizer", settings.synthesizer).check(request)
+    network = load("view synthesizer", settings.synthesizer, weights, "cuda", **asdict(settings.gen3c))
     for request, film in zip(asked, films):
         say(f"{film.name}: {len(request['w2cs_all'])} views, {settings.gen3c.steps} steps, seed {settings.gen3c.seed}")
         write_lossless(film, frames_of(network, request), _FPS)

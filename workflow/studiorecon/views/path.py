@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the new views look from: between every two neighbouring training cameras, in segments that share their ends.
 
-Writes ``views/path.json`` (``scene.path``): segments "00", "01", … of ``views_per_segment`` + 1 views each, all at frame 0.
+Writes ``views/path.json`` (``scene.path``): segments "00", "01", … of ``views_per_segment`` + 1 views each, all at
+frame 0.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.errors import Refusal
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
 from studiorecon.geometry.path import axis_miss_rad, between, order_around, scene_centre
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.colmap import read_model
-from studiorecon.scene.path import Step, write_path
+from studiorecon.scene.path import PathStep, write_path
+from studiorecon.signature import Written
 
 # A ring with a wider gap is an arc: views in the middle of the gap see what no camera sees (U18).
 _WIDEST_GAP_RAD = np.radians(150.0)
@@ -26,16 +29,41 @@ _WIDEST_GAP_RAD = np.radians(150.0)
 
 @dataclass(frozen=True)
 class Settings:
-    """Number of views and shape of the way; see config.yaml."""
+    """Number of views and shape of the way."""
 
-    views_per_segment: int
-    closed: bool
-    centres: Literal["linear", "arc"]
-    rotations: Literal["slerp", "look_at"]
-    clearance: float
+    views_per_segment: int = setting(
+        24,
+        "New views between neighbouring cameras; a segment has one more of them and shares its ends with its "
+        "neighbours.",
+        minimum=1,
+        maximum=10000,
+        paper="120, so L = 481 = 4·120 + 1, appendix A; U17",
+        letter=120,
+    )
+    closed: bool = setting(
+        True,
+        "Also between the last and the first camera.",
+        paper="yes for 360°, an arc otherwise; U18, U55",
+        letter=True,
+    )
+    rotations: Literal["slerp", "look_at"] = setting(
+        "slerp",
+        "slerp = as the paper writes; look_at = every view looks at the scene centre.",
+        paper="slerp, section on trajectories",
+        letter="slerp",
+    )
+    clearance: float = setting(
+        0.6,
+        "Horizontal distance to the scene centre, as a share of the smaller of the two cameras' own distances; where "
+        "the straight line comes nearer, views stand on an arc: 1 = always.",
+        minimum=0,
+        maximum=1,
+        paper="0; U19",
+        letter=0.0,
+    )
 
 
-def plan(cameras: list[Camera], settings: Settings) -> tuple[list[Step], list[str]]:
+def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], list[str]]:
     """All steps in flying order, and sentences on what had to be decided."""
     centre_m = scene_centre(cameras)
     order, gap_rad = order_around(cameras, centre_m, settings.closed)
@@ -47,7 +75,8 @@ def plan(cameras: list[Camera], settings: Settings) -> tuple[list[Step], list[st
     ]
     if settings.closed and gap_rad > _WIDEST_GAP_RAD:
         notes.append(
-            f"the widest gap is {np.degrees(gap_rad):.0f}°: views inside it rest on what no camera sees; views.closed: false leaves it out"
+            f"the widest gap is {np.degrees(gap_rad):.0f}°: views inside it rest on what no "
+            "camera sees; views.closed: false leaves it out"
         )
     steps = []
     for number, (start, end) in enumerate(pairs):
@@ -57,24 +86,26 @@ def plan(cameras: list[Camera], settings: Settings) -> tuple[list[Step], list[st
             end,
             settings.views_per_segment + 1,
             centre_m,
-            centres=settings.centres,
             rotations=settings.rotations,
             clearance=settings.clearance,
         )
         if bent:
-            notes.append(f"segment {name} ({start.name} to {end.name}) flies an arc: the straight line comes too near the scene's centre")
-        steps += [Step(replace(view, name=f"{name}.{k:04d}"), 0.0, name) for k, view in enumerate(views)]
+            notes.append(
+                f"segment {name} ({start.name} to {end.name}) flies an arc: the straight "
+                "line comes too near the scene's centre"
+            )
+        steps += [PathStep(replace(view, name=f"{name}.{k:04d}"), 0.0, name) for k, view in enumerate(views)]
     if steps:
         miss = max(axis_miss_rad(step.camera, centre_m) for step in steps)
         notes.append(f"{len(pairs)} segments; the optical axis leaves the centre by at most {np.degrees(miss):.0f}°")
     return steps, notes
 
 
-def run(settings: Settings, model: Path, manifest: Path, path: Path) -> None:
+def run(settings: Settings, model: Path, manifest: Path, path: Written) -> None:
     """Plan the views between the training cameras."""
     cameras = read_model(model.parent)
     if not cameras:
-        raise Refusal(f"{model} holds no cameras; train: [...] in capture.yaml names those to reconstruct from")
+        raise UserError(f"{model} holds no cameras; train: [...] in capture.yaml names those to reconstruct from")
     steps, notes = plan(cameras, settings)
     for note in notes:
         say(note)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The views of one segment: photos warped through their depth, holes painted over in the picture and named in the mask.
 
-Writes ``views/<segment>.mkv`` (RGB, holes inpainted) and ``views/<segment>.mask.mkv`` (255 supported by a photo … 0 hole). Colours
-are those of the photos, at the rig's mean exposure where the survey calls for it.
+Writes ``views/<segment>.mkv`` (RGB, holes inpainted) and ``views/<segment>.mask.mkv`` (255 supported by a photo … 0
+hole). Colours are those of the photos, at the rig's mean exposure where the survey calls for it.
 """
 
 from __future__ import annotations
@@ -14,31 +14,27 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.errors import Refusal
-from studiorecon.images.exr import read_depth
-from studiorecon.images.stills import read_plate
-from studiorecon.images.video import to_bytes, write_lossless
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.colmap import read_model
 from studiorecon.scene.factors import read_factors
+from studiorecon.scene.files import one_each
 from studiorecon.scene.path import read_path
-from studiorecon.views.forward import Source, blend, source
+from studiorecon.signature import Written
+from studiorecon.views.forward import WarpSource, blend, source
+from studiorecon.views.shared import Warping
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How photos are warped and blended; see config.yaml."""
-
-    sources: int
-    oversampling: int
-    z_tolerance: float
-    depth_jump: float
-    fade_deg: float
-    inpaint_radius: int
+class Settings(Warping):
+    """How photos are warped and blended."""
 
 
-def nearest_sources(camera: Camera, photos: list[Source], count: int) -> list[Source]:
+def nearest_sources(camera: Camera, photos: list[WarpSource], count: int) -> list[WarpSource]:
     """The ``count`` photos whose camera centres are nearest to a view's (all when 0), in the order given."""
     if count == 0 or count >= len(photos):
         return photos
@@ -51,11 +47,15 @@ def paint_holes(rgb: np.ndarray, support: np.ndarray, radius: int) -> np.ndarray
     return cv2.inpaint(to_bytes(rgb), (support <= 0).astype(np.uint8), radius, cv2.INPAINT_TELEA)
 
 
-def views_of(cameras: list[Camera], photos: list[Source], settings: Settings) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def views_of(
+    cameras: list[Camera], photos: list[WarpSource], settings: Settings
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera."""
     for camera in progress(cameras, "views"):
         chosen = nearest_sources(camera, photos, settings.sources)
-        rgb, support, _ = blend(camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg))
+        rgb, support, _ = blend(
+            camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
+        )
         yield paint_holes(rgb, support, settings.inpaint_radius), support_levels(support)
 
 
@@ -64,28 +64,32 @@ def support_levels(support: np.ndarray) -> np.ndarray:
     return np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
 
 
-def read_photos(model: Path, plates: list[Path], depth: list[Path], exposure: list[Path], depth_jump: float) -> list[Source]:
-    """The training cameras' plates divided by the gains of ``exposure``, with depth; Refusal for a missing or misshapen one."""
+def read_photos(
+    model: Path, plates: list[Path], depth: list[Path], exposure: list[Path], depth_jump: float
+) -> list[WarpSource]:
+    """The training cameras' plates divided by the gains of ``exposure``, with depth; UserError for a missing or
+    misshapen one."""
     cameras = read_model(model.parent)
-    if not len(plates) == len(depth) == len(cameras):
-        raise Refusal(f"{len(plates)} plates and {len(depth)} depth maps for {len(cameras)} training cameras; each camera needs both")
+    one_each(cameras, plates=plates, depth_maps=depth)
     gains = read_factors(exposure)
     photos = []
     for camera, plate, depth_path in zip(cameras, plates, depth):
         rgb, measured = read_plate(plate)
         depth_m, _ = read_depth(depth_path)
         if rgb.shape[:2] != depth_m.shape:
-            raise Refusal(f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}")
+            raise UserError(
+                f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}"
+            )
         photos.append(source(camera, gains.even(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 
 
 def read_segment(path: Path, segment: str) -> tuple[list[Camera], float]:
-    """The cameras of one segment of a path, and its frame rate; Refusal when there is no such segment."""
+    """The cameras of one segment of a path, and its frame rate; UserError when there is no such segment."""
     steps, fps = read_path(path)
     wanted = [step.camera for step in steps if step.segment == segment]
     if not wanted:
-        raise Refusal(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
+        raise UserError(f"{path} has no segment {segment}; it holds {', '.join(sorted({s.segment for s in steps}))}")
     return wanted, fps
 
 
@@ -97,14 +101,16 @@ def run(
     plates: list[Path],
     depth: list[Path],
     exposure: list[Path],
-    views: Path,
-    support: Path,
+    views: Written,
+    support: Written,
 ) -> None:
     """Write the pictures and the support of one segment's views."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     wanted, fps = read_segment(path, segment)
     made = list(views_of(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])
-    say(f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask")
+    say(
+        f"{holes:.1%} of the {len(made)} views of segment {segment} is hole: painted over in the picture, 0 in the mask"
+    )
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

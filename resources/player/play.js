@@ -1,0 +1,173 @@
+// SPDX-License-Identifier: Apache-2.0
+// The player: which moment is seen from where, what must be sorted and drawn again, and what lies over the picture.
+
+const at = (id) => document.getElementById(id);
+
+function say(text, seconds = 4) {
+  at("told").textContent = text;
+  if (seconds) setTimeout(() => at("told").textContent === text && (at("told").textContent = ""), 1000 * seconds);
+}
+
+function makePlayer(scene, bytes, painter) {
+  const eye = makeEye(scene), sorter = startSorter(scene.sets), stage = at("stage");
+  const lines = at("lines").getContext("2d");
+  const calm = matchMedia("(prefers-reduced-motion: reduce)").matches, last = scene.frames - 1;
+  const state = { frame: 0, playing: !calm && last > 0, speed: 1, loop: true, opacity: 0.5, bright: true };
+  Object.assign(state, { tinted: false, skeletons: false });
+  const files = scene.cameras.map(() => null), flying = { right: 0, down: 0, ahead: 0 };
+  // Numbers of changes: of those made, those drawn and those sorted for. The scale falls where drawing is slow.
+  let changes = 1, drawn = 0, sorted = 0, sorting = false, fresh = false, still = false, rested = false;
+  let scale = 1, before = 0, slow = 0, moved = NaN, noted = 0;
+  const changed = () => changes++;
+
+  function size() {
+    const sharp = Math.min(devicePixelRatio || 1, 2);
+    return [stage.clientWidth, stage.clientHeight].map((side) => Math.max(Math.round(side * sharp), 2));
+  }
+
+  // Everything to the moment that is seen; who follows somebody goes along.
+  function settle() {
+    if (eye.mode === "film") state.frame = eye.frameOf(eye.film, eye.picture);
+    if (moved === state.frame) return;
+    moved = state.frame;
+    for (const set of scene.sets) if (set.motion) move(scene, set, state.frame, scene.bones);
+    painter.setMoment(state.frame);
+    const followed = eye.mode === "free" && scene.sets.find((set) => set.name === eye.person);
+    if (followed) eye.follow(Array.from(followed.joints.subarray(0, 3)));
+  }
+
+  const order = (view) => sorter({
+    row: [...view.rotation.slice(6), view.offset[2]], matrices: scene.bones.slice(), near: scene.drawing.near,
+    shown: scene.sets.map((set) => set.shown && (!set.motion || set.there)),
+  });
+
+  // What a camera's picture was brighter by at this moment.
+  function exposure() {
+    const factors = state.bright && eye.mode === "camera" && scene.cameras[eye.camera].exposure;
+    if (!factors) return [1, 1, 1];
+    const row = factors.length === 3 ? 0 : Math.min(Math.round(state.frame), last);
+    return Array.from(factors.subarray(3 * row, 3 * row + 3));
+  }
+
+  // The picture of this very moment, sorted and drawn: what screenshots and checks read.
+  async function picture(options = {}) {
+    still = true;
+    settle();
+    const view = eye.view(options.wh || size());
+    painter.setOrder(await order(view));
+    painter.draw(view, { exposure: options.exposure || exposure(), tinted: state.tinted });
+    const pixels = painter.read();
+    still = false;
+    changed();
+    return { width: view.wh[0], height: view.wh[1], pixels };
+  }
+
+  function pixelOf(view, point) {
+    const [x, y, z] = plus(turned(view.rotation, ...point), view.offset);
+    return z > scene.drawing.near && [x, y].map((value, k) => (view.focal[k] * value) / z + view.principal[k]);
+  }
+
+  function drawSkeletons(view) {
+    const { canvas } = lines, [width, height] = view.wh;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    lines.clearRect(0, 0, width, height);
+    lines.lineWidth = Math.max(2, width / 500);
+    scene.sets.filter((set) => state.skeletons && set.kind === "person" && set.shown).forEach((set, index) => {
+      lines.strokeStyle = `hsl(${(index * 137 + 200) % 360} 90% 65%)`;
+      set.motion.parents.forEach((parent, j) => {
+        const ends = [parent, j].map((k) => k >= 0 && pixelOf(view, set.joints.subarray(3 * k, 3 * k + 3)));
+        if (!ends[0] || !ends[1]) return;
+        lines.beginPath();
+        lines.moveTo(...ends[0]);
+        lines.lineTo(...ends[1]);
+        lines.stroke();
+      });
+    });
+  }
+
+  // What the camera filmed, over what was made of it: its film, or the photo nearest in time.
+  function drawFilmed() {
+    const { film, photos, wh } = scene.cameras[eye.camera], standing = eye.mode === "camera" && (film || photos);
+    const [shown, other] = film ? [at("film"), at("photo")] : [at("photo"), at("film")];
+    other.style.visibility = "hidden";
+    shown.style.visibility = standing && state.opacity > 0 ? "visible" : "hidden";
+    if (!standing) return at("film").pause();
+    const part = ({ at: from, count }) => new Uint8Array(bytes, from, count);
+    const addressOf = (file, type) => URL.createObjectURL(new Blob([part(file)], { type }));
+    files[eye.camera] ||= film ? [addressOf(film, "video/mp4")] : photos.map((photo) => addressOf(photo, "image/jpeg"));
+    const gaps = film ? [0] : photos.map(({ frame }) => Math.abs(frame - state.frame));
+    const address = files[eye.camera][gaps.indexOf(Math.min(...gaps))];
+    if (shown.src !== address) shown.src = address;
+    const [left, top, times] = fitted([stage.clientWidth, stage.clientHeight], wh);
+    const box = { left, top, width: times * wh[0], height: times * wh[1] };
+    for (const side in box) shown.style[side] = `${box[side]}px`;
+    shown.style.opacity = state.opacity;
+    if (!film) return;
+    if (state.playing && shown.paused) shown.play().catch(() => say("this browser does not play the cameras' films"));
+    if (!state.playing) shown.pause();
+    shown.playbackRate = state.speed;
+    const wanted = (state.frame + 0.5) / scene.fps, allowed = state.playing ? 0.15 : 0.3 / scene.fps;
+    if (Math.abs(shown.currentTime - wanted) > allowed) shown.currentTime = wanted;
+  }
+
+  const end = () => (eye.mode === "film" ? eye.pictures(eye.film) - 1 : last);
+  const place = () => (eye.mode === "film" ? eye.picture : state.frame);
+  function seek(value) {
+    if (eye.mode === "film") eye.picture = within(value, 0, end());
+    else state.frame = within(value, 0, end());
+    changed();
+  }
+
+  function advance(by) {
+    const next = place() + by;
+    if (next > end() && !state.loop) state.playing = false;
+    seek(next > end() && state.loop ? next % (end() + 1) : next);
+  }
+
+  function tick(now) {
+    requestAnimationFrame(tick);
+    const passed = Math.min((now - before) / 1000, 0.2);
+    before = now;
+    if (still) return;
+    if (flying.right || flying.down || flying.ahead) {
+      eye.fly(...Object.values(flying).map((speed) => speed * passed));
+      changed();
+    }
+    if (state.playing) advance(passed * scene.fps * state.speed);
+    if (changes !== drawn || fresh) {
+      settle();
+      const view = eye.view(size()), due = changes;
+      if (!sorting && sorted !== due) {
+        sorting = true;
+        order(view).then((ids) => {
+          if (!still) painter.setOrder(ids);
+          [sorting, sorted, fresh] = [false, due, true];
+        });
+      }
+      painter.draw(view, { exposure: exposure(), tinted: state.tinted, scale });
+      drawSkeletons(view);
+      drawFilmed();
+      player.shown();
+      [drawn, fresh, rested] = [due, false, scale === 1];
+      // Slower than twenty pictures a second for a while: fewer pixels, until nothing moves.
+      slow = passed > 0.05 ? slow + 20 * passed : Math.max(slow - 1, 0);
+      if (slow > 20 && scale > 0.5) [scale, slow] = [scale - 0.25, 0];
+    } else if (!rested && sorted === changes) {
+      painter.draw(eye.view(size()), { exposure: exposure(), tinted: state.tinted });
+      rested = true;
+    }
+    if (now > noted + 500) {
+      noted = now;
+      writeLink(player);
+    }
+  }
+
+  const player = {
+    scene, painter, eye, state, flying, keys: [], last, changed, picture, pixelOf, seek, end, place, shown: () => {},
+    play: () => { state.playing = !state.playing && end() > 0; changed(); },
+    step: (by) => { state.playing = false; seek(Math.round(place()) + by); },
+    drawn: () => drawn,
+    begin() { settle(); readLink(player); requestAnimationFrame(tick); },
+  };
+  return player;
+}

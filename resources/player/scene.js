@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the page holds, as arrays: Gaussians of every set (the room, people, things), and where bones are at a time.
+
+// Texels in a row of every texture that has one per Gaussian; a set begins a row of its own.
+const ROW = 1024;
+const within = (value, low, high) => Math.min(Math.max(value, low), high);
+
+// The bytes behind all descriptions: gzip in base64.
+async function bytesOf(text) {
+  const packed = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Response(stream).arrayBuffer();
+}
+
+// Numbers of a description, row by row; deliver/packing.py wrote them.
+function numbers(bytes, { at, count, columns, bits, low, high }) {
+  if (!bits) return new Float32Array(bytes, at, count * columns);
+  const raw = new Uint8Array(bytes, at, (count * columns * bits) / 8);
+  const found = low ? new Float32Array(count * columns) : new Uint32Array(count * columns);
+  const planes = bits / 8, steps = 2 ** bits - 1;
+  for (let column = 0; column < columns; column++) {
+    const from = low ? low[column] : 0, step = low ? (high[column] - low[column]) / steps : 1;
+    for (let i = 0; i < count; i++) {
+      let value = 0;
+      for (let k = 0; k < planes; k++) value = value * 256 + raw[(column * planes + k) * count + i];
+      found[i * columns + column] = from + step * value;
+    }
+  }
+  return found;
+}
+
+// Unit quaternions (w, x, y, z): two bits say which number is the largest, ten each what the others are.
+function quaternions(bytes, described) {
+  const packed = numbers(bytes, described), found = new Float32Array(packed.length * 4);
+  for (let i = 0; i < packed.length; i++) {
+    const largest = packed[i] >>> 30;
+    let rest = 1;
+    for (let k = 0; k < 3; k++) {
+      const value = (((packed[i] >>> (20 - 10 * k)) & 1023) / 1022 - 0.5) * Math.SQRT2;
+      found[i * 4 + ((largest + 1 + k) % 4)] = value;
+      rest -= value * value;
+    }
+    found[i * 4 + largest] = Math.sqrt(Math.max(rest, 0));
+  }
+  return found;
+}
+
+// Everything of a page's description; sets get a first Gaussian and a first bone in what all share.
+function readScene(told, bytes) {
+  let first = 0, bone = 0;
+  for (const set of told.sets) {
+    set.first = first;
+    first += Math.ceil(set.count / ROW) * ROW;
+    set.means = numbers(bytes, set.means);
+    set.quaternions = quaternions(bytes, set.quaternions);
+    set.scales = numbers(bytes, set.scales).map(Math.exp);
+    set.opacities = numbers(bytes, set.opacities);
+    set.colours = numbers(bytes, set.colours);
+    set.provenance = numbers(bytes, set.provenance);
+    set.bands = (set.degree + 1) ** 2 - 1;
+    set.reach = set.harmonics ? set.harmonics.high[0] : 0;
+    // As they are stored, 0 to 255: the shader spreads them.
+    set.harmonics = set.harmonics && numbers(bytes, { ...set.harmonics, low: undefined });
+    set.shown = true;
+    if (set.motion) {
+      const { rest, parents, turns, places, valid, present } = set.motion;
+      set.firstBone = bone;
+      bone += parents.length;
+      set.motion = {
+        parents, rest: numbers(bytes, rest), turns: numbers(bytes, turns), places: numbers(bytes, places),
+        valid: numbers(bytes, valid), present: present && numbers(bytes, present),
+      };
+      set.bones = numbers(bytes, set.bones);
+      set.shares = numbers(bytes, set.shares);
+      set.joints = new Float32Array(parents.length * 3);
+    }
+    for (const kind of ["changes", "shade"]) {
+      for (const [name, value] of Object.entries(set[kind] || {})) {
+        if (value.bits !== undefined) set[kind][name] = numbers(bytes, value);
+      }
+    }
+  }
+  for (const camera of told.cameras) if (camera.exposure) camera.exposure = numbers(bytes, camera.exposure);
+  for (const film of told.films) film.steps = numbers(bytes, film.steps);
+  return { ...told, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
+}
+
+// The moments before and after a place in a list of them, and how far between.
+function between(place, count) {
+  const at = within(place, 0, count - 1), low = Math.min(Math.floor(at), Math.max(count - 2, 0));
+  return [low, Math.min(low + 1, count - 1), at - low];
+}
+
+function slerp(values, low, high, share) {
+  let dot = 0;
+  for (let k = 0; k < 4; k++) dot += values[low + k] * values[high + k];
+  const sign = dot < 0 ? -1 : 1, angle = Math.acos(Math.min(Math.abs(dot), 1));
+  const a = angle < 1e-4 ? 1 - share : Math.sin((1 - share) * angle) / Math.sin(angle);
+  const b = sign * (angle < 1e-4 ? share : Math.sin(share * angle) / Math.sin(angle));
+  return rotation([0, 1, 2, 3].map((k) => a * values[low + k] + b * values[high + k]));
+}
+
+// Row-major rotation matrix of a quaternion (w, x, y, z) of any length.
+function rotation(q) {
+  const length = Math.hypot(...q) || 1, [w, x, y, z] = q.map((value) => value / length);
+  return [
+    1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+    2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+    2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+  ];
+}
+
+function times(a, b) {
+  const c = new Array(9);
+  for (let i = 0; i < 9; i++) {
+    const row = i - (i % 3), column = i % 3;
+    c[i] = a[row] * b[column] + a[row + 1] * b[column + 3] + a[row + 2] * b[column + 6];
+  }
+  return c;
+}
+
+function turned(r, x, y, z) {
+  return [r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z];
+}
+
+// Where a set's bones are at a frame: rows of world_from_rest (3 x 4 a bone) into `out`, joints into the set.
+// Turns lie between those of two moments on the sphere of rotations, as body/avatar has it.
+function move(scene, set, frame, out) {
+  const { parents, rest, turns, places, present } = set.motion;
+  let [low, high, share] = between((frame * (scene.moments - 1)) / Math.max(scene.frames - 1, 1), scene.moments);
+  if (present) {
+    // Beside a moment in which nobody knows where it is, a thing stays where it was at the nearer one.
+    const near = share > 0.5 ? high : low, known = present[low] && present[high];
+    set.there = known || present[near] > 0;
+    if (!known) [low, high, share] = present[low] ? [low, low, 0] : [high, high, 0];
+  } else set.there = true;
+  const world = [], joints = set.joints;
+  for (let j = 0; j < parents.length; j++) {
+    const at = (low * parents.length + j) * 4, next = (high * parents.length + j) * 4, parent = parents[j];
+    const own = slerp(turns, at, next, share);
+    world[j] = parent < 0 ? own : times(world[parent], own);
+    if (parent < 0) {
+      for (let k = 0; k < 3; k++) joints[3 * j + k] = (1 - share) * places[3 * low + k] + share * places[3 * high + k];
+    } else {
+      const bone = turned(world[parent], ...[0, 1, 2].map((k) => rest[3 * j + k] - rest[3 * parent + k]));
+      for (let k = 0; k < 3; k++) joints[3 * j + k] = joints[3 * parent + k] + bone[k];
+    }
+    const carried = turned(world[j], rest[3 * j], rest[3 * j + 1], rest[3 * j + 2]);
+    for (let row = 0; row < 3; row++) {
+      const to = (set.firstBone + j) * 12 + row * 4;
+      for (let k = 0; k < 3; k++) out[to + k] = world[j][row * 3 + k];
+      out[to + 3] = joints[3 * j + row] - carried[row];
+    }
+  }
+}
+
+// Whether anything of a set was measured at a frame; a pose that was filled in makes all of it inferred.
+function measuredAt(set, frame) {
+  return !set.motion || set.motion.valid[within(Math.round(frame), 0, set.motion.valid.length - 1)] > 0;
+}
+
+// What a set's colours become at a frame: four numbers a Gaussian. A person's are added (colour, logit), the room's
+// first one multiplies. Null for a set that never changes.
+function changesAt(scene, set, frame, out) {
+  if (set.shade) {
+    const { at, times: moments, factors } = set.shade, count = at.length;
+    let low = 0;
+    while (low < moments.length - 2 && moments[low + 1] <= frame) low++;
+    const high = Math.min(low + 1, moments.length - 1), gap = moments[high] - moments[low];
+    const share = gap > 0 ? within((frame - moments[low]) / gap, 0, 1) : 0;
+    for (let i = 0; i < count; i++)
+      out[4 * at[i]] = (1 - share) * factors[low * count + i] + share * factors[high * count + i];
+    return true;
+  }
+  if (!set.changes) return false;
+  const { near, shares, values, moments } = set.changes, columns = values.length / moments;
+  const [low, high, share] = between((frame * (moments - 1)) / Math.max(scene.frames - 1, 1), moments);
+  const now = new Float32Array(columns);
+  for (let k = 0; k < columns; k++)
+    now[k] = (1 - share) * values[low * columns + k] + share * values[high * columns + k];
+  for (let i = 0; i < set.count * 4; i += 4) {
+    for (let channel = 0; channel < 4; channel++) {
+      let sum = 0;
+      for (let k = 0; k < 4; k++) sum += (shares[i + k] / 255) * now[near[i + k] * 4 + channel];
+      out[i + channel] = sum;
+    }
+  }
+  return true;
+}

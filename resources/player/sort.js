@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: Apache-2.0
+// The order in which Gaussians are drawn, the furthest first, after bones have moved them. Runs in a worker of its own.
+
+// Needs nothing from outside: its text is what the worker is made of.
+function makeSorter() {
+  let sets = [], size = 0, depths, ids, order, counts;
+
+  // sets: [{first, count, means, bones, shares, firstBone}]
+  function load(given) {
+    sets = given;
+    size = sets.reduce((sum, set) => sum + set.count, 0);
+    depths = new Float32Array(size);
+    ids = new Uint32Array(size);
+    order = [new Uint32Array(size), new Uint32Array(size)];
+    counts = new Uint32Array(65536);
+  }
+
+  // Ids of what lies further than `near` along the row (x, y, z, offset) of a camera, the furthest first.
+  function sorted({ row, matrices, shown, near }) {
+    let count = 0;
+    sets.forEach((set, index) => {
+      if (!shown[index]) return;
+      const { means, bones, shares, first } = set, own = new Float32Array(1024);
+      const [x, y, z, offset] = row;
+      // A bone's row and the camera's as one: depth is linear in where a Gaussian rests.
+      for (let b = 0; bones && b < matrices.length / 12 - set.firstBone; b++) {
+        const m = (set.firstBone + b) * 12;
+        for (let k = 0; k < 4; k++)
+          own[4 * b + k] = x * matrices[m + k] + y * matrices[m + 4 + k] + z * matrices[m + 8 + k];
+        own[4 * b + 3] += offset;
+      }
+      for (let i = 0; i < set.count; i++) {
+        const px = means[3 * i], py = means[3 * i + 1], pz = means[3 * i + 2];
+        let depth = x * px + y * py + z * pz + offset;
+        if (bones) {
+          depth = 0;
+          for (let k = 4 * i; k < 4 * i + 4; k++) {
+            const b = 4 * bones[k];
+            if (shares[k]) depth += (shares[k] / 255) * (own[b] * px + own[b + 1] * py + own[b + 2] * pz + own[b + 3]);
+          }
+        }
+        if (depth > near) {
+          depths[count] = depth;
+          ids[count++] = first + i;
+        }
+      }
+    });
+    // Positive floats stand in the order of their bits: two rounds of 16 of them.
+    const keys = new Uint32Array(depths.buffer, 0, size);
+    let from = null;
+    for (let shift = 0, round = 0; round < 2; shift += 16, round++) {
+      counts.fill(0);
+      for (let i = 0; i < count; i++) counts[(keys[i] >>> shift) & 65535]++;
+      for (let i = 0, sum = 0; i < 65536; i++) [counts[i], sum] = [sum, sum + counts[i]];
+      const to = order[round];
+      for (let i = 0; i < count; i++) {
+        const place = from ? from[i] : i;
+        to[counts[(keys[place] >>> shift) & 65535]++] = place;
+      }
+      from = to;
+    }
+    const furthest = new Uint32Array(count);
+    for (let i = 0; i < count; i++) furthest[i] = ids[from[count - 1 - i]];
+    return furthest;
+  }
+  return { load, sorted };
+}
+
+// A worker that sorts; where none can be made, the page sorts itself. Call it with a view: a promise of the order.
+function startSorter(sets) {
+  const names = ["first", "count", "means", "bones", "shares", "firstBone"];
+  const given = sets.map((set) => Object.fromEntries(names.map((name) => [name, set[name]])));
+  const text = `const sorter = (${makeSorter})();
+    onmessage = ({ data }) => {
+      if (data.sets) return sorter.load(data.sets);
+      const order = sorter.sorted(data);
+      postMessage(order, [order.buffer]);
+    };`;
+  let worker;
+  try {
+    worker = new Worker(URL.createObjectURL(new Blob([text], { type: "text/javascript" })));
+  } catch (refused) {
+    const sorter = makeSorter();
+    sorter.load(given);
+    return async (view) => sorter.sorted(view);
+  }
+  worker.postMessage({ sets: given });
+  let last = Promise.resolve();
+  const asked = (view) =>
+    new Promise((done) => {
+      worker.onmessage = ({ data }) => done(data);
+      worker.postMessage(view);
+    });
+  return (view) => (last = last.then(() => asked(view)));
+}

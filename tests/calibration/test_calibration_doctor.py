@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor: what it says about good, perturbed and badly synchronised captures."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from studiorecon import settings as settings_module
+from studiorecon.calibration import doctor
+from studiorecon.calibration.checks import clocks
+from studiorecon.calibration.checks import coverage as health
+from studiorecon.calibration.checks import page as doctor_page
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.rotations import exp
+from studiorecon.scene.camera import Camera
+
+from tests.made.cameras import STANDING, detect, ring, walk
+
+FRAMES = 40
+PEOPLE = [walk([-0.6, -0.5, 0], [0.02, 0, 0], FRAMES), walk([0.7, 0.6, 0], [0, -0.02, 0], FRAMES, 2.0)]
+
+
+@pytest.fixture
+def options(default_settings):
+    return settings_module.load(doctor.Settings, default_settings("cameras"), "cameras")
+
+
+def about(cameras: list[Camera], **changed) -> list[dict]:
+    facts = {"frames": FRAMES, "first_frame": 5.0, "keypoints": True}
+    base = {**facts, "video_frames": FRAMES, "fps": 30.0, "rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
+    return [{**base, "camera": c.name, "wh": list(c.wh), **changed.get(c.name, {})} for c in cameras]
+
+
+def examined(given: list[Camera], options, shift: dict[str, int] | None = None, **changed) -> dict:
+    seen = [
+        replace(d, frame=d.frame + (shift or {}).get(d.camera, 0))
+        for d in detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
+    ]
+    return doctor.examined(given, seen, about(given, **changed), options)[0]
+
+
+def test_a_good_capture_needs_nothing(options):
+    report = examined(ring(), options)
+    assert report["advice"] == []
+    assert min(report["margin"].values()) > 1.5
+    assert report["median_px"] < 3
+    assert all(lag["low"] <= 0 <= lag["high"] and lag["valid"] for lag in report["lags_frames"].values())
+    assert report["coverage"]["1"] >= report["coverage"]["2"] >= report["coverage"]["4"] > 0.5
+    html = doctor_page.page("<scene>", report, b"png")
+    assert "&lt;scene&gt;" in html
+    assert "http" not in html
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: replace(c, camera_from_world=np.linalg.inv(c.camera_from_world)), "world_from_camera"),
+        (lambda c: replace(c, camera_from_world=np.diag([1.0, -1, -1, 1]) @ c.camera_from_world), "opengl"),
+        (lambda c: replace(c, camera_from_world=c.camera_from_world * np.array([[1, 1, 1, 1000.0]])), "unit: mm"),
+    ],
+    ids=["w2c that is c2w", "OpenGL axes", "mm for m"],
+)
+def test_every_wrong_convention_is_named_with_its_setting(options, change, words):
+    assert words in " ".join(examined([change(c) for c in ring()], options)["advice"])
+
+
+def test_one_inverted_camera_shows_in_its_margin(options):
+    cameras = ring()
+    cameras[2] = replace(cameras[2], camera_from_world=np.linalg.inv(cameras[2].camera_from_world))
+    report = examined(cameras, options)
+    assert report["margin"]["c2"] < 1.0
+    assert any("c2" in a for a in report["advice"])
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (1, 3)], ids=["neighbours", "opposite: nearly a mirror image"])
+def test_swapped_cameras_are_named(options, pair):
+    cameras = ring()
+    for i, j in (pair, pair[::-1]):
+        cameras[i] = replace(cameras[i], camera_from_world=ring()[j].camera_from_world)
+    report = examined(cameras, options)
+    assert report["verdict"] == "wrong"
+    assert f"cameras c{pair[0]} and c{pair[1]} are swapped" in " ".join(report["advice"])
+
+
+def test_a_held_out_camera_without_keypoints_is_no_fault(options):
+    cameras = ring(5)
+    seen = [*detect(cameras, PEOPLE, 1.5, np.random.default_rng(0))[:4], doctor.nobody("c4")]
+    report = doctor.examined(cameras, seen, about(cameras, c4={"keypoints": False}), options)[0]
+    assert report["verdict"] == "good"
+    assert ["c4 has no keypoints" in a for a in report["advice"]] == [True]
+
+
+def started(advice: str) -> dict[str, float]:
+    """What a sentence says to write as starts."""
+    return yaml.safe_load(re.search(r"starts: (\{.*?\})", advice)[1])
+
+
+def test_a_late_camera_is_found_with_its_interval(options):
+    report = examined(ring(), options, shift={"c1": 3})
+    lag = report["lags_frames"]["c1"]
+    assert lag["valid"]
+    assert lag["low"] <= 3 <= lag["high"]
+    assert any(
+        "c1 is +3" in a and started(a)["c1"] - started(a)["c0"] == pytest.approx(3, abs=0.2) for a in report["advice"]
+    )
+
+
+def test_of_a_camera_that_is_still_late_the_whole_start_is_named(options):
+    advice = examined(ring(), options, shift={"c1": -2}, c1={"first_frame": 18})["advice"]
+    assert any("c1 is -2" in a and started(a)["c1"] - started(a)["c0"] == pytest.approx(11, abs=0.2) for a in advice), (
+        advice
+    )
+
+
+def test_people_who_stand_still_say_nothing_about_clocks():
+    still = [np.repeat(STANDING[None], FRAMES, axis=0)]
+    found = clocks.lags(detect(ring(), still, 1.5, np.random.default_rng(0)), ring(), 6, 0.25)
+    assert [lag.valid for lag in found] == [False] * 4
+
+
+def test_a_knocked_camera_is_not_taken_for_a_late_one():
+    """Constant gaps of a wrong pose look like a lag of people who all walk one way; their swinging arms tell them
+    apart."""
+    given = ring()
+    pose = given[1].camera_from_world.copy()
+    pose[:3, 3] += [0.0, 0.04, 0.0]
+    given[1] = replace(given[1], camera_from_world=pose)
+    seen = detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
+    assert all(lag.low <= 0 <= lag.high for lag in clocks.lags(seen, given, 6, 0.25))
+
+
+def test_unequal_footage_and_exposures_are_reported(options):
+    advice = examined(ring(), options, c1={"video_frames": 20, "fps": 25.0, "brightness": 0.1})["advice"]
+    assert [w for w in ("frame rates", "exposures") if not any(w in a for a in advice)] == []
+
+
+def test_what_was_found_about_clocks_comes_first(options):
+    """And what the footage would be refused for is the first thing to mend."""
+    sync = {
+        "sentences": ["c1: started 7.000 ± 0.009 s (210.00 frames) after c0"],
+        "refusal": "videos/c2.mp4 has 40 frames and …",
+    }
+    seen = detect(ring(), PEOPLE, 1.5, np.random.default_rng(0))
+    report = doctor.examined(ring(), seen, about(ring()), options, sync=sync)[0]
+    assert (report["verdict"], report["advice"][0]) == ("check", sync["refusal"])
+    html = doctor_page.page("scene", report, b"png")
+    assert html.index("210.00 frames") < html.index("What to check")
+
+
+def test_blind_sectors_and_coverage():
+    gaps = health.blind_sectors(ring(4)[:2], np.zeros(2))
+    assert gaps == [(90.0, 360.0)]
+    assert health.coverage(ring(4), np.zeros(2), 0.8)[3] > 0.9
+    assert health.coverage(ring(4)[:1], np.zeros(2), 0.8)[1] == 0
+
+
+def off(camera: Camera, degrees: float, metres: float) -> Camera:
+    turn = exp(np.radians([0.0, degrees, 0.0]))
+    return moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
+
+
+def test_a_camera_that_was_knocked_is_usable_and_its_move_is_named(options):
+    report = examined([*ring()[:2], off(ring()[2], 1.0, 0.05), ring()[3]], options)
+    assert report["verdict"] == "usable"
+    assert re.search(r"mm where they are\).*c2 by [01]\.\d° and \d+ cm", report["advice"][0]), report["advice"]
+
+
+def test_a_calibration_that_is_degrees_old_is_usable_when_people_say_where_the_cameras_are(options):
+    report = examined(
+        [off(c, d, m) for c, d, m in zip(ring(), (3.0, -2.5, 2.0, -3.5), (0.2, -0.3, 0.1, 0.15))], options
+    )
+    assert report["verdict"] == "usable", report["advice"]
+    assert report["refined"]["elsewhere"]

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras from the people they saw, without any calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.body.model import BodyModel
+from studiorecon.calibration import from_people
+from studiorecon.errors import UserError
+from studiorecon.geometry.relative_pose import relative_pose, resection
+from studiorecon.geometry.rotations import angle, exp
+from studiorecon.rig.gravity import world_from_people
+from studiorecon.scene.clocks import Clock, Clocks, write_clocks
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.people import write_detections
+
+from tests.made.cameras import STANDING, ring, seen, walk
+from tests.made.take import after_similarity, made_take
+
+
+@pytest.fixture
+def options(default_settings):
+    return settings_module.load(from_people.Settings, default_settings("cameras"), "cameras")
+
+
+@pytest.fixture(scope="module")
+def template(root):
+    return from_people.mean_body(BodyModel.load(root / "resources/body.npz"))
+
+
+def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, root):
+    """Issue's bar: 1° and 3 cm after a similarity, at 3 px noise; tracks are shuffled, nobody says who is who."""
+    truth, detections = made_take(occluded=False)
+    for d in detections:
+        write_detections(tmp_path / f"{d.camera}.npz", d)
+        write_json(tmp_path / f"{d.camera}.json", {"camera": d.camera, "wh": [1280, 704]})
+    names = [c.name for c in truth]
+    write_clocks(tmp_path / "clocks.json", Clocks(30.0, 0.0, 60, tuple(Clock(n, 30.0, 60) for n in names)))
+    from_people.run(
+        options,
+        [tmp_path / f"{n}.npz" for n in names],
+        [tmp_path / f"{n}.json" for n in names],
+        tmp_path / "clocks.json",
+        root / "resources/body.npz",
+        names,
+        [tmp_path / f"{n}.mp4" for n in names],
+        '{"' + '": 914.0, "'.join(names) + '": 914.0}',
+        "{}",
+        tmp_path / "calibration.json",
+    )
+    content = read_json(tmp_path / "calibration.json")
+    found = [
+        replace(c, camera_from_world=np.array(v["camera_from_world"]), intrinsics=np.array(v["intrinsics"]))
+        for c, v in zip(truth, content["lenses"])
+    ]
+    degrees, metres, scale = after_similarity(found, truth)
+    assert degrees.max() < 1.0
+    assert metres.max() < 0.03
+    assert scale == pytest.approx(1.0, abs=0.08), "metres come from bones"
+    for camera, true in zip(found, truth):
+        up, true_up = camera.camera_from_world[:3, 2], true.camera_from_world[:3, 2]
+        assert np.degrees(np.arccos(up @ true_up)) < 1.0
+        assert camera.centre_m[2] == pytest.approx(true.centre_m[2] / scale, abs=0.06), "the floor is at 0"
+    assert any("5 % off" in n for n in content["notes"])
+    assert any("from given" in n for n in content["notes"])
+
+
+@pytest.mark.parametrize("people", [1, 2])
+def test_people_who_stand_still_do_not_determine_cameras_of_unknown_lenses(options, template, people):
+    """Sixty pictures of the same pose are no more than one: neither focal lengths nor places may be called known."""
+    truth, detections = made_take(frames=60, people=people, still=True, occluded=False)
+    try:
+        found, report = from_people.pose_cameras(detections, [c.wh for c in truth], {}, 60, template, options)
+    except UserError as refusal:
+        words = str(refusal)
+    else:
+        words = ""
+    if words:
+        assert "undetermined" in words
+        return
+    assert any("bring a calibration" in sentence for sentence in report["uncertain"]), report["uncertain"]
+    degrees, metres, _ = after_similarity(found, truth)
+    assert degrees.max() < report["between_deg"]
+    assert metres.max() < 3 * max(report["sigma_m"].values())
+
+
+def test_too_few_pictures_are_undetermined_even_with_known_lenses(options, template):
+    truth, detections = made_take(frames=4, people=1, occluded=False)
+    with pytest.raises(UserError, match="undetermined"):
+        from_people.pose_cameras(
+            detections, [c.wh for c in truth], {c.name: c.focal_px[0] for c in truth}, 4, template, options
+        )
+
+
+def test_what_is_claimed_covers_a_detector_that_errs_the_same_way_in_every_frame(options, template):
+    """A still body and a detector that misplaces every joint of every view by a constant 4 px: averaging frames does
+    not help."""
+    truth, detections = made_take(frames=40, people=1, still=True, occluded=False)
+    rng = np.random.default_rng(8)
+    biased = []
+    for d in detections:
+        shift = np.concatenate(
+            [rng.normal(0, 4.0, (d.keypoints.shape[1], 2)), np.zeros((d.keypoints.shape[1], 1))], axis=1
+        )
+        biased.append(replace(d, keypoints=d.keypoints + shift))
+    focal_px = {c.name: c.focal_px[0] for c in truth}
+    found, report, words = [], {}, ""
+    try:
+        found, report = from_people.pose_cameras(biased, [c.wh for c in truth], focal_px, 40, template, options)
+    except UserError as refusal:
+        words = str(refusal)
+    if not found:
+        assert "undetermined" in words
+        return
+    degrees, metres, _ = after_similarity(found, truth)
+    assert degrees.max() < 3 * max(report["sigma_deg"].values())
+    assert metres.max() < 3 * max(report["sigma_m"].values())
+
+
+def test_cameras_that_share_nobody_are_undetermined(options, template):
+    truth, detections = made_take(frames=20, occluded=False)
+    apart = [replace(d, frame=d.frame + 100 * v) for v, d in enumerate(detections)]
+    with pytest.raises(UserError, match="no two cameras see enough of one person"):
+        from_people.pose_cameras(apart, [c.wh for c in truth], {c.name: 914.0 for c in truth}, 400, template, options)
+
+
+def test_a_pair_is_placed_in_spite_of_a_third_of_false_points():
+    rng = np.random.default_rng(4)
+    cameras = ring()
+    people = walk([-0.5, 0.2, 0], [0.03, 0.02, 0], 40), walk([0.8, -0.6, 0], [-0.01, 0.03, 0], 40, 1.0)
+    points = np.concatenate(people, axis=1).reshape(-1, 3)
+    pixels = seen(cameras[:2], points, 2.0, rng)
+    false = rng.random(len(points)) < 0.33
+    pixels[1, false] += rng.uniform(50, 200, (false.sum(), 2))
+    first, second = ((pixels[v] - cameras[v].principal_px) / cameras[v].focal_px for v in (0, 1))
+    rotation, translation, inliers = relative_pose(first, second, 0.006)
+    expected = cameras[1].camera_from_world @ cameras[0].world_from_camera
+    assert np.degrees(angle(rotation, expected[:3, :3])) < 1.5
+    assert translation @ expected[:3, 3] / np.linalg.norm(expected[:3, 3]) > np.cos(np.radians(2.0))
+    assert inliers[false].mean() < 0.2
+    pose, agreed = resection(points, second, 0.006)
+    assert np.degrees(angle(pose[:3, :3], cameras[1].camera_from_world[:3, :3])) < 0.5
+    assert not agreed[false].any()
+
+
+def test_too_few_points_give_no_pose():
+    assert relative_pose(np.zeros((5, 2)), np.zeros((5, 2)), 0.01) is None
+    assert resection(np.zeros((5, 3)), np.zeros((5, 2)), 0.01) is None
+
+
+@pytest.mark.parametrize("turn", [[0, 0, 0], [0.9, 0.4, -0.2], [3.0, 0, 0]])
+def test_up_and_floor_come_from_standing_people(turn):
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-1, 1, (30, 2))
+    people = np.concatenate([STANDING + np.array([x, y, 0.0]) for x, y in starts])
+    sloped = people + rng.normal(0, 0.01, people.shape)
+    rotation = exp(np.array(turn, dtype=float))
+    frame = np.repeat(np.arange(30), 12)
+    world, how = world_from_people(sloped @ rotation.T + [3.0, -2.0, 7.0], 0 * frame, frame, np.tile(np.arange(12), 30))
+    back = (sloped @ rotation.T + [3.0, -2.0, 7.0]) @ world[:3, :3].T + world[:3, 3]
+    assert np.abs(back[:, 2] - sloped[:, 2]).max() < 0.03
+    assert "normal of the floor" in how

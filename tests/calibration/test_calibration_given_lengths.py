@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras from people with something measured: a height, a distance, a focal length that the file tells."""
+
+from __future__ import annotations
+
+import io
+import struct
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from studiorecon.body.model import BodyModel
+from studiorecon.calibration import from_people
+from studiorecon.errors import UserError
+from studiorecon.footage.told_lens import told_focal_px
+from studiorecon.plan.discovery import open_dataset
+from studiorecon.rig.given_lengths import GivenLengths, stature_m
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+from studiorecon.studio.description import RESOURCES, read_description
+from studiorecon.studio.motion import shape
+
+from tests.defaults import loaded
+from tests.made.take import after_similarity, made_take
+
+KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
+DIAGONAL_MM = np.hypot(36, 24)
+
+
+@pytest.fixture(scope="module")
+def body(root: Path) -> BodyModel:
+    return BodyModel.load(root / "resources/body.npz")
+
+
+@pytest.fixture(scope="module")
+def take() -> tuple[list[Camera], list[Detections]]:
+    return made_take(occluded=False)
+
+
+def heights_m(body: BodyModel) -> list[float]:
+    """The two people of the take, head to heel."""
+    seed = read_description(RESOURCES / "studio/defaults.yaml").seed
+    return [float(np.ptp(body.rest_vertices(shape(seed, k))[:, 1])) for k in range(2)]
+
+
+def found(take, body: BodyModel, given: GivenLengths, told_px: dict | None = None, known: bool = True):
+    truth, seen = take
+    focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
+    return from_people.pose_cameras(
+        seen, [c.wh for c in truth], focal_px, 60, from_people.mean_body(body), loaded(from_people.Settings), told_px,
+        given, stature_m(body),
+    )  # fmt: skip
+
+
+def test_a_measured_distance_decides_the_scale(take, body: BodyModel) -> None:
+    truth = take[0]
+    apart = float(np.linalg.norm(truth[0].centre_m - truth[2].centre_m))
+    cameras, report = found(take, body, GivenLengths(between=(truth[0].name, truth[2].name), distance_m=apart))
+    assert after_similarity(cameras, truth)[2] == pytest.approx(1.0, abs=0.005)
+    assert f"{apart:.2f} m between" in report["scale"]
+    assert report["scale_sigma"] < 0.01
+
+
+def test_a_height_decides_the_scale_and_says_whose_it_is(take, body: BodyModel) -> None:
+    """Bar: 3 % with one height given. The mean body's bones leave more where people are no mean adults."""
+    heights = heights_m(body)
+    scales = {}
+    for name, height in zip(("p0", "p1"), heights):
+        cameras, report = found(take, body, GivenLengths({name: height}))
+        scales[name] = after_similarity(cameras, take[0])[2]
+        assert f"{name} is {height:.2f} m tall ({name}: at (" in report["scale"]
+    assert np.abs(np.array(list(scales.values())) - 1).max() < 0.03, (scales, heights)
+    cameras, _ = found(take, body, GivenLengths({"p0": heights[0], "p1": heights[1]}))
+    assert after_similarity(cameras, take[0])[2] == pytest.approx(1.0, abs=0.03)
+    taller, _ = found(take, body, GivenLengths({"": 2 * float(np.mean(heights))}))
+    assert after_similarity(taller, take[0])[2] == pytest.approx(0.5, abs=0.02), "all lengths follow the height"
+
+
+def test_heights_that_cannot_be_true_together_and_names_of_nobody_are_refused(take, body: BodyModel) -> None:
+    with pytest.raises(UserError, match="contradict one another"):
+        found(take, body, GivenLengths({"p0": 1.2, "p1": 2.1}))
+    with pytest.raises(UserError, match="height_m of p7, but the cameras were found from p0, p1"):
+        found(take, body, GivenLengths({"p7": 1.8}))
+    with pytest.raises(UserError, match="from camera left"):
+        found(take, body, GivenLengths(between=("left", take[0][0].name), distance_m=3.0))
+
+
+def test_a_told_focal_length_is_a_start_that_people_correct(take, body: BodyModel) -> None:
+    """The nominal lens is 4 % longer than the picture that a phone which steadies its film leaves."""
+    truth = take[0]
+    told = {c.name: 1.04 * c.focal_px[0] for c in truth}
+    cameras, report = found(take, body, GivenLengths(), told, known=False)
+    assert set(report["focal_from"].values()) == {"told by the file"}
+    off = [c.focal_px[0] / t.focal_px[0] - 1 for c, t in zip(cameras, truth)]
+    assert np.abs(off).max() < 0.02, off
+    assert after_similarity(cameras, truth)[0].max() < 0.5
+
+
+# ---- what files tell ----
+
+
+def atom(kind: bytes, inner: bytes) -> bytes:
+    return struct.pack(">I", 8 + len(inner)) + kind + inner
+
+
+def tag(value: bytes) -> bytes:
+    keys = bytes(4) + struct.pack(">I", 2) + atom(b"mdta", b"com.apple.quicktime.make") + atom(b"mdta", KEY)
+    entries = [
+        atom(struct.pack(">I", k), atom(b"data", struct.pack(">II", 1, 0) + v)) for k, v in ((1, b"A"), (2, value))
+    ]
+    handler = atom(b"hdlr", bytes(8) + b"mdta" + bytes(13))
+    return atom(b"meta", handler + atom(b"keys", keys) + atom(b"ilst", b"".join(entries)))
+
+
+def film(path: Path, value: bytes | None, of_track: bool = False) -> Path:
+    """A film of 64 × 48 pixels with the key in the film's metadata, or in its track's."""
+    whole = io.BytesIO()
+    with av.open(whole, "w", format="mov") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for level in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.full((48, 64, 3), 9 * level, np.uint8))))
+        container.mux(stream.encode())
+    data = whole.getvalue()
+    at = data.index(b"moov") - 4
+    inner = data[at + 8 :]
+    if value is not None and of_track:
+        track = inner.index(b"trak") - 4
+        (size,) = struct.unpack(">I", inner[track : track + 4])
+        inner = inner[:track] + atom(b"trak", inner[track + 8 : track + size] + tag(value)) + inner[track + size :]
+    elif value is not None:
+        inner += tag(value)
+    path.write_bytes(data[:at] + atom(b"moov", inner))
+    return path
+
+
+def photo(path: Path, film_mm: int) -> Path:
+    """A JPEG with an EXIF block of the one tag, big-endian."""
+    _, jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))
+    entry = struct.pack(">HHIHH", 0xA405, 3, 1, film_mm, 0)
+    first = struct.pack(">HHHII", 1, 0x8769, 4, 1, 26) + bytes(4)
+    block = b"Exif\0\0MM" + struct.pack(">HI", 42, 8) + first + struct.pack(">H", 1) + entry + bytes(4)
+    path.write_bytes(jpeg.tobytes()[:2] + b"\xff\xe1" + struct.pack(">H", 2 + len(block)) + block + jpeg.tobytes()[2:])
+    return path
+
+
+@pytest.mark.parametrize("of_track", [False, True])
+@pytest.mark.parametrize(("value", "film_mm"), [(b"27", 27.0), (b"50.00mm", 50.0)])
+def test_a_film_tells_its_focal_length(tmp_path: Path, of_track: bool, value: bytes, film_mm: float) -> None:
+    path = film(tmp_path / "a.mov", value, of_track)
+    assert told_focal_px(path, (1920, 1080)) == pytest.approx(film_mm * np.hypot(1920, 1080) / DIAGONAL_MM)
+
+
+def test_a_photo_tells_its_focal_length(tmp_path: Path) -> None:
+    assert told_focal_px(photo(tmp_path / "a.jpg", 26), (64, 48)) == pytest.approx(26 * 80 / DIAGONAL_MM)
+
+
+def test_files_that_tell_nothing_or_nonsense_tell_nothing(tmp_path: Path) -> None:
+    assert told_focal_px(film(tmp_path / "a.mov", None), (64, 48)) is None
+    assert told_focal_px(film(tmp_path / "b.mov", b"0"), (64, 48)) is None
+    assert told_focal_px(film(tmp_path / "c.mov", b"unknown", True), (64, 48)) is None
+    assert told_focal_px(photo(tmp_path / "a.jpg", 0), (64, 48)) is None
+    (tmp_path / "e.mp4").write_bytes(b"no film")
+    assert told_focal_px(tmp_path / "e.mp4", (64, 48)) is None
+
+
+# ---- what capture.yaml says ----
+
+
+def dataset(folder: Path, text: str):
+    (folder / "videos").mkdir(parents=True, exist_ok=True)
+    for name in ("left", "right"):
+        (folder / "videos" / f"{name}.mp4").write_bytes(b"")
+    (folder / "capture.yaml").write_text(text)
+    return open_dataset(folder)
+
+
+def test_lengths_are_read_from_capture_yaml(tmp_path: Path) -> None:
+    assert dataset(tmp_path, "height_m: {p0: 1.78}").lengths == {"height_m": {"p0": 1.78}}
+    assert dataset(tmp_path, "height_m: 1.7").lengths == {"height_m": {"": 1.7}}
+    both = dataset(tmp_path, "distance_m: [left, right, 3.2]").lengths
+    assert GivenLengths(**both) == GivenLengths(between=["left", "right"], distance_m=3.2)
+    assert dataset(tmp_path, "people: 1").lengths == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("height_m: {p0: 178}", "height_m of p0 is 178"),
+        ("height_m: tall", "height_m is 'tall'"),
+        ("distance_m: 3.2", "must look like"),
+        ("distance_m: [left, middle, 3.2]", "'middle'"),
+        ("distance_m: [left, left, 3.2]", "itself"),
+        ("distance_m: [left, right, -1]", "must look like"),
+    ],
+)
+def test_lengths_that_cannot_be_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        dataset(tmp_path, text)

@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks without hardware: planted starts, rates and drifts come out of sound, people or motion, and of nothing where
+nothing tells."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studiorecon.clocks import offsets as clocks_step
+from studiorecon.clocks.agreement import Pair, Proposal, judged, solved
+from studiorecon.clocks.motion import compare
+from studiorecon.clocks.people_lag import lag_of
+from studiorecon.clocks.timeline import common_moments
+from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.scene.clocks import Clock, Clocks, read_clocks
+from studiorecon.scene.files import read_json
+from studiorecon.scene.people import Detections, write_detections
+from studiorecon.settings import load
+
+from tests.bench.clocks import the_man
+from tests.made.cameras import STANDING, detect, ring
+from tests.made.sound import Recorder, moving, record, world_sound
+
+FPS = 30.0
+Found = tuple[Clocks, dict[str, Any]]
+
+
+@pytest.fixture
+def find(default_settings: Callable[..., dict[str, Any]], tmp_path: Path) -> Callable[..., Found]:
+    """What the step makes of recordings of ``seconds`` of a world with ``sound``."""
+
+    def run(
+        recorders: Sequence[Recorder],
+        sound: str,
+        seconds: float,
+        moves: bool = False,
+        sync: str = "auto",
+        starts: str = "{}",
+        seen: Sequence[Detections] = (),
+        own_s: dict[str, np.ndarray] | None = None,
+    ) -> Found:
+        world = world_sound(sound, seconds + 25)
+        paths = []
+        for view, recorder in enumerate(recorders):
+            own = (own_s or {}).get(recorder.name, np.arange(round(seconds * recorder.fps)) / recorder.fps)
+            frames = moving(recorder.world_s(own), view=view) if moves else None
+            paths.append(record(tmp_path, recorder, world, seconds, frames, own))
+        for d in seen:
+            write_detections(tmp_path / f"{d.camera}.npz", d)
+        settings = load(clocks_step.Settings, default_settings("clocks", sync=sync), "clocks")
+        clocks_step.run(
+            settings,
+            [r.name for r in recorders],
+            paths,
+            [tmp_path / f"{d.camera}.npz" for d in seen],
+            starts,
+            0,
+            0,
+            tmp_path / "clocks.json",
+            tmp_path / "sync.json",
+        )
+        return read_clocks(tmp_path / "clocks.json"), {
+            f["camera"]: f for f in read_json(tmp_path / "sync.json")["cameras"]
+        }
+
+    return run
+
+
+def error_frames(found: Clocks, recorders: Sequence[Recorder]) -> float:
+    """By how many frames the found moments of any camera are off at worst, over the clip."""
+    first = recorders[0]
+    lead = first.start_s - found.of(first.name).offset_s
+    errors = [found.of(r.name).common_s + lead - r.world_s(found.of(r.name).own_s) for r in recorders]
+    return max(float(np.abs(e).max()) for e in errors) * found.fps
+
+
+class TestSound:
+    @pytest.mark.parametrize("sound", ["speech", "claps"])
+    def test_ten_seconds_a_frame_and_less_come_out(self, find, sound: str) -> None:
+        """Two file formats, three codecs, one deaf camera's neighbours, a bare room and a muffled microphone."""
+        recorders = [
+            Recorder("a", 10.0),
+            Recorder("b", 20.0, codec="pcm_s16le"),
+            Recorder("c", 10 + 1 / FPS, muffled=0.6, codec="flac"),
+            Recorder("d", 10 - 0.4 / FPS, noise=0.01),
+            Recorder("e", 10 + 0.4 / FPS, echo=0.2),
+        ]
+        found, told = find(recorders, sound, 14)
+        assert error_frames(found, recorders) < 0.2
+        assert {f["kind"] for f in told.values()} == {"reference", "found"}
+        assert found.frames == pytest.approx(4 * FPS, abs=1), "what all have"
+        for recorder in recorders:
+            shown = recorder.world_s(found.source_frames(recorder.name) / FPS) - 10
+            moments = found.start_s + np.arange(found.frames) / FPS
+            assert np.abs(shown - moments).max() * FPS < 0.5 + 0.2, "the nearest picture"
+
+    def test_one_clap_is_enough(self, find) -> None:
+        recorders = [Recorder("a", 14.0), Recorder("b", 12.5)]
+        found, _ = find(recorders, "clap", 8)
+        assert error_frames(found, recorders) < 0.1
+
+    def test_a_hum_tells_nothing(self, find) -> None:
+        found, told = find([Recorder("a", 10.0), Recorder("b", 12.0)], "hum", 8)
+        assert [c.offset_s for c in found.cameras] == [0, 0]
+        assert told["b"]["kind"] == "undetermined"
+        assert "a hum" in told["b"]["sentence"]
+
+    def test_noise_of_microphones_tells_nothing(self, find) -> None:
+        for seed in range(3):
+            _, told = find([Recorder(f"a{seed}", 10.0), Recorder(f"b{seed}", 12.0)], "silence", 8)
+            assert told[f"b{seed}"]["kind"] == "undetermined"
+
+    def test_a_clock_that_drifts_is_followed(self, find) -> None:
+        """50 ppm over four minutes at 15 frames per second: 0.18 frames between the ends."""
+        recorders = [Recorder("a", 10.0, fps=15.0), Recorder("b", 12.2, fps=15.0, drift_ppm=50)]
+        found, told = find(recorders, "claps", 240)
+        assert found.of("b").drift_ppm == pytest.approx(50, abs=10)
+        assert error_frames(found, recorders) < 0.1
+        assert re.search(r"its clock (4|5)\d ppm slow", told["b"]["sentence"])
+
+
+class TestOthers:
+    def test_a_silent_camera_is_placed_by_its_motion(self, find) -> None:
+        recorders = [Recorder("a", 10.0), Recorder("b", 11.0), Recorder("c", 11.5, deaf=True)]
+        found, told = find(recorders, "speech", 16, moves=True)
+        assert error_frames(found, recorders) < 1.01, "motion tells whole frames"
+        assert (told["b"]["method"], told["c"]["method"]) == ("sound", "motion")
+
+    def test_pictures_that_stand_still_tell_nothing(self, find) -> None:
+        found, told = find([Recorder("a", 10.0, deaf=True), Recorder("b", 12.0, deaf=True)], "silence", 6)
+        assert told["b"]["kind"] == "undetermined"
+        assert found.frames == 180, "as filmed"
+
+    def test_people_place_cameras_that_nobody_calibrated(self, find) -> None:
+        """Keypoints at 2 px of noise; the second camera began 2.4 frames later. The third does not tell, and stays."""
+        cameras, seen = ring()[:3], []
+        for camera, late in zip(cameras, (0.0, 2.4, 0.0)):
+            seen += detect(
+                [camera], [walking(late, 240), walking(late, 240, 1.0)], 2.0, np.random.default_rng(len(seen))
+            )
+        recorders = [Recorder(c.name, 10 + late / FPS, deaf=True) for c, late in zip(cameras, (0.0, 2.4, 0.0))]
+        found, told = find(recorders, "silence", 8, seen=seen)
+        assert error_frames(found, recorders) < 0.2
+        assert [told[c.name]["kind"] for c in cameras] == ["reference", "found", "undetermined"]
+
+    def test_what_contradicts_itself_is_undetermined_with_all_that_was_said(self) -> None:
+        verdict = judged([Proposal("sound", 2.0, 0.01, 0, 1), Proposal("people", 3.0, 0.01, 0, 1)], FPS, 10)
+        assert verdict.kind == "undetermined"
+        told = clocks_step.described(
+            "b", verdict, [Proposal("sound", 2.0, 0.01, 0, 1), Proposal("people", 3.0, 0.01, 0, 1)], {}, "a", FPS
+        )
+        assert "sound +2.000" in told
+        assert "people +3.000" in told
+
+    @pytest.mark.parametrize(("frames", "applied"), [(11.04, 11), (11.4, 11.4), (0.05, 0), (-2.93, -3)])
+    def test_nothing_is_resampled_for_a_fraction_that_does_not_matter(self, frames: float, applied: float) -> None:
+        verdict = judged([Proposal("people", frames / FPS, 0.1 / FPS, 0.0, 1.0)], FPS, 10)
+        assert verdict.offset_s * FPS == pytest.approx(applied)
+
+    def test_one_wrong_pair_of_many_is_left_out(self) -> None:
+        true = [0.0, 1.0, -2.0, 0.5]
+        pairs = [
+            Pair(a, b, true[b] - true[a] + (0.7 if (a, b) == (0, 2) else 0.0), 0.01)
+            for a in range(4)
+            for b in range(a + 1, 4)
+        ]
+        found = solved("sound", pairs, 4, 0, 0.0)
+        assert [p.offset_s for p in found] == pytest.approx(true, abs=1e-9)
+
+
+class TestUse:
+    def test_the_user_s_starts_stand(self, find) -> None:
+        recorders = [Recorder("a", 10.0), Recorder("b", 11.0)]
+        found, _ = find(recorders, "speech", 10, starts=json.dumps({"a": 12.6, "b": 0.0}))
+        assert [c.offset_s for c in found.cameras] == pytest.approx([-12.6 / FPS, 0])
+        assert (found.source_frames("a")[0], found.source_frames("b")[0]) == (13, 0)
+
+    @pytest.mark.parametrize("sync", ["report", "never"])
+    def test_what_is_only_reported_changes_nothing(self, find, sync: str) -> None:
+        found, told = find([Recorder("a", 10.0), Recorder("b", 11.0)], "speech", 8, sync=sync)
+        assert [list(found.source_frames(c)) for c in "ab"] == [list(range(240))] * 2
+        assert bool(told) == (sync == "report")
+
+    def test_videos_of_two_lengths_and_unknown_clocks_are_refused_later(self, find) -> None:
+        own = {"b": np.arange(200) / FPS}
+        found, _ = find([Recorder("a", 10.0, deaf=True), Recorder("b", 10.0, deaf=True)], "silence", 8, own_s=own)
+        assert "b.mp4 has 200 frames and" in found.refusal
+        assert "starts: {CAMERA: frame}" in found.refusal
+
+    def test_a_variable_rate_is_put_on_the_common_clock(self, find) -> None:
+        """A phone that gives 24 to 33 frames per second, as it likes, beside one that keeps time."""
+        rng = np.random.default_rng(3)
+        own = {"b": np.round(np.cumsum(rng.uniform(1 / 33, 1 / 24, 230)), 4)}
+        own["b"] -= own["b"][0]
+        recorders = [Recorder("a", 10.0), Recorder("b", 10.5)]
+        found, _ = find(recorders, "speech", 8, own_s=own)
+        assert np.abs(found.of("b").own_s - own["b"]).max() < 1e-4
+        shown = recorders[1].world_s(own["b"][found.source_frames("b")]) - 10
+        assert np.abs(shown - found.start_s - np.arange(found.frames) / FPS).max() < 0.55 / 24 + 0.2 / FPS
+
+    def test_cameras_of_two_rates_share_the_moments_of_most(self) -> None:
+        rates = [Clock("a", 30.0, 100), Clock("b", 25.0, 100, offset_s=1.0), Clock("c", 30.0, 100)]
+        found = common_moments(rates, 0, 0)
+        assert (found.fps, found.frames) == (30.0, 70), "most cameras' rate, from 1 s to 3.3 s"
+        np.testing.assert_array_equal(found.source_frames("a"), np.arange(30, 100))
+        assert np.abs(found.late_frames("b")).max() <= 0.6 + 1e-9
+
+    def test_videos_without_a_common_moment_are_named(self) -> None:
+        found = common_moments([Clock("a", 30.0, 100), Clock("b", 30.0, 100, offset_s=9.0)], 0, 0)
+        assert "camera b begins 5.7 s after camera a has ended" in found.refusal
+
+
+def walking(late_frames: float, frames: int, phase: float = 0.0) -> np.ndarray:
+    """(T, 12, 3) a person who walks to and fro, turns and swings arms and legs, at frames that are taken
+    ``late_frames`` late."""
+    t = (np.arange(frames) + late_frames) / FPS
+    swing = 0.2 * np.sin(5 * t + phase)[:, None] * np.repeat([0, 0.5, 1, 0, 0.5, 1], 2) * np.tile([1, -1], 6)
+    body = STANDING[None] + np.stack([swing, np.zeros_like(swing), np.zeros_like(swing)], axis=-1)
+    turn = 1.1 * t + 2 * phase
+    c, s, o, e = np.cos(turn), np.sin(turn), np.zeros(frames), np.ones(frames)
+    turned = np.einsum("tkj,tij->tki", body, np.stack([c, -s, o, s, c, o, o, o, e], -1).reshape(-1, 3, 3))
+    place = np.stack([0.7 * np.sin(1.3 * t + phase), 0.6 * np.sin(0.8 * t + 2 * phase), 0 * t], -1)
+    return turned + place[:, None]
+
+
+class TestRetiming:
+    @staticmethod
+    def seen(position: np.ndarray, path: Callable[[np.ndarray], np.ndarray], readout: float = 0.0) -> Detections:
+        """One person's 17 keypoints at ``path`` of their times; rows of the picture (100 high) look ``readout``
+        apart."""
+        offsets = np.stack([np.linspace(0, 30, 17), np.linspace(10, 90, 17)], -1)
+        points = np.array([[path(t + readout * (o[1] / 100 - 0.5)) + o for o in offsets] for t in position])
+        points = np.concatenate([points, np.ones((*points.shape[:2], 1))], -1)
+        return Detections("a", "coco17", np.arange(len(position)), np.zeros(len(position), int), points)
+
+    def test_on_the_beat_nothing_changes(self) -> None:
+        clocks = Clocks(FPS, 3 / FPS, 10, (Clock("a", FPS, 20),))
+        seen = self.seen(np.arange(20), lambda t: np.array([3 * t, 0]))
+        moved = on_common_clock(seen, clocks, 100)
+        np.testing.assert_array_equal(moved.keypoints, seen.keypoints[3:13])
+        np.testing.assert_array_equal(moved.frame, np.arange(10))
+
+    @pytest.mark.parametrize("late", [0.4, -0.4])
+    def test_between_frames_a_swinging_arm_is_where_it_is(self, late: float) -> None:
+        def swing(t: float) -> np.ndarray:
+            return np.array([20 * np.sin(2 * np.pi * 1.2 * t / FPS), 0.0])
+
+        clocks = Clocks(FPS, 2 / FPS, 30, (Clock("a", FPS, 40, offset_s=late / FPS),))
+        moved = on_common_clock(self.seen(np.arange(40) + late, swing), clocks, 100)
+        wanted = self.seen(np.arange(2, 32), swing).keypoints
+        assert np.abs(moved.keypoints - wanted).max() < 0.02
+        unmoved = self.seen(np.arange(40) + late, swing).keypoints[2:32]
+        assert np.abs(unmoved - wanted).max() > 1.5, "what it would be as filmed"
+
+    def test_a_rolling_shutter_stands_upright_again(self) -> None:
+        clocks = Clocks(FPS, 2 / FPS, 30, (Clock("a", FPS, 40, readout_s=0.6 / FPS),))
+        moved = on_common_clock(self.seen(np.arange(40), lambda t: np.array([8 * t, 0]), 0.6), clocks, 100)
+        np.testing.assert_allclose(
+            moved.keypoints, self.seen(np.arange(2, 32), lambda t: np.array([8 * t, 0])).keypoints, atol=1e-6
+        )
+
+    def test_what_was_not_seen_is_not_invented(self) -> None:
+        clocks = Clocks(FPS, 2 / FPS, 10, (Clock("a", FPS, 20, offset_s=0.4 / FPS),))
+        seen = self.seen(np.arange(20), lambda t: np.array([3 * t, 0]))
+        gone = replace(
+            seen,
+            frame=np.delete(seen.frame, 5),
+            track=np.delete(seen.track, 5),
+            keypoints=np.delete(seen.keypoints, 5, 0),
+        )
+        gone.keypoints[8, 3] = [np.nan, np.nan, 0]
+        moved = on_common_clock(gone, clocks, 100)
+        assert 3 not in moved.frame, "nearest to the missing picture"
+        assert moved.keypoints[moved.frame == 7][0, 3, 2] == 0
+        assert np.isfinite(moved.keypoints[moved.keypoints[..., 2] > 0]).all()
+
+
+def test_two_people_who_have_nothing_to_do_with_each_other_have_no_lag() -> None:
+    """Chance finds no lag for walks that do not belong together; for those that do it finds it for every start."""
+    cameras = ring()
+    valid = 0
+    for trial in range(8):
+        walks = [walking(0, 150), walking(0, 150, 2.0 + trial)]
+        one = detect(cameras[:1], [walks[0]], 2.0, np.random.default_rng(trial))[0]
+        other = detect(cameras[1:2], [walks[1]], 2.0, np.random.default_rng(trial))[0]
+        valid += lag_of(*(homogeneous(d) for d in (one, other)), FPS) is not None
+    assert valid <= 1
+    same = [homogeneous(detect([c], [walking(0, 150)], 2.0, np.random.default_rng(5))[0]) for c in cameras[:2]]
+    for start in (0, 17, 60):
+        lag = lag_of(same[0], same[1][start:], FPS)
+        assert lag is not None
+        assert abs(lag.rows + start) < 0.3
+
+
+def homogeneous(seen: Detections) -> np.ndarray:
+    return np.concatenate([seen.keypoints[..., :2], np.ones((*seen.keypoints.shape[:2], 1))], -1)
+
+
+def test_two_walkers_gaits_are_not_taken_for_a_late_start() -> None:
+    """Energy that rises and falls with every step, from another side each: seconds of it fit at every second step."""
+    for trial in range(20):
+        rng = np.random.default_rng(trial)
+        t = np.arange(60) / FPS
+        one, other = (
+            np.abs(np.sin(2 * np.pi * 0.9 * t + rng.uniform(0, 3))) + rng.normal(0, 0.1, 60) ** 2 for _ in range(2)
+        )
+        assert not compare(one, other, FPS).valid
+
+
+@pytest.mark.real
+def test_a_real_take_whose_frames_were_cut_off_is_put_together_again(real_data: Path) -> None:
+    """One man for 1.7 s before four cameras that nobody calibrated: every pair finds the seven frames that one of them
+    lacks."""
+    tracks = [the_man(real_data, camera) for camera in ("cam01", "cam02", "cam03", "cam04")]
+    for a, b in itertools.combinations(range(4), 2):
+        as_filmed, late = lag_of(tracks[a], tracks[b], 60.0), lag_of(tracks[a], tracks[b][7:], 60.0)
+        assert as_filmed is not None
+        assert late is not None
+        assert abs(as_filmed.rows) < 1, "the take is synchronous to a frame"
+        assert abs(late.rows - as_filmed.rows + 7) < 0.2

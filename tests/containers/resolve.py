@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does every image's list of packages resolve, all its pip steps together, for the Python it has? And does upstream's
+module import in that resolution? ``python -m tests.containers.resolve [--imports] [IMAGE …]``, nightly.
+
+Nothing is built: ``uv pip compile`` asks the registry for requirements, and git for those of pinned sources. What a
+base image brings, and what is compiled against CUDA or installed without its own requirements, is left out and named. A
+source that cannot be had from this machine is named as well: its image is then not looked at, which is no failure.
+
+With ``--imports`` each resolution is installed into an environment of its own (gigabytes: torch and CUDA's libraries),
+and the modules that the image's adapters ask for are imported from checkouts at their pins.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+from studiorecon.models.containers import instructions
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGES = tuple(yaml.safe_load((ROOT / "envs/images.yaml").read_text(encoding="utf-8")))
+# What is in the name of a base image → its Python.
+BASES = {
+    "python:3.10-": "3.10",
+    "python:3.11-": "3.11",
+    "ubuntu22.04": "3.10",
+    "ubuntu24.04": "3.12",
+    "cosmos-": "3.12",
+}
+# Not built here: parts compiled against CUDA, which want a compiler and torch before they say what they need.
+COMPILED = ("transformer-engine", "pytorch3d", "apex", "simple-knn", "diff-gaussian-rasterization", "sam2", "BasicSR")
+# What the adapters import of upstream; gen3c's, fixer's and lhm's modules need what is compiled or in the base.
+MODULES = {
+    "vision": ("torchvision.models.optical_flow", "lpips", "kornia", "huggingface_hub"),
+    "pi3": ("pi3.models.pi3", "pi3.models.pi3x"),
+    "mapanything": ("mapanything.models", "dinov2", "mapanything.utils.image"),
+    "moge": ("moge.model.v2",),
+    "moge3": ("moge.model.v3",),
+    "sam3": ("transformers.models.sam3_video.modeling_sam3_video",),
+    # Its other modules want SMPL's file as soon as they are imported.
+    "comotion": ("comotion_demo.utils.dataloading",),
+    "difix": ("pipeline_difix", "torchvision.models.optical_flow"),
+}
+
+
+@dataclass
+class Recipe:
+    """What the RUN lines of one Containerfile install: requirements that are resolved together, checkouts as (address,
+    commit), and what is left out, with the reason."""
+
+    python: str
+    wanted: list[str] = field(default_factory=list)
+    checkouts: list[tuple[str, str]] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+
+def recipe(name: str) -> Recipe:
+    """What envs/``name`` installs; ValueError for a base whose Python is not known here."""
+    folder = ROOT / "envs" / name
+    steps = instructions((folder / "Containerfile").read_text(encoding="utf-8"))
+    base = next(rest for keyword, rest in steps if keyword == "ARG")
+    pythons = [python for part, python in BASES.items() if part in base]
+    if len(pythons) != 1:
+        raise ValueError(f"envs/{name}: which Python has {base}?")
+    made = Recipe(pythons[0])
+    cloned: dict[str, str] = {}
+    for command in (c for keyword, rest in steps if keyword == "RUN" for c in rest.split("&&")):
+        words = shlex.split(command)
+        if words[:2] == ["git", "clone"]:
+            cloned[words[3]] = words[2]
+        elif words[:2] == ["git", "-C"] and words[3] == "checkout":
+            made.checkouts.append((cloned[words[2]], words[4]))
+        elif words[:2] == ["pip", "install"]:
+            _install(made, words[2:], folder / "requirements.txt", cloned)
+    return made
+
+
+def _install(made: Recipe, words: list[str], requirements: Path, cloned: dict[str, str]) -> None:
+    options = {word for word in words if word.startswith("-")}
+    skipped = {words[i + 1] for i, word in enumerate(words) if word in ("-r", "-c", "--config-settings")}
+    if "-r" in options:
+        lines = (line.partition("#")[0].strip() for line in requirements.read_text(encoding="utf-8").splitlines())
+        made.wanted += [line for line in lines if line]
+    for word in words:
+        if word.startswith(("-", "pip==")) or word in skipped:
+            continue
+        commits = dict(made.checkouts)
+        source = f"git+{cloned[word]}@{commits[cloned[word]]}" if word in cloned else word
+        if "--no-deps" in options:
+            made.left_out.append(f"{source} (without its own requirements)")
+        elif any(part in source for part in COMPILED):
+            made.left_out.append(f"{source} (compiled in the image)")
+        else:
+            made.wanted.append(source)
+
+
+def resolved(made: Recipe) -> tuple[str, str]:
+    """The resolution as a requirements file and "", or "" and what uv says."""
+    done = subprocess.run(
+        [
+            *("uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate"),
+            *("--python-version", made.python, "--python-platform", "x86_64-manylinux_2_36", "-"),
+        ],
+        input="\n".join(made.wanted),
+        text=True,
+        capture_output=True,
+        cwd=tempfile.gettempdir(),
+    )
+    return (done.stdout, "") if done.returncode == 0 else ("", done.stderr.strip())
+
+
+def out_of_reach(said: str) -> bool:
+    """Whether uv stopped because git could not be asked, and not because versions contradict."""
+    return bool(re.search(r"[Gg]it operation failed|failed to (clone|fetch)", said))
+
+
+def imported(name: str, made: Recipe, packages: str) -> str:
+    """Install a resolution and import the image's modules; what went wrong, or ""."""
+    folder = Path(tempfile.mkdtemp(prefix=f"studiorecon-{name}-"))
+    try:
+        (folder / "packages.txt").write_text(packages, encoding="utf-8")
+        python = str(folder / "environment/bin/python")
+        for command in (
+            ["uv", "venv", "--quiet", "--python", made.python, str(folder / "environment")],
+            ["uv", "pip", "install", "--quiet", "--no-deps", "--python", python, "-r", str(folder / "packages.txt")],
+        ):
+            done = subprocess.run(command, text=True, capture_output=True, cwd=folder)
+            if done.returncode:
+                return _last(done.stderr)
+        roots = [str(ROOT / "workflow")]
+        for k, (address, commit) in enumerate(made.checkouts):
+            for command in (
+                ["git", "clone", "-q", address, f"checkout{k}"],
+                ["git", "-C", f"checkout{k}", "checkout", "-q", commit],
+            ):
+                done = subprocess.run(command, text=True, capture_output=True, cwd=folder)
+                if done.returncode:
+                    return _last(done.stderr)
+            roots += [str(folder / f"checkout{k}"), str(folder / f"checkout{k}/src")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(roots), "HF_HUB_OFFLINE": "1"}
+        for module in MODULES[name]:
+            done = subprocess.run([python, "-c", f"import {module}"], text=True, capture_output=True, env=environment)
+            if done.returncode:
+                return f"import {module}: {_last(done.stderr)}"
+        return ""
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _last(said: str) -> str:
+    return next((line.strip() for line in reversed(said.splitlines()) if line.strip()), "nothing was said")
+
+
+def main() -> int:
+    """One line per image; 1 when a list of packages contradicts itself or a module does not import."""
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    parser.add_argument("images", nargs="*", default=IMAGES, metavar="IMAGE")
+    parser.add_argument("--imports", action="store_true", help="install each resolution and import upstream's modules")
+    given = parser.parse_args()
+    failed = False
+    for name in given.images:
+        made = recipe(name)
+        packages, said = resolved(made)
+        if said and out_of_reach(said):
+            print(f"{name}: not looked at, a source cannot be had from here ({_last(said)})", flush=True)
+            continue
+        if said:
+            failed = True
+            print(f"{name}: Python {made.python}, CONTRADICTS ITSELF\n{said}", flush=True)
+            continue
+        count = sum(1 for line in packages.splitlines() if line and not line.startswith("#"))
+        line = f"{name}: Python {made.python}, {count} packages resolve"
+        if made.left_out:
+            line += f"; left out: {', '.join(made.left_out)}"
+        if given.imports and name in MODULES:
+            wrong = imported(name, made, packages)
+            failed |= bool(wrong)
+            line += f"; {wrong or 'imports ' + ', '.join(MODULES[name])}"
+        print(line, flush=True)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""deliver: what is exported can be read back, is described, and nothing stale stays."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import write_person
+from studiorecon.calibration.files import read_calibration
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.deliver import camera_files, export, keypoint_files
+from studiorecon.errors import UserError
+from studiorecon.footage.video import write_watchable
+from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.scene.files import read_json
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.people import Detections, Person, write_detections, write_identities
+
+from tests.made.scene import FPS, FRAMES, render_options, ring, write_scene
+
+
+@pytest.fixture
+def settings(default_settings: Callable) -> export.Settings:
+    return settings_module.load(export.Settings, default_settings("deliver", still_frame=2), "deliver")
+
+
+def options(folder: Path, people: int) -> dict:
+    identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
+    fits = [folder / f"people/p{i}.npz" for i in range(people)]
+    for fit in fits:
+        person = Person(
+            fit.stem,
+            identity,
+            FPS,
+            np.zeros((FRAMES, 72)),
+            np.zeros((FRAMES, 3)),
+            np.zeros(10),
+            np.zeros((FRAMES, 24, 3)),
+            np.ones(FRAMES, bool),
+            np.zeros((FRAMES, 24)),
+            True,
+        )
+        write_person(fit, person)
+    write_watchable(folder / "enhance/orbit.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, FPS)
+    render = render_options(folder, "orbit", people)
+    return {
+        **{name: render[name] for name in ("manifest", "model", "background", "gaussians", "avatars", "body")},
+        "scene": "made",
+        "fits": fits,
+        "films": [folder / "enhance/orbit.mp4"],
+        "detections": [],
+        "identities": [],
+        "contents": folder / "deliver/manifest.json",
+    }
+
+
+def test_everything_delivered_can_be_read_and_matches_its_digest(
+    tmp_path: Path, root: Path, settings: export.Settings
+) -> None:
+    cameras = write_scene(tmp_path, root, people=2, filmed=False)
+    export.run(settings, **options(tmp_path, 2))
+    folder = tmp_path / "deliver"
+    files = read_json(folder / "manifest.json")["files"]
+    on_disk = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {"manifest.json"}
+    assert set(files) == on_disk
+    for name, entry in files.items():
+        data = (folder / name).read_bytes()
+        assert (len(data), hashlib.sha256(data).hexdigest()) == (entry["bytes"], entry["sha256"])
+    background, people = read_ply(folder / "background.ply"), [read_ply(folder / f"people/p{i}.ply") for i in range(2)]
+    assert read_ply(folder / "still.ply").count == background.count + sum(p.count for p in people)
+    assert people[0].means_m.mean(axis=0)[2] == pytest.approx(1.0, abs=0.3), (
+        "the person stands on the floor of the world"
+    )
+    assert [c.name for c in read_model(folder / "cameras/colmap")] == [c.name for c in cameras["training"]]
+    for name in on_disk - {"README.txt"}:
+        assert name.split("/")[0] in (folder / "README.txt").read_text()
+
+
+def readings(folder: Path, form: str) -> list:
+    names = {
+        "colmap": ["cameras.txt", "images.txt"],
+        "easymocap": ["intri.yml", "extri.yml"],
+        "nerfstudio": ["transforms.json"],
+        "pose2sim": ["Calib.toml"],
+    }
+    return list(read_calibration([folder / form / n for n in names[form]]).cameras)
+
+
+@pytest.mark.parametrize("form", camera_files.WRITERS)
+def test_exported_cameras_come_back_the_same(tmp_path: Path, form: str) -> None:
+    cameras = [replace(c, name=n) for c, n in zip(ring([0, 90, 200, 271], "cam"), ("00", "01", "cam 2", "10"))]
+    camera_files.WRITERS[form](tmp_path / form, cameras, np.zeros((2, 3)))
+    back = {c.name: c for c in readings(tmp_path, form)}
+    assert set(back) == {"00", "01", "cam 2", "10"}, "leading zeros and blanks in names survive"
+    for camera in cameras:
+        assert np.abs(back[camera.name].camera_from_world - camera.camera_from_world).max() < 1e-6
+        assert np.abs(back[camera.name].intrinsics - camera.intrinsics).max() < 1e-6
+        assert back[camera.name].wh == camera.wh
+        assert not back[camera.name].distortion.any()
+
+
+@pytest.mark.parametrize(("form", "place"), [("openpose", "{}_json"), ("easymocap", "annots/{}")])
+def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place: str) -> None:
+    rng = np.random.default_rng(3)
+    points = np.concatenate([rng.uniform(5, 100, (5, 17, 2)), rng.uniform(0.2, 1, (5, 17, 1))], axis=-1)
+    points[2, 4] = [np.nan, np.nan, 0.0]
+    seen = Detections("cam00", "coco17", np.array([0, 0, 2, 3, 3]), np.array([0, 1, 0, 0, 1]), points)
+    camera = replace(ring([0], "cam")[0], name="cam00")
+    numbers = keypoint_files.numbers_of(
+        "cam00", {("cam00", 0): "p1", ("cam00", 1): "", ("cam01", 1): "p0"}, ["p0", "p1"]
+    )
+    assert numbers == {0: 1}, "rejected tracks and other cameras' tracks have no number"
+    keypoint_files.WRITERS[form](tmp_path, seen, camera, 5, numbers)
+    entries, _ = read_keypoints(tmp_path / place.format("cam00"))
+    assert [e.frame for e in entries] == seen.frame.tolist()
+    assert form == "openpose" or [e.identity for e in entries] == [1, -1, 1, 1, -1]
+    for entry, keypoints in zip(entries, points):
+        present = keypoints[:, 2] > 0
+        assert np.abs(entry.keypoints[present] - (keypoints[present] - [0.5, 0.5, 0])).max() < 1e-6
+        assert not entry.keypoints[~present].any(), "a missing point is 0, 0, 0"
+    assert len(list((tmp_path / place.format("cam00")).iterdir())) == 5, "frames without people have files too"
+
+
+def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path, settings: export.Settings) -> None:
+    write_scene(tmp_path, root, people=1, filmed=False)
+    chosen = options(tmp_path, 1)
+    export.run(settings, **chosen)
+    others = ("player.html", "player.jpg", "room.glb", ".partial-7-player.html")
+    for name in (*others, "old.txt"):
+        (tmp_path / "deliver" / name).touch()
+    export.run(settings, **{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})
+    folder = tmp_path / "deliver"
+    assert not list(folder.rglob("p0.*"))
+    assert not (folder / "old.txt").exists()
+    assert all((folder / name).exists() for name in others), "other steps' files, and those that they are writing"
+    assert not (folder / "still.ply").exists()
+    text = (folder / "README.txt").read_text()
+    assert "0 people" in text
+    assert "bodies/" not in text.split("What is not here")[0]
+
+
+def test_keypoints_of_the_capture_are_delivered_with_identities(
+    tmp_path: Path, root: Path, settings: export.Settings
+) -> None:
+    write_scene(tmp_path, root, people=1, filmed=False)
+    chosen = options(tmp_path, 1)
+    points = np.concatenate([np.full((1, 17, 2), 20.0), np.full((1, 17, 1), 0.9)], axis=-1)
+    write_detections(tmp_path / "cam0.npz", Detections("cam0", "coco17", np.array([1]), np.array([4]), points))
+    write_identities(tmp_path / "identities.tsv", {("cam0", 4): "p0"})
+    export.run(
+        settings, **{**chosen, "detections": [tmp_path / "cam0.npz"], "identities": [tmp_path / "identities.tsv"]}
+    )
+    entries, _ = read_keypoints(tmp_path / "deliver/keypoints/easymocap/annots/cam0")
+    assert [(e.frame, e.identity) for e in entries] == [(1, 0)]
+    assert "coco17" in (tmp_path / "deliver/README.txt").read_text()
+
+
+def test_a_still_beyond_the_end_shows_the_last_frame(tmp_path: Path, root: Path, default_settings: Callable) -> None:
+    write_scene(tmp_path, root, people=1, filmed=False)
+    late = settings_module.load(export.Settings, default_settings("deliver", still_frame=500), "deliver")
+    export.run(late, **options(tmp_path, 1))
+    assert read_json(tmp_path / "deliver/manifest.json")["still_frame"] == FRAMES - 1
+
+
+def test_a_missing_film_is_named(tmp_path: Path, root: Path, settings: export.Settings) -> None:
+    write_scene(tmp_path, root, people=0, filmed=False)
+    chosen = options(tmp_path, 0)
+    chosen["films"][0].unlink()
+    with pytest.raises(UserError, match=r"orbit\.mp4"):
+        export.run(settings, **chosen)

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""deliver: a person's motion in other programs' files, read back by the rules of those formats and not by our own
+code."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from studiorecon.body.model import BodyModel
+from studiorecon.deliver import motion_files
+from studiorecon.deliver.export import motion
+from studiorecon.deliver.gltf import write_glb
+from studiorecon.errors import UserError
+from studiorecon.scene.people import Person
+
+FRAMES, FPS = 7, 24.0
+
+
+@pytest.fixture(scope="module")
+def body(root: Path) -> BodyModel:
+    return BodyModel.load(root / "resources/body.npz")
+
+
+@pytest.fixture(scope="module")
+def person(body: BodyModel) -> Person:
+    """Seven frames of a body that turns through a half circle and bends everything a little; one frame was filled."""
+    rng = np.random.default_rng(4)
+    poses = 0.5 * rng.normal(size=(1, 72)) + 0.05 * rng.normal(size=(FRAMES, 72))
+    upright = Rotation.from_matrix([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    turn = Rotation.from_euler("z", np.linspace(150, 330, FRAMES)[:, None], degrees=True)
+    poses[:, :3] = (turn * upright).as_rotvec()
+    trans = np.stack([np.linspace(-1, 1, FRAMES), np.linspace(0, 0.5, FRAMES), np.full(FRAMES, 0.95)], axis=1)
+    betas = rng.normal(size=10)
+    valid = np.ones(FRAMES, bool)
+    valid[3] = False
+    joints = body.joints(poses, betas, trans)
+    return Person("p2", body.identity, FPS, poses, trans, betas, joints, valid, np.zeros((FRAMES, 24)), True)
+
+
+def y_up(points: np.ndarray) -> np.ndarray:
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    """Forward kinematics straight from the file: offsets, channel order and degrees as written there."""
+    motion_files.bvh(tmp_path / "p2.bvh", person, body)
+    words = (tmp_path / "p2.bvh").read_text().split()
+    names, parents, offsets, stack, at = [], [], [], [], 1
+    while words[at] != "MOTION":
+        if words[at] in ("ROOT", "JOINT"):
+            names.append(words[at + 1])
+            parents.append(stack[-1] if stack else -1)
+            stack.append(len(names) - 1)
+        elif words[at] == "End":
+            stack.append(-2)
+        elif words[at] == "OFFSET" and stack[-1] >= 0:
+            offsets.append([float(v) for v in words[at + 1 : at + 4]])
+        elif words[at] == "}":
+            stack.pop()
+        at += 1
+    assert words[at + 1 : at + 3] == ["Frames:", str(FRAMES)]
+    assert float(words[at + 5]) == pytest.approx(1 / FPS)
+    channels = np.array([float(v) for v in words[at + 6 :]]).reshape(FRAMES, -1)
+    assert channels.shape[1] == 6 + 23 * 3
+    places, angles = channels[:, :3], channels[:, 3:].reshape(FRAMES, 24, 3)
+    local = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_matrix().reshape(FRAMES, 24, 3, 3)
+    world, joints = [None] * 24, np.zeros((FRAMES, 24, 3))
+    for j, parent in enumerate(parents):
+        world[j] = local[:, j] if parent < 0 else world[parent] @ local[:, j]
+        joints[:, j] = places if parent < 0 else joints[:, parent] + (world[parent] @ np.array(offsets[j]))
+    order = [motion_files.JOINT_NAMES.index(n) for n in names]
+    assert np.abs(joints - 100 * y_up(person.joints[:, order])).max() < 2e-3, "centimetres"
+
+
+@pytest.mark.parametrize("pitch", [90.0, -90.0, 89.9999, 0.0])
+def test_bvh_angles_survive_the_gimbal_lock(pitch: float) -> None:
+    rotation = Rotation.from_euler("ZXY", [30, pitch, 20], degrees=True).as_matrix()
+    back = Rotation.from_euler("ZXY", motion_files.euler_zxy_deg(rotation), degrees=True).as_matrix()
+    assert np.abs(back - rotation).max() < 1e-9
+
+
+def test_trc_has_named_markers_and_gaps_where_nothing_was_measured(
+    tmp_path: Path, person: Person, body: BodyModel
+) -> None:
+    motion_files.trc(tmp_path / "p2.trc", person, body)
+    lines = (tmp_path / "p2.trc").read_text().splitlines()
+    assert lines[2].split("\t") == ["24", "24", "7", "25", "m", "24", "1", "7"]
+    names = [name for name in lines[3].split("\t")[2:] if name]
+    assert names[:3] == ["Nose", "Neck", "RShoulder"]
+    assert len(names) == 25
+    assert len(lines[3].split("\t")) == len(lines[6].split("\t")) == 2 + 75
+    rows = [line.split("\t") for line in lines[6:]]
+    assert set(rows[3][2:]) == {""}
+    values = np.array(rows[5][2:], np.float64).reshape(25, 3)
+    expected = body.keypoints(["nose", "right_heel"], person.poses, person.betas, person.trans)[5]
+    assert np.abs(values[[0, 24]] - y_up(expected)).max() < 1e-6
+    assert (float(rows[5][0]), float(rows[5][1])) == (6, pytest.approx(5 / FPS, abs=1e-6))
+
+
+def test_openpose_3d_says_which_frames_were_filled(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    motion_files.openpose_3d(tmp_path / "p2.json", person, body)
+    frames = json.loads((tmp_path / "p2.json").read_text())
+    points = np.array([frame["people"][0]["pose_keypoints_3d"] for frame in frames]).reshape(FRAMES, 25, 4)
+    assert points[:, 0, 3].tolist() == [1, 1, 1, 0, 1, 1, 1]
+    expected = body.keypoints(["left_ankle"], person.poses, person.betas, person.trans)[:, 0]
+    assert np.abs(points[:, 14, :3] - expected).max() < 1e-6
+    assert frames[0]["people"][0]["person_id"] == [2]
+
+
+def test_amass_trans_is_smpls(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    motion_files.amass(tmp_path / "p2.npz", person, body)
+    with np.load(tmp_path / "p2.npz", allow_pickle=False) as data:
+        assert data["trans"] + body.rest_joints(data["betas"])[0] == pytest.approx(person.joints[:, 0])
+        assert float(data["mocap_framerate"]) == FPS
+
+
+def read_glb(path: Path) -> tuple[dict, list[np.ndarray]]:
+    """The document and the accessors' arrays of a binary glTF."""
+    data = path.read_bytes()
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    assert (kind, size % 4) == (b"JSON", 0)
+    document = json.loads(data[20 : 20 + size])
+    binary = data[20 + size + 8 :]
+    assert len(binary) == document["buffers"][0]["byteLength"]
+    kinds = {5126: "<f4", 5121: "u1", 5125: "<u4"}
+    widths = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+    arrays = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        assert view["byteOffset"] % 4 == 0
+        raw = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        arrays.append(
+            np.frombuffer(raw, kinds[accessor["componentType"]]).reshape(accessor["count"], widths[accessor["type"]])
+        )
+    return document, arrays
+
+
+def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    """Nodes, inverse binds and skinning by the glTF specification give the fitted surface."""
+    write_glb(tmp_path / "p2.glb", person, body)
+    document, arrays = read_glb(tmp_path / "p2.glb")
+    mesh = document["meshes"][0]["primitives"][0]
+    rest, bones, weights = (arrays[mesh["attributes"][name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+    assert weights.sum(axis=1) == pytest.approx(1, abs=1e-6)
+    bind = arrays[document["skins"][0]["inverseBindMatrices"]].reshape(24, 4, 4).transpose(0, 2, 1)
+    samplers = document["animations"][0]["samplers"]
+    moves = {
+        (c["target"]["node"], c["target"]["path"]): arrays[samplers[c["sampler"]]["output"]]
+        for c in document["animations"][0]["channels"]
+    }
+    worst = 0.0
+    for frame in (0, 3, 6):
+        world: list = [None] * 24
+
+        def place(node: int, above: np.ndarray, frame: int = frame, world: list = world) -> None:
+            own = np.eye(4)
+            own[:3, :3] = Rotation.from_quat(moves[node, "rotation"][frame]).as_matrix()
+            own[:3, 3] = moves[node, "translation"][frame] if node == 0 else document["nodes"][node]["translation"]
+            world[node] = above @ own
+            for child in document["nodes"][node].get("children", []):
+                place(child, world[node])
+
+        place(0, np.eye(4))
+        carried = np.stack(world) @ bind
+        blended = np.einsum("vk,vkxy->vxy", weights, carried[bones])
+        points = np.einsum("vxy,vy->vx", blended, np.insert(rest, 3, 1, axis=1))[:, :3]
+        worst = max(worst, np.abs(points - y_up(body.vertices(person.poses, person.betas, person.trans)[frame])).max())
+    assert worst < 0.004, "four bones per vertex instead of all cost less than 4 mm"
+    turned = moves[0, "rotation"]
+    assert (np.sum(turned[1:] * turned[:-1], axis=1) > 0).all(), "components can be interpolated"
+    faces = arrays[mesh["indices"]].reshape(-1, 3)
+    normals = arrays[mesh["attributes"]["NORMAL"]]
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1, abs=1e-5)
+    litres = [
+        1000 * np.einsum("fx,fx->", v[faces[:, 0]], np.cross(v[faces[:, 1]], v[faces[:, 2]])) / 6
+        for v in (rest, rest + 0.005 * normals)
+    ]
+    assert litres[0] > 30
+    assert litres[1] > 1.05 * litres[0], "normals point outwards"
+    assert faces.max() < len(rest)
+
+
+def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    written = motion(tmp_path, person, body)
+    assert sorted(p.name for p in written) == ["p2.amass.npz", "p2.bvh", "p2.glb", "p2.openpose3d.json", "p2.trc"]
+    assert all(p.stat().st_size > 1000 for p in written)
+    other = Person(**{**vars(person), "body": "smpl_neutral"})
+    with pytest.raises(UserError, match="p2 was fitted with the body model smpl_neutral"):
+        motion(tmp_path, other, body)

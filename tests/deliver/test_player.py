@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The player in a browser without a window: the same pictures as ours, no network, and what a user does with it."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from studiorecon.command import serve
+from studiorecon.deliver.player_data import Shade
+from studiorecon.footage.video import to_bytes
+from studiorecon.render import kinds
+from studiorecon.render.canvas import Canvas
+from studiorecon.render.composite import Composite, truth_levels
+from studiorecon.render.planning import plan
+from studiorecon.render.subjects import Subjects
+from studiorecon.scene.factors import Factors
+from studiorecon.schema import mistakes
+
+from tests.made.browser import BROWSER, NO_BROWSER, Browser, addresses_outside, pixels, software_gl
+from tests.made.player import drawn, scene_of, shade_for, write_page
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
+FRAMES = 7
+# Times at which pictures are compared: a thing is nowhere at the first, and the last two lie between frames, or end.
+TIMES = (0.0, 3.5, FRAMES - 1.0)
+EVERYTHING = [None, *range(8)]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with software_gl(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = scene_of(people=2, frames=FRAMES)
+    exposure = Factors({"cam1": np.linspace(0.7, 1.0, FRAMES)[:, None] * [1.0, 0.9, 0.8]})
+    return write_page(tmp_path_factory.mktemp("player") / "player.html", scene, exposure, shade_for(scene))
+
+
+def opened(browser: Browser, page: Path, link: str = "frame=0") -> None:
+    """The page in the browser, ready and at rest."""
+    browser.open("about:blank")
+    browser.logged.clear()
+    browser.asked.clear()
+    browser.open(f"{page.as_uri()}#{link}")
+    browser.wait("!!window.player && player.drawn() > 0")
+
+
+def seen(browser: Browser, **state: object) -> np.ndarray:
+    """What the player shows at 160 × 100 pixels, exposures left out, once ``state`` holds."""
+    eye = {name: state.pop(name) for name in ("mode", "camera", "film", "picture", "eye", "target") if name in state}
+    script = f"(Object.assign(player.state, {json.dumps(state)}), Object.assign(player.eye, {json.dumps(eye)}), "
+    return pixels(browser, script + "player.picture({ wh: [160, 100], exposure: [1, 1, 1] }))")
+
+
+def psnr(picture: np.ndarray, truth: np.ndarray, where: np.ndarray | None = None) -> float:
+    gap = (picture.astype(np.float64) - truth)[... if where is None else where]
+    return float(10 * np.log10(255**2 / max(np.mean(gap**2), 1e-9)))
+
+
+def test_it_draws_what_our_rasteriser_draws(browser: Browser, page: Path) -> None:
+    """Bent and twisted people of needles (polar rotation, four bones), harmonics of degree 3, changing colours, a
+    tumbling thing, shadows: at every training camera and three times."""
+    scene = scene_of(people=2, frames=FRAMES)
+    shade, empty = shade_for(scene), replace(scene, people=[], things=[])
+    opened(browser, page)
+    told = []
+    for number, camera in enumerate(scene.cameras):
+        for frame in TIMES:
+            ours = to_bytes(drawn(scene, camera, frame, shade))
+            people = np.abs(to_bytes(drawn(empty, camera, frame, shade)).astype(int) - ours).max(axis=-1) > 8
+            theirs = seen(browser, mode="camera", camera=number, frame=frame)
+            told.append((camera.name, frame, psnr(theirs, ours), psnr(theirs, ours, people), people.mean()))
+    print(
+        *(f"{name} frame {frame}: {a:.1f} dB, people {b:.1f} dB ({c:.0%})" for name, frame, a, b, c in told), sep="\n"
+    )
+    assert min(entry[2] for entry in told) > 40
+    assert min(entry[3] for entry in told) > 36
+    assert min(entry[4] for entry in told) > 0.03, "people are in every picture"
+    assert not unexpected(browser)
+
+
+def unexpected(browser: Browser) -> list[str]:
+    """What was logged beside the driver's advice on speed, which reading pixels brings about."""
+    return [line for line in browser.logged if "GL Driver Message" not in line]
+
+
+def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page: Path) -> None:
+    opened(browser, page, "")
+    browser.wait("player.drawn() > 3")
+    assert addresses_outside(browser.asked) == []
+    assert not unexpected(browser)
+    assert browser.run("document.getElementById('told').textContent") == ""
+    assert browser.run("document.getElementById('poster').hidden")
+
+
+def test_served_it_asks_the_same_machine_only(browser: Browser, page: Path) -> None:
+    with serve(page.parent, 0) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        address = f"http://127.0.0.1:{server.server_port}/player.html"
+        browser.asked.clear()
+        browser.open(address)
+        browser.wait("!!window.player && player.drawn() > 0")
+        server.shutdown()
+        thread.join()
+    assert addresses_outside(browser.asked) == [address]
+
+
+def test_the_same_moment_gives_the_same_picture(browser: Browser, page: Path) -> None:
+    opened(browser, page)
+    slide = "(at => { const slider = document.getElementById('slider'); slider.value = at; slider.oninput(); })"
+    pictures = []
+    for frame in (2, 5, 2):
+        browser.run(f"{slide}({frame})")
+        assert browser.run("player.state.frame") == frame
+        pictures.append(seen(browser))
+    assert (pictures[0] == pictures[2]).all()
+    assert (pictures[0] != pictures[1]).any()
+
+
+def test_the_truth_map_is_the_one_of_films(browser: Browser, page: Path) -> None:
+    scene = scene_of(people=2, frames=FRAMES)
+    canvas = Canvas(Composite(scene.room, scene.provenance, scene.people, None, scene.things), 0.2)
+    opened(browser, page)
+    tints = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
+    for number, frame in ((0, 1.0), (1, FRAMES - 1.0)):
+        levels = truth_levels(canvas.draw(scene.cameras[number], frame, (0, 0, 0))[1])
+        tinted = seen(browser, mode="camera", camera=number, frame=frame, tinted=True).astype(int)
+        # Half of a tinted pixel is grey: what is left of its colour says which tint it has.
+        apart = {
+            level: np.abs((tinted - tinted.mean(-1, keepdims=True)) - (0.5 * (np.array(tint) - np.mean(tint))))
+            for level, tint in tints.items()
+        }
+        found = np.array(list(apart))[np.argmin([gap.sum(axis=-1) for gap in apart.values()], axis=0)]
+        assert (found == levels).mean() > 0.99
+    assert {0, 128, 255} == set(np.unique(levels))
+
+
+def test_whoever_is_switched_off_is_gone(browser: Browser, page: Path) -> None:
+    scene, number = scene_of(people=2, frames=FRAMES), 0
+    opened(browser, page)
+    browser.run("player.scene.sets.forEach((set) => (set.shown = set.name !== 'p0'))")
+    without = replace(scene, people=[scene.people[1]])
+    assert psnr(seen(browser, mode="camera", camera=number, frame=3.0),
+                to_bytes(drawn(without, scene.cameras[number], 3.0, shade_for(scene)))) > 40  # fmt: skip
+
+
+def test_at_a_camera_the_picture_is_as_bright_as_the_photo(browser: Browser, page: Path) -> None:
+    opened(browser, page, "camera=cam1&frame=0")
+    plain = seen(browser).astype(float)
+    bright = pixels(browser, "player.picture({ wh: [160, 100] })").astype(float)
+    assert bright.mean(axis=(0, 1)) / plain.mean(axis=(0, 1)) == pytest.approx([0.7, 0.63, 0.56], abs=0.02)
+
+
+def test_a_link_opens_what_was_seen(browser: Browser, page: Path) -> None:
+    opened(browser, page, "eye=1.5,-1.5,1.2&target=0,0,1&zoom=1.3&frame=2.50&hide=p1&skeletons=1")
+    first = seen(browser)
+    browser.run("new Promise((done) => setTimeout(done, 900))")
+    link = browser.run("location.hash")
+    for part in ("eye=1.500", "zoom=1.3000", "frame=2.50", "hide=p1", "skeletons=1"):
+        assert part in link
+    opened(browser, page, link[1:])
+    assert (seen(browser) == first).all()
+    opened(browser, page, "camera=nobody&frame=x&eye=1,2&film=%00&follow=p9&picture=-4")
+    assert browser.run("player.eye.mode") == "free"
+    assert not unexpected(browser)
+
+
+def test_keys_and_hands_move_the_view(browser: Browser, page: Path) -> None:
+    opened(browser, page)
+
+    def press(key: str) -> None:
+        browser.run(f"dispatch({json.dumps(key)})")
+
+    browser.run(
+        "window.dispatch = (key) => document.getElementById('stage')"
+        ".dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true }))"
+    )
+    press("2")
+    assert browser.run("[player.eye.mode, player.eye.camera]") == ["camera", 1]
+    press("ArrowRight")
+    assert browser.run("player.state.frame") == 1
+    press("t")
+    assert browser.run("player.state.tinted")
+    press("0")
+    assert browser.run("player.eye.mode") == "free"
+    before = browser.run("player.eye.eye")
+    for kind, x, button in (("mousePressed", 100, "left"), ("mouseMoved", 160, "left"), ("mouseReleased", 160, "left")):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=60, button=button, buttons=1, clickCount=1)
+    after = browser.run("player.eye.eye")
+    assert np.linalg.norm(np.subtract(before, after)) > 0.1
+    target = browser.run("player.eye.target")
+    assert np.linalg.norm(np.subtract(after, target)) == pytest.approx(np.linalg.norm(np.subtract(before, target)))
+
+
+def test_a_double_click_follows_that_person(browser: Browser, page: Path) -> None:
+    opened(browser, page, "frame=1&camera=cam0")
+    view = "player.eye.view([innerWidth, innerHeight])"
+    pixel = browser.run(f"player.pixelOf({view}, player.scene.sets[2].joints.subarray(0, 3))")
+    browser.run(
+        f"document.getElementById('stage').dispatchEvent(new MouseEvent('dblclick',"
+        f"{{ clientX: {pixel[0]}, clientY: {pixel[1]}, bubbles: true }}))"
+    )
+    assert browser.run("player.eye.person") == "p1"
+    person = scene_of(people=2, frames=FRAMES).people[1]
+    for frame in (1.0, 4.5):
+        seen(browser, frame=frame)
+        assert browser.run("player.eye.target") == pytest.approx(person.joints_m(frame)[0], abs=1e-3)
+
+
+def test_a_path_of_keys_is_a_film_that_validates(browser: Browser, page: Path, root: Path) -> None:
+    scene = scene_of(people=2, frames=FRAMES)
+    opened(browser, page, "camera=cam1&frame=0")
+    add = "[...document.querySelectorAll('button')].find((one) => one.textContent === 'Add key').click()"
+    browser.run(add)
+    views = [(1.2, -1.8, 1.4), (1.9, 0.3, 1.1)]
+    for eye, frame in zip(views, (4.0, 4.0)):
+        seen(browser, mode="free", eye=eye, target=[0, 0, 1], frame=frame)
+        browser.run(f"player.eye.zoom = 1.5; {add}")
+    browser.run("new Promise((done) => setTimeout(done, 300))")
+    text = browser.run("document.querySelector('textarea').value")
+    shots = yaml.safe_load(text)["render"]["shots"]
+    config = yaml.safe_load((root / "config/config.yaml").read_text())
+    config["render"]["shots"] = shots
+    schema = yaml.safe_load((root / "workflow/schemas/config.schema.yaml").read_text())
+    assert mistakes(config, schema) == []
+    assert kinds.film(shots["mine"], "mine").kind == "spline"
+    subjects = Subjects({}, {}, np.zeros(3), FRAMES, scene.capture.fps)
+    steps = plan("mine", shots, 160, 0.0, scene.cameras, [], subjects, scene.room)
+    at = [key["picture"] for key in shots["mine"]["keys"]]
+    assert at == [0, 4, 4 + round(scene.capture.fps)], "where time stands still the camera takes a second"
+    assert [steps[picture].frame for picture in at] == pytest.approx([0, 4, 4], abs=1e-6)
+    for picture, place in zip(at, [scene.cameras[1].centre_m, *views]):
+        assert steps[picture].camera.centre_m == pytest.approx(place, abs=1e-3)
+    # The last key's picture is what the player showed there.
+    ours = to_bytes(drawn(scene, steps[-1].camera, 4.0, shade_for(scene)))
+    assert psnr(seen(browser, mode="free", eye=views[1], target=[0, 0, 1], frame=4.0), ours) > 38
+
+
+def test_a_film_is_flown_along(browser: Browser, page: Path) -> None:
+    scene = scene_of(people=2, frames=FRAMES)
+    step = scene.paths["orbit"][1]
+    opened(browser, page, "film=orbit&picture=1&frame=0")
+    ours = to_bytes(drawn(scene, step.camera, step.frame, shade_for(scene)))
+    assert psnr(seen(browser), ours) > 40
+    assert browser.run("player.state.frame") == step.frame
+
+
+@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
+def test_scenes_of_all_sizes_open(browser: Browser, tmp_path: Path, people: int, frames: int) -> None:
+    scene = scene_of(people, frames, things=False, step_m=0.5, degree=0)
+    opened(browser, write_page(tmp_path / "player.html", scene), "")
+    ours = to_bytes(drawn(scene, scene.cameras[0], frames - 1.0))
+    assert psnr(seen(browser, mode="camera", camera=0, frame=frames - 1.0, playing=False), ours) > 38
+    assert not unexpected(browser)
+
+
+def test_without_webgl2_there_is_a_picture_and_a_sentence(tmp_path: Path, page: Path) -> None:
+    with Browser(tmp_path, "--disable-3d-apis") as browser:
+        browser.open(page.as_uri())
+        browser.wait("document.getElementById('told').textContent.includes('WebGL2')")
+        assert "films beside this page show it" in browser.run("document.getElementById('told').textContent")
+        assert browser.run("document.getElementById('poster').naturalWidth") == 960
+        assert browser.run("document.getElementById('panel').hidden")
+
+
+def test_who_wants_no_motion_starts_at_rest(browser: Browser, page: Path) -> None:
+    calm = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    browser.call("Emulation.setEmulatedMedia", features=calm)
+    opened(browser, page, "")
+    assert browser.run("player.state.playing") is False
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    opened(browser, page, "")
+    assert browser.run("player.state.playing") is True
+
+
+def test_a_broken_page_says_so(browser: Browser, page: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.html"
+    text = page.read_text(encoding="utf-8")
+    start = text.index('id="bytes">') + len('id="bytes">')
+    broken.write_text(text[:start] + text[start + 4000 :], encoding="utf-8")
+    browser.open(broken.as_uri())
+    browser.wait("document.getElementById('told').textContent.startsWith('The scene cannot be shown')")
+
+
+def test_a_shade_of_one_moment_is_a_shade(browser: Browser, tmp_path: Path) -> None:
+    scene = scene_of(0, 1, things=False, step_m=0.3, degree=0)
+    shade = shade_for(scene)
+    opened(
+        browser, write_page(tmp_path / "player.html", scene, shade=Shade(shade.at, shade.times[:1], shade.factors[:1]))
+    )
+    twice = Shade(shade.at, np.array([0, 1]), np.repeat(shade.factors[:1], 2, axis=0))
+    ours = to_bytes(drawn(scene, scene.cameras[2], 0.0, twice))
+    assert psnr(seen(browser, mode="camera", camera=2), ours) > 38

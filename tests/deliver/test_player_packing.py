@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the player is told can be read back within what a picture shows, whatever the scene; without a browser."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.body.skinning import forward_kinematics
+from studiorecon.deliver import player
+from studiorecon.deliver.packing import Bytes, along_a_curve, unpacked, unpacked_quaternions, whole_shares
+from studiorecon.deliver.player_data import MOTION_BYTES, described
+from studiorecon.deliver.player_motion import moments
+from studiorecon.footage.video import write_lossless
+from studiorecon.geometry import rotations
+from studiorecon.scene.factors import NONE
+
+from tests.made.player import drawn, scene_of, shade_for, write_page
+
+
+def back(held: Bytes, told: dict) -> np.ndarray:
+    return unpacked(bytes(held.data), told)
+
+
+def test_numbers_come_back_within_half_a_step() -> None:
+    rng = np.random.default_rng(0)
+    held, values = Bytes(), rng.normal(size=(1000, 3)) * [1, 10, 0]
+    for bits in (8, 16, 24):
+        told = held.levels(values, bits)
+        off = np.abs(back(held, told) - values)
+        assert (off <= 0.5 * np.ptp(values, axis=0) / (2**bits - 1) + 1e-12).all()
+    whole = rng.integers(0, 2**24, (50, 2))
+    assert (back(held, held.whole(whole, 24)) == whole).all()
+    assert (back(held, held.floats(values)) == values.astype(np.float32)).all()
+    assert back(held, held.levels(np.zeros((0, 3)), 16)).shape == (0, 3)
+
+
+def test_turns_come_back_within_a_fifth_of_a_degree() -> None:
+    given = np.concatenate([np.random.default_rng(1).normal(size=(2000, 4)), np.eye(4), -np.eye(4), np.zeros((1, 4))])
+    held = Bytes()
+    told = held.quaternions(given)
+    kept = unpacked_quaternions(bytes(held.data), told)
+    apart = rotations.angle(rotations.from_quaternion(given), rotations.from_quaternion(kept))
+    assert np.degrees(apart).max() < 0.2
+
+
+def test_shares_add_up_to_one_exactly_so_that_nobody_is_pulled_to_the_origin() -> None:
+    rng = np.random.default_rng(2)
+    weights = rng.dirichlet([0.5] * 4, 5000)
+    shares = whole_shares(weights)
+    assert (shares.sum(axis=1, dtype=int) == 255).all()
+    assert np.abs(shares / 255 - weights).max() <= 1 / 255
+    # A person six metres from the origin whose bones differ by some centimetres stays where they are.
+    bones = np.tile(np.arange(4, dtype=np.uint8), (5000, 1))
+    moved = np.tile(np.eye(4), (24, 1, 1))
+    moved[:, :3, 3] = rng.normal([6, -6, 1], 0.05, (24, 3))
+    zeros, unit, sh = (
+        np.zeros((5000, 3), np.float32),
+        np.ones((5000, 4), np.float32),
+        np.zeros((5000, 1, 3), np.float32),
+    )
+    exact = Posing(bones, weights).out(zeros, unit, sh, moved)[0]
+    kept = Posing(bones, shares / np.float32(255)).out(zeros, unit, sh, moved)[0]
+    assert np.abs(kept - exact).max() < 0.001
+
+
+def test_neighbours_on_the_curve_are_near() -> None:
+    points = np.random.default_rng(3).uniform(-3, 3, (4000, 3))
+    order = along_a_curve(points)
+    assert sorted(order) == list(range(4000))
+    steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
+    assert np.median(steps) < 0.25 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
+
+
+def told_of(page: Path) -> tuple[dict, bytes]:
+    text = page.read_text(encoding="utf-8")
+    held = re.search(r'id="bytes">([^<]*)<', text).group(1)
+    return json.loads(re.search(r'id="scene">([^<]*)<', text).group(1)), gzip.decompress(base64.b64decode(held))
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = scene_of(people=2, frames=5)
+    return write_page(tmp_path_factory.mktemp("page") / "player.html", scene, NONE, shade_for(scene))
+
+
+def test_gaussians_stand_where_they_stood_to_a_tenth_of_a_millimetre(page: Path) -> None:
+    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
+    owners = [(scene.room, scene.provenance), *((p.gaussians, p.provenance) for p in scene.people)]
+    for entry, (own, marks) in zip(told["sets"], owners):
+        order = along_a_curve(own.means_m)
+        assert np.abs(unpacked(data, entry["means"]) - own.means_m[order]).max() < 1e-4
+        assert np.abs(unpacked(data, entry["colours"]) - own.sh[order, 0]).max() < 1e-3
+        alpha = 1 / (1 + np.exp(-own.logit_opacities[order].astype(np.float64)))
+        assert np.abs(unpacked(data, entry["opacities"])[:, 0] - alpha).max() < 1e-4
+        assert (unpacked(data, entry["provenance"])[:, 0] == marks[order]).all()
+
+
+def joints_read_back(entry: dict, data: bytes, count: int) -> np.ndarray:
+    motion = entry["motion"]
+    turns = rotations.from_quaternion(unpacked(data, motion["turns"]).reshape(count, 24, 4))
+    rest = unpacked(data, motion["rest"]).astype(np.float64)
+    return forward_kinematics(turns, rest, np.array(motion["parents"]), unpacked(data, motion["places"]))[1]
+
+
+def test_joints_move_as_the_body_model_says_to_half_a_millimetre(page: Path) -> None:
+    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
+    for person, entry in zip(scene.people, told["sets"][1:]):
+        exact = np.stack([person.joints_m(frame) for frame in range(5)])
+        assert np.abs(joints_read_back(entry, data, 5) - exact).max() < 5e-4
+
+
+def longer(person: Avatar, frames: int) -> Avatar:
+    again = np.arange(frames) % len(person.poses)
+    return replace(person, poses=person.poses[again], trans=person.trans[again], valid=person.valid[again])
+
+
+def test_long_motion_is_told_at_fewer_moments_and_says_so() -> None:
+    short = scene_of(people=2, frames=4, things=False)
+    people = [longer(replace(person, network=None), 60_000) for person in short.people]
+    held = Bytes()
+    scene = replace(short, capture=replace(short.capture, frames=60_000), people=people)
+    told, sentences = described(scene, held, NONE)
+    assert told["moments"] == MOTION_BYTES // (2 * (24 * 8 + 12))
+    assert len(held.data) < MOTION_BYTES + 2_000_000
+    assert any(f"motion is told at {told['moments']} moments of 60000 frames" in sentence for sentence in sentences)
+    assert moments(60_000, 7)[[0, -1]].tolist() == [0, 59_999]
+
+
+@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
+def test_scenes_of_all_sizes_are_told(people: int, frames: int) -> None:
+    held = Bytes()
+    told, _ = described(scene_of(people, frames, things=False), held, NONE)
+    assert [entry["kind"] for entry in told["sets"]] == ["room", *["person"] * people]
+    assert told["moments"] == frames
+
+
+def test_a_network_without_places_of_its_own_is_asked_at_some() -> None:
+    scene = scene_of(people=1, frames=4, things=False)
+    assert scene.people[0].network is not None
+    person = replace(scene.people[0], network=replace(scene.people[0].network, control=None))
+    _, sentences = described(replace(scene, people=[person]), Bytes(), NONE)
+    told = next(sentence for sentence in sentences if "colours of p0" in sentence)
+    assert "4 moments and 512 places" in told
+    assert float(re.search(r"within ([\d.]+) %", told).group(1)) < 60
+
+
+def test_a_shadow_lies_on_the_same_gaussians(page: Path) -> None:
+    scene, (told, data) = scene_of(people=2, frames=5), told_of(page)
+    entry, shade = told["sets"][0]["shade"], shade_for(scene)
+    at = unpacked(data, entry["at"])[:, 0].astype(int)
+    order = along_a_curve(scene.room.means_m)
+    factors = unpacked(data, entry["factors"]).reshape(5, len(at))
+    assert set(order[at]) <= set(shade.at)
+    column = {index: k for k, index in enumerate(shade.at)}
+    exact = shade.factors[:, [column[index] for index in order[at]]]
+    assert np.abs(factors - exact).max() < 0.004
+
+
+def test_names_stay_text_and_nothing_is_asked_of_a_network(tmp_path: Path) -> None:
+    scene = replace(scene_of(people=0, frames=2, things=False), name="</script><b>x</b>")
+    text = write_page(tmp_path / "player.html", scene).read_text(encoding="utf-8")
+    assert "<b>x</b>" not in text
+    assert told_of(tmp_path / "player.html")[0]["scene"] == "</script><b>x</b>"
+    assert not re.search(r'(src|href)="(?!data:)|@import|url\(|https?://', text)
+
+
+def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(people=0, frames=20, things=False)
+    videos = [tmp_path / f"{camera.name}.mkv" for camera in scene.cameras]
+    picture = (255 * np.clip(drawn(scene, scene.cameras[0], 0), 0, 1)).astype(np.uint8)
+    for video in videos:
+        write_lossless(video, [picture] * 20, 15.0)
+    held = Bytes()
+    cameras: list[dict] = [{} for _ in videos]
+    assert player.filmed(held, cameras, videos, 20, 15.0) == []
+    film = cameras[1]["film"]
+    assert bytes(held.data)[film["at"] + 4 : film["at"] + 8] == b"ftyp"
+    monkeypatch.setattr(player, "FILM_FRAMES", 10)
+    cameras = [{} for _ in videos]
+    told = player.filmed(held, cameras, videos, 20, 15.0)
+    assert "8 of 20 pictures" in told[0]
+    assert [photo["frame"] for photo in cameras[0]["photos"]][:: len(cameras[0]["photos"]) - 1] == [0, 19]

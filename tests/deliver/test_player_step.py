@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""deliver.player from files to a page: what it takes, what it leaves, what it refuses; without a browser."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon.deliver import player
+from studiorecon.errors import UserError
+from studiorecon.scene.factors import write_factors
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.path import PathStep, write_path
+
+from tests.made.player import PARTS
+from tests.made.scene import FPS, FRAMES, WH, render_options, write_scene
+
+TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
+
+
+@pytest.fixture
+def files(tmp_path: Path, root: Path) -> dict:
+    cameras = write_scene(tmp_path, root, people=1)
+    write_path(tmp_path / "render/orbit.json", [PathStep(c, 1.0, "00") for c in cameras["held_out"]], FPS)
+    given = render_options(tmp_path, "orbit")
+    return {name: given[name] for name in TAKEN} | {
+        "scene": "made",
+        "objects": [],
+        "paths": [tmp_path / "render/orbit.json"],
+        "videos": [tmp_path / f"capture/{camera.name}.mkv" for camera in cameras["training"]],
+        "exposure": [],
+        "shade": [],
+        "parts": PARTS,
+        "page": tmp_path / "deliver/player.html",
+        "poster": tmp_path / "deliver/player.jpg",
+    }
+
+
+def test_a_page_and_its_poster_come_out_and_the_same_bytes_again(files: dict, capsys: pytest.CaptureFixture) -> None:
+    player.run(**files)
+    told = capsys.readouterr().out
+    assert "nobody throws a shadow here" in told
+    assert f"1 people and 0 things over {FRAMES} frames" in told
+    page = files["page"].read_bytes()
+    assert page.startswith(b"<!doctype html>")
+    assert b"<!--" not in page, "every part of the page is filled in"
+    poster = cv2.imread(str(files["poster"]))
+    assert poster is not None
+    assert poster.shape[1] / poster.shape[0] == pytest.approx(WH[0] / WH[1], abs=0.01)
+    player.run(**files)
+    assert files["page"].read_bytes() == page
+
+
+def test_exposures_and_shadows_come_along(files: dict, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    write_factors(tmp_path / "gains.json", {"cam1": np.array([[0.8, 0.9, 1.0]])})
+    at, factors = np.array([3, 5]), np.full((2, 2), 0.5)
+    write_npz(tmp_path / "shade.npz", {"at": at, "times": np.array([0, FRAMES - 1]), "factors": factors})
+    player.run(**files | {"exposure": [tmp_path / "gains.json"], "shade": [tmp_path / "shade.npz"]})
+    assert "throws a shadow" not in capsys.readouterr().out
+    text = files["page"].read_text(encoding="utf-8")
+    assert text.count('"exposure":') == 1
+    assert '"shade":' in text
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_gaussian_that_is_no_number_leaves_no_page(files: dict) -> None:
+    own = read_ply(files["gaussians"][0])
+    sh = own.sh.copy()
+    sh[7, 0, 1] = np.inf
+    write_ply(files["gaussians"][0], replace(own, sh=sh))
+    with pytest.raises(UserError, match=r"p0\.ply holds 1 Gaussians with a value that is no number.*number 7"):
+        player.run(**files)
+    assert not files["page"].exists()

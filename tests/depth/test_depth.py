@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of a made room: walls to the centimetre, the bars of its accuracy, and honest answers where there is nothing to
+measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon.depth import given, refine, sweep
+from studiorecon.depth import room as shell
+from studiorecon.depth.layout.box import strong_offsets
+from studiorecon.depth.layout.furniture import around
+from studiorecon.depth.layout.primitives import read_primitives
+from studiorecon.depth.layout.visibility import kept_from
+from studiorecon.depth.layout.yaw import matched_yaw
+from studiorecon.depth.shared import Assumed
+from studiorecon.depth.stereo.matching import plane_depth
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.planes import wall_yaw
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth, write_depth
+from studiorecon.geometry.path import with_pose
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.settings import load
+
+from tests.made.room import made_room, photograph, ring, write_capture
+
+# A thinner catalogue than the default: the room is small and the tests are many.
+THIN = {
+    "sweep_width": 144,
+    "refine_width": 192,
+    "wall_step_m": 0.08,
+    "reach_m": 6.0,
+    "furniture_m": 1.0,
+    "candidates": 30,
+}
+# Furniture where a test asks for it.
+THIN |= {"solids": 0}
+FURNISHED = THIN | {"solids": 3, "solids_width": 96, "solids_gain": 20.0}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the three steps wrote."""
+
+    shell: RoomBox
+    depth_m: list[np.ndarray]
+    confidence: list[np.ndarray]
+
+
+def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: dict) -> Found:
+    model = folder / "cameras" / "images.txt"
+    sweeps = [folder / f"{c.name}.sweep.npz" for c in cameras]
+    for camera, path in zip(cameras, sweeps):
+        sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
+    box, solids, passes = folder / "shell.json", folder / "solids.json", folder / "passes.npz"
+    shell.run(
+        load(shell.Settings, section, "depth"),
+        model,
+        plates,
+        sweeps,
+        [],
+        [],
+        [],
+        box,
+        solids,
+        folder / "solids.png",
+        passes,
+    )
+    maps = []
+    for camera in cameras:
+        out = folder / f"{camera.name}.exr"
+        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, solids, out)
+        maps.append(read_depth(out))
+    return Found(read_room(folder / "shell.json"), [d for d, _ in maps], [a for _, a in maps])
+
+
+def relative_errors(found: Found, truth: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([(np.abs(d - t) / t).ravel() for d, t in zip(found.depth_m, truth)])
+
+
+@pytest.fixture(scope="module")
+def furnished(
+    tmp_path_factory: pytest.TempPathFactory, default_settings: Callable[..., dict]
+) -> tuple[Found, list[np.ndarray], Path]:
+    """A turned room with a cupboard, cameras whose exposure differs by ±12 %, and part of one plate never seen
+    empty."""
+    folder = tmp_path_factory.mktemp("furnished")
+    room, cameras = made_room(), ring()
+    pictures, truth = zip(*(photograph(room, camera) for camera in cameras))
+    gains = np.exp(np.array([[0.12, 0.1, 0.08], [-0.12, -0.1, -0.06], [0.02, 0.0, -0.05], [-0.02, 0.0, 0.03]]))
+    exposed = [np.clip(p * g, 0, 1) for p, g in zip(pictures, gains)]
+    unknown = np.zeros(cameras[0].hw, bool)
+    unknown[70:90, 20:40] = True
+    plates = write_capture(folder, cameras, exposed, unknown)
+    return estimate(folder, cameras, plates, default_settings("depth", **FURNISHED)), list(truth), folder
+
+
+def test_walls_are_placed_to_two_centimetres(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
+    found = furnished[0].shell
+    # The box may be described with u along any of the four wall directions.
+    truth = made_room().shell
+    for face, fitted in zip(found.faces[:4], found.fitted[:4]):
+        assert fitted
+        along = truth.axes[:2] @ face[:3]
+        axis = int(np.abs(along).argmax())
+        assert np.abs(along[axis]) > np.cos(np.radians(0.4))
+        assert min(abs(face[3] * np.sign(along[axis]) - w) for w in (truth.low_m[axis], truth.high_m[axis])) < 0.02
+    assert found.fitted[4]
+    assert abs(found.low_m[2]) < 0.02
+    assert np.prod((found.high_m - found.low_m)[:2]) == pytest.approx(6.2 * 5.7, rel=0.02)
+
+
+def test_depth_meets_its_bars(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
+    error = relative_errors(*furnished[:2])
+    assert error.mean() <= 0.06
+    assert (error < 0.05).mean() >= 0.80
+
+
+def test_unequal_exposure_is_found(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
+    gains = np.stack([furnished[0].shell.gains[f"cam{k}"] for k in (1, 2, 3, 4)])
+    planted = np.exp(np.array([[0.12, 0.1, 0.08], [-0.12, -0.1, -0.06], [0.02, 0.0, -0.05], [-0.02, 0.0, 0.03]]))
+    assert np.abs(np.log(gains / planted)).max() < 0.02
+
+
+def test_confidence_tells_measured_from_default(
+    furnished: tuple[Found, list[np.ndarray], Path], default_settings: Callable
+) -> None:
+    found, truth, _ = furnished
+    error = relative_errors(found, truth)
+    confidence = np.concatenate([c.ravel() for c in found.confidence])
+    rests = confidence <= Assumed().default_confidence
+    assert 0.05 < rests.mean() < 0.6
+    sure = confidence > 0.7
+    assert sure.mean() > 0.3
+    assert (error[sure] < 0.05).mean() > 0.93
+    # Pixels whose plate was never measured cannot have been judged.
+    for a in found.confidence:
+        assert (a[74:86, 24:36] <= 0.2).all()
+
+
+def test_same_inputs_same_bytes(furnished: tuple[Found, list[np.ndarray], Path], default_settings: Callable) -> None:
+    folder = furnished[2]
+    section = default_settings("depth", **THIN)
+    plates = [folder / "capture" / f"cam{k}.plate.png" for k in (1, 2, 3, 4)]
+    again = folder / "again.exr"
+    refine.run(
+        load(refine.Settings, section, "depth"),
+        "cam2",
+        folder / "cameras/images.txt",
+        plates,
+        folder / "passes.npz",
+        folder / "shell.json",
+        folder / "solids.json",
+        again,
+    )
+    assert again.read_bytes() == (folder / "cam2.exr").read_bytes()
+
+
+def test_open_air_has_no_walls_and_says_so(
+    tmp_path: Path, default_settings: Callable, capsys: pytest.CaptureFixture
+) -> None:
+    room, cameras = made_room(open_air=True), ring(3, target_m=1.5)
+    pictures, truth = zip(*(photograph(room, camera) for camera in cameras))
+    section = default_settings("depth", **THIN)
+    found = estimate(tmp_path, cameras, write_capture(tmp_path, cameras, pictures), section)
+    assert not found.shell.fitted[[0, 1, 2, 3, 5]].any()
+    assert found.shell.fitted[4]
+    assert "default" in capsys.readouterr().out
+    near = np.concatenate([((t > 0) & (t < 5)).ravel() for t in truth])
+    error = np.concatenate([(np.abs(d - t) / np.maximum(t, 1)).ravel() for d, t in zip(found.depth_m, truth)])
+    assert (error[near] < 0.05).mean() > 0.9
+    sky = np.concatenate([(t == 0)[:40].ravel() for t in truth])
+    first_rows = np.concatenate([c[:40].ravel() for c in found.confidence])
+    assert (first_rows[sky] <= 0.3).mean() > 0.9
+    assert all((d > 0).all() for d in found.depth_m)
+
+
+def test_a_single_camera_rests_on_the_default(tmp_path: Path, default_settings: Callable) -> None:
+    cameras = ring(1)
+    rgb, _ = photograph(made_room(), cameras[0])
+    found = estimate(tmp_path, cameras, write_capture(tmp_path, cameras, [rgb]), default_settings("depth", **THIN))
+    assert not found.shell.fitted.any()
+    assert (found.confidence[0] <= 0.2).all()
+    assert np.isfinite(found.depth_m[0]).all()
+    floor = plane_depth(cameras[0], np.array([0, 0, 1.0, 0]), 0.1, 50.0)
+    assert np.abs(found.depth_m[0] - floor)[-10:].max() < 1e-3
+
+
+def test_yaw_of_the_walls_is_found_with_and_without_lines() -> None:
+    cameras = ring()
+    for lines, tolerance_deg in ((True, 0.5), (False, 4.0)):
+        room = made_room(lines=lines, table=False)
+        pictures = [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+        yaw_rad, support = wall_yaw(cameras, [p.rgb for p in pictures], [p.known for p in pictures])
+        assert (support > 0.12) == lines
+        if not lines:
+            yaw_rad = matched_yaw(pictures, 0.0, 6.0, 0.3, 14.0)
+        assert abs((np.degrees(yaw_rad - 0.35) + 45) % 90 - 45) < tolerance_deg
+
+
+def test_rival_walls_are_decided_by_what_the_window_holds() -> None:
+    # Stripes every 0.75 m match themselves one period further in; the most voted plane was 0.75 m wrong on the made
+    # studio.
+    planes = np.array([[1.0, 0, 0, o] for o in np.arange(1.0, 5.0, 0.1)])
+    votes = np.zeros(len(planes), int)
+    votes[[10, 11, 20, 30]] = [500, 300, 450, 20]
+    found = strong_offsets(planes, votes, np.array([1.0, 0, 0]), 1.5, 1, 100)
+    assert np.allclose(found, [2.0 + 0.1 * 300 / 800, 3.0])
+    assert strong_offsets(planes, votes, np.array([1.0, 0, 0]), 3.5, 1, 100) == []
+    assert strong_offsets(planes, votes, np.array([0, 1.0, 0]), 1.5, 1, 100) == []
+
+
+def test_plates_must_fit_their_cameras(tmp_path: Path, default_settings: Callable) -> None:
+    cameras = ring(2, wh=(48, 32))
+    plates = write_capture(tmp_path, [c.resized((24, 16)) for c in cameras], [np.zeros((16, 24, 3))] * 2)
+    write_capture(tmp_path, cameras, [])
+    settings = load(sweep.Settings, default_settings("depth"), "depth")
+    with pytest.raises(UserError, match=r"cam1\.plate\.png is 24×16"):
+        sweep.run(settings, "cam1", tmp_path / "cameras/images.txt", plates, tmp_path / "s.npz")
+    with pytest.raises(UserError, match="camera cam9 is not in"):
+        sweep.run(settings, "cam9", tmp_path / "cameras/images.txt", plates, tmp_path / "s.npz")
+    assert not (tmp_path / "s.npz").exists()
+
+
+def test_given_depth_is_fitted_and_cleaned(tmp_path: Path, default_settings: Callable) -> None:
+    cameras = ring(1, wh=(48, 32))
+    write_capture(tmp_path, cameras, [])
+    depth = np.where(np.arange(96) < 50, 2.0, 6.0)[None].repeat(64, 0).astype(np.float32)
+    depth[:4, 0], depth[4:8, 0], depth[8:12, 0] = np.nan, np.inf, -1
+    write_depth(tmp_path / "given.exr", depth, np.full(depth.shape, np.float32(np.nan)))
+    settings = load(given.Settings, default_settings("depth"), "depth")
+    given.run(settings, "cam1", tmp_path / "cameras/images.txt", tmp_path / "given.exr", tmp_path / "out.exr")
+    found, confidence = read_depth(tmp_path / "out.exr")
+    assert found.shape == (32, 48)
+    assert set(np.unique(found)) <= {0.0, 2.0, 6.0}
+    assert (confidence >= 0).all()
+    write_depth(tmp_path / "square.exr", np.ones((50, 50)), np.ones((50, 50)))
+    with pytest.raises(UserError, match="another shape"):
+        given.run(settings, "cam1", tmp_path / "cameras/images.txt", tmp_path / "square.exr", tmp_path / "no.exr")
+    write_depth(tmp_path / "empty.exr", np.zeros((32, 48)), np.zeros((32, 48)))
+    with pytest.raises(UserError, match=r"0\.0%"):
+        given.run(settings, "cam1", tmp_path / "cameras/images.txt", tmp_path / "empty.exr", tmp_path / "no.exr")
+    assert not (tmp_path / "no.exr").exists()
+
+
+# Coarser still: nothing is measured to the centimetre where cameras are blind.
+COARSE = THIN | {"sweep_width": 96, "refine_width": 96, "wall_step_m": 0.16, "candidates": 8, "passes": 1}
+
+
+def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_default(
+    tmp_path: Path, default_settings: Callable
+) -> None:
+    room, cameras = made_room(), ring()
+    # The fourth camera stands in the cupboard and sees black; the third one's plate was never free of people.
+    inside = np.array([-0.4, 0.7, 0.4]) @ room.shell.axes
+    cameras[3] = with_pose(cameras[3], cameras[3].rotation_camera_from_world.T, inside)
+    pictures = [photograph(room, camera)[0] for camera in cameras]
+    pictures[3][:] = 0.01
+    plates = write_capture(tmp_path, cameras, pictures)
+    never = cv2.imread(str(plates[2]), cv2.IMREAD_UNCHANGED)
+    never[..., 3] = 0
+    cv2.imwrite(str(plates[2]), never)
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
+    for depth_m, confidence in zip(found.depth_m, found.confidence):
+        assert np.isfinite(depth_m).all()
+        assert np.isfinite(confidence).all()
+    assert all(
+        np.isfinite(value).all() for value in (found.shell.low_m, found.shell.high_m, *found.shell.gains.values())
+    )
+    # What was never measured is undetermined; black matches nothing, so all it shows is hardly more.
+    assert (found.confidence[2] <= 0.2).all()
+    assert np.median(found.confidence[3]) <= 0.25
+    # The others still measure what they share.
+    assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
+    solids = [solid.numbers for solid in read_primitives(tmp_path / "solids.json")]
+    assert not solids or not around(np.stack(solids), kept_from(inside[None], 0.0)).any()
+
+
+def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:
+    room, cameras = made_room(), ring()
+    plates = write_capture(tmp_path, cameras, [photograph(room, c)[0] for c in cameras], np.ones(cameras[0].hw, bool))
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
+    assert not found.shell.fitted.any()
+    assert read_primitives(tmp_path / "solids.json") == []
+    for depth_m, confidence in zip(found.depth_m, found.confidence):
+        assert np.isfinite(depth_m).all()
+        assert (confidence <= 0.2).all()

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Upright boxes and cylinders: where rays meet them, what they are worth as evidence, and that only what photos agree
+on is put up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.depth.layout.furniture import allowed, around, furnish
+from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
+from studiorecon.depth.layout.sheet import sheet
+from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
+from studiorecon.depth.stereo.evidence import Explained, colour_odds
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections, Person
+
+from tests.made.room import Room, made_room, photograph, ring
+
+BOX = Primitive("box", (0.3, -0.2), 0.5, (0.8, 0.4), 0.1, 0.9, 0.0)
+POST = Primitive("cylinder", (-0.4, 0.3), 0.0, (0.5, 0.5), 0.0, 1.2, 0.0)
+NOBODY = np.zeros((0, 4))
+
+
+def cupboard(room: Room) -> Primitive:
+    """The solid that stands in ``made_room``."""
+    low, high = room.table.low_m, room.table.high_m
+    x, y, _ = (low + high) / 2 @ room.table.axes
+    return Primitive("box", (x, y), room.table.yaw_rad, tuple((high - low)[:2]), low[2], high[2], 0.0)
+
+
+def looks(room: Room, width: int = 96) -> list[Picture]:
+    cameras = ring(wh=(width, round(width * 0.5625)))
+    return [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+
+
+@pytest.fixture(scope="module")
+def furnished() -> tuple[Room, list[Picture], list[Primitive]]:
+    """The room with its cupboard, four looks at it, and what is found in them."""
+    room = made_room()
+    pictures = looks(room)
+    return room, pictures, furnish(pictures, room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3)
+
+
+@pytest.mark.parametrize("solid", [BOX, POST], ids=["box", "cylinder"])
+def test_rays_enter_a_solid_on_its_surface(solid: Primitive) -> None:
+    for camera in ring(3):
+        depth_m = solid.depth(camera)
+        hit = depth_m > 0
+        assert 0.02 < hit.mean() < 0.5
+        points = camera.unproject(camera.pixel_centres(), depth_m)[hit]
+        c, s = np.cos(solid.yaw_rad), np.sin(solid.yaw_rad)
+        u, v = ((points[:, :2] - solid.centre_m) @ np.array([[c, -s], [s, c]]) / (np.array(solid.size_m) / 2)).T
+        side = np.maximum(np.abs(u), np.abs(v)) if solid.kind == "box" else np.hypot(u, v)
+        level = np.abs((points[:, 2] - (solid.low_m + solid.high_m) / 2) / ((solid.high_m - solid.low_m) / 2))
+        np.testing.assert_allclose(np.maximum(side, level), 1.0, atol=1e-9)
+
+
+def test_a_camera_inside_a_solid_sees_the_room() -> None:
+    camera = ring(1)[0]
+    around = Primitive("box", tuple(camera.centre_m[:2]), 0.0, (1.0, 1.0), 0.0, 3.0, 0.0)
+    assert not around.depth(camera).any()
+    depth_m, shown = in_front([around], camera, np.full(camera.hw, 2.0, np.float32))
+    assert (depth_m == 2.0).all()
+    assert not shown.any()
+
+
+def test_a_solid_stands_before_what_is_behind_it_and_before_the_unknown() -> None:
+    camera = ring(1)[0]
+    own = BOX.depth(camera)
+    for behind, seen in ((50.0, own > 0), (0.0, own > 0), (0.5, np.zeros(camera.hw, bool))):
+        depth_m, shown = in_front([BOX], camera, np.full(camera.hw, behind, np.float32))
+        assert (shown == seen).all()
+        np.testing.assert_allclose(depth_m, np.where(seen, own, behind), rtol=1e-6)
+        assert depth_m.dtype == np.float32
+
+
+def test_solids_are_written_and_read(tmp_path: Path) -> None:
+    write_primitives(tmp_path / "solids.json", [BOX, POST])
+    assert read_primitives(tmp_path / "solids.json") == [BOX, POST]
+    assert Primitive.from_numbers(POST.numbers, POST.evidence) == POST
+
+
+def test_the_true_solid_is_worth_most_and_gains_are_what_adding_brings() -> None:
+    room = made_room()
+    seen = Explained.by_shell(looks(room), room.shell, 5, 1.5)
+    true = cupboard(room).numbers
+    beside, larger, thin_air = true.copy(), true.copy(), true.copy()
+    beside[1] += 0.4
+    larger[4:6] += 0.4
+    thin_air[6:] += 1.2
+    gains = seen.gains(np.stack([true, beside, larger, thin_air]))
+    assert gains[0] > 100
+    assert (gains[1:] < 0.6 * gains[0]).all()
+    before = float(seen.cost.sum(dtype=np.float64))
+    seen.add(true)
+    # What is hidden behind it counts as unseen both ways; colour odds are no part of the cost.
+    assert before - float(seen.cost.sum(dtype=np.float64)) == pytest.approx(gains[0], rel=0.25)
+    assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
+    room, pictures, found = furnished
+    assert found
+    truth = [photograph(room, p.camera)[1] for p in pictures]
+    bare = [room.shell.intersect(*p.camera.rays())[0] for p in pictures]
+    error = {}
+    for name, solids in (("bare", []), ("found", found)):
+        depths = [in_front(solids, p.camera, d)[0] for p, d in zip(pictures, bare)]
+        error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
+    assert error["found"] < 0.4 * error["bare"]
+
+
+def test_an_empty_room_stays_empty() -> None:
+    room = made_room(table=False)
+    assert furnish(looks(room), room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+
+
+def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
+    furnished: tuple[Room, list[Picture], list[Primitive]], tmp_path: Path
+) -> None:
+    room, pictures, found = furnished
+    numbers = np.stack([solid.numbers for solid in found])
+    place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
+    assert allowed(numbers, room.shell, NOBODY)[0]
+    assert not allowed(numbers, room.shell, kept_from(place[None], 0.0))[0]
+    assert not around(numbers, kept_from(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
+    joints = np.tile(place, (3, 24, 1))
+    joints[1], joints[2, 0] = 9.0, np.nan
+    person = Person(
+        "p0",
+        "mpfb",
+        30.0,
+        np.zeros((3, 72)),
+        np.zeros((3, 3)),
+        np.zeros(10),
+        joints,
+        np.array([True, False, True]),
+        np.zeros((3, 24)),
+        True,
+    )
+    places = walked([person])
+    assert len(places) == 1
+    assert np.abs(places[0, :3] - place).max() <= 0.1 + 1e-9
+    assert walked([]).shape == (0, 4)
+
+
+def seen_person(camera: Camera, joints_m: np.ndarray, frames: int = 4) -> tuple[Person, Detections]:
+    """A person who stands still, and what ``camera`` sees of them: surely, but for the last keypoint."""
+    person = Person(
+        "p0",
+        "mpfb",
+        30.0,
+        np.zeros((frames, 72)),
+        np.zeros((frames, 3)),
+        np.zeros(10),
+        np.tile(joints_m, (frames, 1, 1)),
+        np.ones(frames, bool),
+        np.zeros((frames, 24)),
+        True,
+    )
+    keypoints = np.tile(np.column_stack([camera.project(joints_m)[0], np.full(24, 0.9)]), (frames, 1, 1))
+    keypoints[:, -1, 2] = 0.1
+    return person, Detections(camera.name, "smpl", np.arange(frames), np.zeros(frames, int), keypoints)
+
+
+def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
+    room = made_room(table=False)
+    camera = looks(room)[0].camera
+    middle = camera.centre_m + 2.5 * camera.forward
+    joints = middle + np.array([0.0, 0.0, 0.02]) * np.arange(24)[:, None]
+    # The last joint stands apart, and its keypoint is not sure.
+    joints[-1] += 0.8 * camera.rotation_camera_from_world[0]
+    person, seen = seen_person(camera, joints)
+    free = seen_through([camera], [person], [seen], {(camera.name, 0): "p0"})
+    halfway = 0.5 * (camera.centre_m + joints[10])
+    assert np.linalg.norm(free[:, :3] - halfway, axis=1).min() < 0.2
+    assert np.linalg.norm(free[:, :3] - joints[10], axis=1).min() > 0.1, (
+        "a line ends before the joint, which may touch something"
+    )
+    unsure = 0.4 * camera.centre_m + 0.6 * joints[-1]
+    assert np.linalg.norm(free[:, :3] - unsure, axis=1).min() > 0.25
+    box = np.array([[0, *halfway[:2], 0.0, 0.3, 0.3, halfway[2] - 0.3, halfway[2] + 0.3]])
+    assert allowed(box, room.shell, NOBODY)[0]
+    assert not allowed(box, room.shell, free)[0]
+    beyond = camera.centre_m + 1.4 * (joints[10] - camera.centre_m)
+    behind = np.array([[0, *beyond[:2], 0.0, 0.2, 0.2, room.shell.low_m[2], room.shell.low_m[2] + 1.0]])
+    assert allowed(behind, room.shell, free)[0] == allowed(behind, room.shell, NOBODY)[0], (
+        "what stands behind somebody stays possible"
+    )
+
+
+@pytest.mark.parametrize(
+    "case", ["nobody's track", "another camera", "not measured", "two frames", "elsewhere in the picture"]
+)
+def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None:
+    camera = looks(made_room(table=False))[0].camera
+    joints = np.tile(camera.centre_m + 2.5 * camera.forward, (24, 1))
+    person, seen = seen_person(camera, joints, 2 if case == "two frames" else 4)
+    whose = {} if case == "nobody's track" else {(camera.name, 0): "p0"}
+    if case == "another camera":
+        seen = replace(seen, camera="elsewhere")
+    if case == "not measured":
+        person = replace(person, valid=np.zeros(4, bool))
+    if case == "elsewhere in the picture":
+        seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
+    assert seen_through([camera], [person], [seen], whose).shape == (0, 4)
+
+
+def test_colours_unlike_a_wall_are_told_from_its_own() -> None:
+    rng = np.random.default_rng(0)
+    rgb = np.zeros((1, 40, 60, 3), np.float32)
+    rgb[..., 2] = 0.5 + 0.05 * rng.random((1, 40, 60))
+    face = np.full((1, 40, 60), 3, np.int32)
+    rgb[:, 10:30, 20:30] = [0.8, 0.2, 0.1]
+    cost = np.where(rgb[..., 0] > 0.5, 0.5, 0.1).astype(np.float32)
+    odds = colour_odds(rgb, np.ones(face.shape, bool), face, cost)
+    assert (odds[:, 12:28, 22:28] > 0.9).all()
+    assert (odds[:, :, :18] < 0.2).all()
+    # A wall of which nothing was matched says nothing about its colours.
+    assert not colour_odds(rgb, np.ones(face.shape, bool), face, np.full(face.shape, 0.9, np.float32)).any()
+
+
+def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
+    room, pictures, found = furnished
+    depths = [p.depth_of(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
+    with_them, without = sheet(pictures, room.shell, [*found, POST], depths), sheet(pictures, room.shell, [], depths)
+    assert with_them.shape == without.shape == (3 * 360, 2 * 640, 3)
+    assert (with_them != without).any(axis=-1).mean() > 0.002

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Properties of triangulation, ray distances, grouping and bundle adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studiorecon.geometry.bundle import BundleSettings, moved, without_drift
+from studiorecon.geometry.rotations import exp
+from studiorecon.geometry.triangulation import triangulate
+from studiorecon.keypoints.correspondence import groups_of, ray_distances
+
+from tests.made.cameras import LIMITS, adjust, look_at, ring, seen
+
+RNG = np.random.default_rng
+ONES = np.ones
+
+
+def cloud(count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(-0.5, 0.5, (count, 3)) + np.array([0, 0, 1])
+
+
+def test_exact_pixels_give_the_exact_point():
+    points = cloud(200, RNG(0))
+    found = triangulate(seen(ring(), points), ONES((4, 200)), ring(), LIMITS)
+    assert found.verified.all()
+    assert np.abs(found.points_m - points).max() < 1e-9
+    assert np.nanmax(found.error_px) < 1e-6
+
+
+def test_the_given_sigma_is_the_error_that_occurs():
+    points = cloud(2000, RNG(1))
+    found = triangulate(seen(ring(), points, 1.0, RNG(2)), ONES((4, 2000)), ring(), LIMITS, noise_px=1.0)
+    error = np.linalg.norm(found.points_m - points, axis=-1)
+    assert np.sqrt((error**2).mean()) == pytest.approx(float(np.median(found.sigma_m)), rel=0.15)
+
+
+def test_three_times_the_noise_is_nine_times_the_covariance():
+    points = cloud(20, RNG(1))
+    one, three = (
+        triangulate(seen(ring(), points), ONES((4, 20)), ring(), LIMITS, noise_px=noise) for noise in (1.0, 3.0)
+    )
+    assert np.abs(three.covariance_m2 / one.covariance_m2 - 9).max() < 1e-6
+
+
+def test_moving_turning_and_scaling_the_world_moves_turns_and_scales_the_points():
+    points, cameras = cloud(100, RNG(3)), ring()
+    pixels = seen(cameras, points, 2.0, RNG(4))
+    rotation, shift = exp(np.array([0.3, -1.0, 2.0])), np.array([10.0, -20.0, 3.0])
+    turned = [moved(c, c.camera_from_world[:3, :3] @ rotation.T, 3.0 * rotation @ c.centre_m + shift) for c in cameras]
+    here = triangulate(pixels, ONES((4, 100)), cameras, LIMITS)
+    there = triangulate(pixels, ONES((4, 100)), turned, replace(LIMITS, near_m=0.3))
+    assert np.abs(3.0 * here.points_m @ rotation.T + shift - there.points_m).max() < 1e-6
+
+
+def test_permuting_views_permutes_the_answer_and_an_empty_view_changes_nothing():
+    points, cameras = cloud(100, RNG(5)), ring()
+    pixels = seen(cameras, points, 2.0, RNG(6))
+    order = [2, 0, 3, 1]
+    first = triangulate(pixels, ONES((4, 100)), cameras, LIMITS)
+    second = triangulate(pixels[order], ONES((4, 100)), [cameras[i] for i in order], LIMITS)
+    assert np.abs(first.points_m - second.points_m).max() < 1e-9
+    assert np.array_equal(first.inliers[order], second.inliers)
+    third = triangulate(
+        np.concatenate([pixels, np.full((1, 100, 2), np.nan)]), ONES((5, 100)), [*cameras, cameras[0]], LIMITS
+    )
+    assert np.array_equal(first.points_m, third.points_m)
+
+
+def test_no_points_are_no_points():
+    found = triangulate(np.zeros((4, 0, 2)), np.zeros((4, 0)), ring(), LIMITS)
+    assert found.points_m.shape == (0, 3)
+    assert found.sigma_m.shape == (0,)
+
+
+def test_ray_distance_is_the_gap_and_rays_that_meet_behind_are_infinitely_far():
+    origin, other = np.zeros(3), np.array([2.0, 0, 0.1])
+    ahead = ray_distances(origin, np.array([[1.0, 0, 0]]), other, np.array([[0, 1.0, 0]]) * -1)
+    assert not np.isfinite(ahead[0])  # passes at range 0 of the second ray
+    meets = ray_distances(origin, np.array([[1.0, 0, 0]]), np.array([2.0, -1.0, 0.1]), np.array([[0, 1.0, 0]]))
+    assert meets[0] == pytest.approx(0.1)
+    behind = ray_distances(origin, np.array([[-1.0, 0, 0]]), np.array([2.0, -1.0, 0.1]), np.array([[0, 1.0, 0]]))
+    assert not np.isfinite(behind[0])
+
+
+def test_groups_do_not_depend_on_the_order_of_the_nodes():
+    rng = RNG(7)
+    person = np.repeat(np.arange(3), 4)
+    view = np.tile(np.arange(4), 3)
+    distance = np.where(person[:, None] == person[None], 0.03, 0.6) + rng.uniform(0, 0.02, (12, 12))
+    distance = (distance + distance.T) / 2
+    distance[view[:, None] == view[None]] = np.nan
+    together = np.ones((12, 12), bool)
+    order = rng.permutation(12)
+    plain = {frozenset(g) for g in groups_of(distance, view, together, 0.15)}
+    shuffled = {
+        frozenset(int(order[n]) for n in g)
+        for g in groups_of(distance[np.ix_(order, order)], view[order], together, 0.15)
+    }
+    assert plain == shuffled == {frozenset(np.flatnonzero(person == p).tolist()) for p in range(3)}
+
+
+def test_bundle_adjustment_brings_a_turned_camera_back_and_leaves_the_world_where_it_was():
+    rng = RNG(8)
+    cameras, points = ring(), cloud(150, rng) * [1.5, 1.5, 1]
+    pixels = seen(cameras, points, 0.5, rng)
+    off = [
+        moved(c, exp(np.radians(a)) @ c.camera_from_world[:3, :3], c.centre_m)
+        for c, a in zip(cameras, ([0, 1.5, 0], [0, 0, 0], [0.3, 0, 0], [0, 0, 0]))
+    ]
+    start = triangulate(pixels, ONES((4, 150)), off, replace(LIMITS, outlier_units=20))
+    adjusted, _ = adjust(
+        off,
+        pixels,
+        np.where(start.valid, 1.0, 0.0) * ONES((4, 1)),
+        np.nan_to_num(start.points_m),
+        np.full(4, 6.0),
+        BundleSettings(40, 5.0, 0.5),
+    )
+    adjusted, similarity = without_drift(adjusted, cameras)
+    for camera, truth in zip(adjusted, cameras):
+        turned = camera.camera_from_world[:3, :3] @ truth.camera_from_world[:3, :3].T
+        assert np.degrees(np.linalg.norm(turned - np.eye(3)) / np.sqrt(2)) < 0.15
+        assert np.linalg.norm(camera.centre_m - truth.centre_m) < 0.01
+    assert similarity[2] == pytest.approx(1.0, abs=0.02)
+
+
+def test_removing_drift_takes_a_common_similarity_off_exactly():
+    cameras = [*ring(3), look_at("d", np.array([0.5, 3.0, 2.5]), [0, 0, 1])]
+    rotation = exp(np.array([0.02, -0.05, 0.1]))
+    drifted = [
+        moved(c, c.camera_from_world[:3, :3] @ rotation.T, 1.1 * rotation @ c.centre_m + [0.1, 0.2, -0.3])
+        for c in cameras
+    ]
+    for camera, truth in zip(without_drift(drifted, cameras)[0], cameras):
+        assert np.abs(camera.camera_from_world - truth.camera_from_world).max() < 1e-9
+
+
+def test_a_person_in_hundreds_of_short_tracks_is_grouped_in_a_moment():
+    """One person whom four detectors lose all the time: 240 tracks; growing groups from every pair anew took
+    minutes."""
+    view, start = np.repeat(np.arange(4), 60), np.tile(np.arange(60), 4)
+    meets = np.abs(start[:, None] - start[None]) <= 1
+    distance = np.where(meets & (view[:, None] != view[None]), 0.05, np.nan)
+    groups = groups_of(distance, view, start[:, None] == start[None], 0.25)
+    assert [len(g) for g in groups] == [240]

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of enhance folder and their neighbours share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from studiorecon.enhance.recursion import enhanced
+from studiorecon.models.protocols import Moment
+from studiorecon.scene.path import PathStep
+
+from tests.made.enhance import SEARCH
+from tests.made.enhance_limits import PAPER
+from tests.made.scene import ring
+
+VIEW = ring([0], "view", wh=(96, 64))[0]
+
+
+def panning(count: int, seed: int = 3, noise: float = 4.0) -> list[np.ndarray]:
+    """A texture that moves 1.5 px per picture, with fresh noise in every one."""
+    rng = np.random.default_rng(seed)
+    texture = cv2.GaussianBlur(rng.random((64, 96 + 2 * count, 3)).astype(np.float32), (0, 0), 2.0)
+    texture = 255 * (texture - texture.min()) / np.ptp(texture)
+    rows, columns = np.mgrid[:64, :96].astype(np.float32)
+    moved = [cv2.remap(texture, columns + np.float32(1.5 * k), rows, cv2.INTER_LINEAR) for k in range(count)]
+    return [np.clip(np.rint(m + rng.normal(0, noise, m.shape)), 0, 255).astype(np.uint8) for m in moved]
+
+
+class Warmer:
+    """An enhancer that changes colours a little, so that outputs differ from inputs."""
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        return np.clip(image + np.float32([0.02, 0.0, -0.01]), 0, 1)
+
+
+def played(
+    pictures: list[np.ndarray], enhancer: object, before: tuple = (), injection: object = PAPER
+) -> list[np.ndarray]:
+    steps = [PathStep(VIEW, float(k), "a") for k in range(len(pictures))]
+    depths = [np.full(VIEW.hw, 2000, np.uint16)] * len(pictures)
+    return list(enhanced(steps, pictures, depths, lambda step: pictures[0], enhancer, injection, SEARCH, before))
+
+
+def write_pictures(folder: Path, pictures: list[np.ndarray]) -> Path:
+    folder.mkdir(parents=True)
+    for index, picture in enumerate(pictures):
+        cv2.imwrite(str(folder / f"frame{index:04d}.png"), picture[..., ::-1])
+    return folder

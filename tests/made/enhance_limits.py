@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of enhance limits and their neighbours share."""
+
+from __future__ import annotations
+
+from studiorecon.enhance.injection import Injection
+
+PAPER = Injection(
+    history=3,
+    strength=0.3,
+    moving_strength=0.3,
+    decay=0.5,
+    error="mean",
+    error_threshold=30.0,
+    blurred="confidence",
+    blur_px=11,
+    blur_sigma_px=2.0,
+    form="residual",
+    settle=False,
+    flow="direct",
+    check=True,
+    cut_share=0.1,
+)

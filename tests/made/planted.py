@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of planted and their neighbours share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+from studiorecon.settings import load
+from studiorecon.survey.judge import Settings
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+SETTINGS = load(Settings, yaml.safe_load((ROOT / "config/config.yaml").read_text())["survey"], "survey")

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""README's table of networks, written from their cards: ``python -m tests.models.networks_table``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.models.catalogue.card import Card
+from studiorecon.models.catalogue.registry import MODELS
+from studiorecon.models.catalogue.selection import CHOICES
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+BEGIN, END = "<!-- networks -->\n", "<!-- networks end -->\n"
+TRIED = {"random weights": "with random weights", "parts": "its parts alone", "never": "never"}
+# What is asked for otherwise than by a setting that names it.
+ELSEWHERE = {
+    "body model": "`body`",
+    "perceptual distance": "`report.lpips`, LPIPS terms of training",
+    "canonical avatar": "`humans/PERSON.canonical.ply`, on request",
+}
+
+
+def asked_by(card: Card) -> str:
+    """The settings that name a network."""
+    found = [f"`{where}`" for where, choice in CHOICES.items() if card.name in choice.networks]
+    return ", ".join(found) or ELSEWHERE[card.kind]
+
+
+def table() -> str:
+    """The table as Markdown, a row per card."""
+    head = ("network", "name", "asked for by", "code", "weights", "commercial use", "ran here", "not checked here")
+    rows = [head, ("---",) * len(head)]
+    for card in MODELS.values():
+        terms = card.terms
+        gate = ", access must be asked for" if any(file.gated for file in card.weights) else ""
+        condition = f": {terms.condition}" if terms.condition else ""
+        allowed = terms.commercial + condition
+        name = f"`{card.name}`"
+        rows.append(
+            (
+                card.title,
+                name,
+                asked_by(card),
+                terms.code,
+                terms.weights + gate,
+                allowed,
+                TRIED[card.tried],
+                card.unchecked,
+            )
+        )
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def written(text: str) -> str:
+    """``text`` with the table between its marks renewed; ValueError when it has no marks."""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"README.md has no {BEGIN.strip()} … {END.strip()}")
+    return before + begin + table() + end + after
+
+
+if __name__ == "__main__":
+    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")

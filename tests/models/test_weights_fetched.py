@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``snakemake weights`` with the hub's real client, from a server on this machine: broken off and resumed, damaged, not
+allowed, no room."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.models.catalogue.checksums import digest, read_pins
+from studiorecon.models.catalogue.confined import OFFLINE
+from studiorecon.models.catalogue.registry import MODELS
+
+from tests.made.hub import Hub, serving
+
+pytest.importorskip("huggingface_hub", reason="huggingface_hub is not installed")
+
+
+def content_of(name: str, size: int = 200_000) -> dict[tuple[str, str], bytes]:
+    """Something for every file of a network that a hub has."""
+    source = np.random.default_rng(3)
+    return {(f.repository, f.remote): source.bytes(size) for f in MODELS[name].weights if f.repository}
+
+
+def weights(hub: Hub, name: str, folder: Path, before: Callable[[], None] | None = None) -> tuple[int, str]:
+    """Status and words of the step of ``snakemake weights``, in a process of its own: the client asks once where its
+    hub is."""
+    environment = {key: value for key, value in os.environ.items() if key not in OFFLINE}
+    environment |= {"HF_ENDPOINT": hub.address, "HF_HUB_DISABLE_XET": "1", "HF_HUB_DISABLE_PROGRESS_BARS": "1"}
+    environment |= {"HF_HOME": str(folder / "home"), "HF_HUB_DISABLE_TELEMETRY": "1"}
+    command = [sys.executable, "-m", "studiorecon", "models.weights", "--models", name]
+    command += ["--weights", str(folder / "weights"), "--fetching", "yes"]
+    done = subprocess.run(command, env=environment, text=True, capture_output=True, timeout=300, preexec_fn=before)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.timeout(300)
+def test_files_come_at_the_cards_commit_and_once(tmp_path: Path) -> None:
+    with serving(Hub(content_of("fixer"))) as hub:
+        status, said = weights(hub, "fixer", tmp_path)
+        assert status == 0, said
+        assert said.count("VERIFIED") == len(MODELS["fixer"].weights) == len(hub.asked)
+        assert {commit for _, commit, _ in hub.asked} == {MODELS["fixer"].weights[0].revision}
+        for file in MODELS["fixer"].weights:
+            assert (tmp_path / "weights" / file.path).read_bytes() == hub.files[file.repository, file.remote]
+        weights(hub, "fixer", tmp_path)
+        assert len(hub.asked) == len(MODELS["fixer"].weights), "what is there is not fetched again"
+
+
+@pytest.mark.timeout(300)
+def test_what_was_broken_off_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    wanted = MODELS["fixer"].weights
+    # The client writes down ten megabytes at a time.
+    large = {(wanted[0].repository, wanted[0].remote): np.random.default_rng(4).bytes(25_000_000)}
+    with serving(Hub(content_of("fixer") | large)) as hub:
+        hub.breaks_at = 12_000_000
+        status, said = weights(hub, "fixer", tmp_path)
+        hub.breaks_at = None
+        if status:
+            assert "could not be fetched" in said
+            status, said = weights(hub, "fixer", tmp_path)
+        assert status == 0, said
+        resumed = [given for _, _, given in hub.asked if given]
+        assert resumed, "every try began anew"
+        assert int(resumed[0].removeprefix("bytes=").partition("-")[0]) >= 10_000_000
+        for file in wanted:
+            assert (tmp_path / "weights" / file.path).read_bytes() == hub.files[file.repository, file.remote]
+
+
+@pytest.mark.timeout(300)
+def test_a_file_that_is_not_what_was_published_is_refused_and_not_remembered(tmp_path: Path) -> None:
+    with serving(Hub(content_of("moge"))) as hub:
+        status, said = weights(hub, "moge", tmp_path)
+        assert status == 1
+        assert "expected 280741fd09bc" in said
+        assert not read_pins(tmp_path / "weights")
+    with serving(Hub(content_of("fixer"), stated={"base/tokenizer_fast.pth": "0" * 64})) as hub:
+        status, said = weights(hub, "fixer", tmp_path)
+        assert status == 1
+        assert "base/tokenizer_fast.pth is not what its publisher has" in said
+        assert "fixer/base/tokenizer_fast.pth" not in read_pins(tmp_path / "weights")
+
+
+@pytest.mark.timeout(300)
+def test_terms_that_nobody_agreed_to_are_a_sentence(tmp_path: Path) -> None:
+    with serving(Hub(content_of("sam3"), gated={"facebook/sam3"})) as hub:
+        status, said = weights(hub, "sam3", tmp_path)
+    assert status == 1
+    assert "GatedRepoError" in said
+    assert "agree to its terms there, and log in with the hub's client" in said
+    assert "Traceback" not in said
+    assert not hub.asked
+
+
+@pytest.mark.timeout(300)
+def test_code_that_comes_along_is_what_that_commit_has(tmp_path: Path) -> None:
+    code = {("nvidia/difix_ref", "unet/mv_unet.py"): b"print('network')\n"}
+    with serving(Hub(content_of("difix", 2000) | code)) as hub:
+        status, said = weights(hub, "difix", tmp_path)
+        assert status == 0, said
+        assert "unet/mv_unet.py" in said
+        (tmp_path / "weights/difix/difix_ref/model_index.json").unlink()
+        hub.stated = {"unet/mv_unet.py": "1" * 40}
+        status, said = weights(hub, "difix", tmp_path)
+        assert status == 1
+        assert "unet/mv_unet.py is not what" in said
+
+
+@pytest.mark.timeout(300)
+def test_no_room_is_a_sentence(tmp_path: Path) -> None:
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    with serving(Hub(content_of("fixer"))) as hub:
+        status, said = weights(hub, "fixer", tmp_path, little_room)
+    assert status == 1
+    assert "could not be fetched" in said
+    assert "make room in" in said
+    assert "Traceback" not in said
+
+
+def test_the_stand_in_names_content_as_a_hub_does(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"x" * 2000)
+    assert Hub({}).checksum("a", b"x" * 2000) == digest(tmp_path / "a")

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``studiorecon.load``: a finished scene as arrays, whole or with a sentence about who is missing."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import studiorecon
+from studiorecon.errors import UserError
+from studiorecon.scene.files import read_json, write_json, write_npz
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.path import PathStep, write_path
+from studiorecon.scene.people import write_people
+from studiorecon.splatting.rigid_object import RigidObject, write_objects
+
+from tests.made.scene import FPS, FRAMES, write_scene
+
+
+def results(folder: Path, root: Path, people: int) -> Path:
+    """``results/made`` of a small scene: who is listed, one film, and one loose thing that the survey asked for."""
+    cameras = write_scene(folder, root, people, filmed=False)
+    if people:
+        listed = [(f"p{i}", FRAMES, "cam0,cam1", 1.0, "keypoints") for i in range(people)]
+        write_people(folder / "people/people.tsv", listed)
+    write_path(folder / "render/orbit.json", [PathStep(cameras["training"][0], 1.5, "00")] * 3, FPS)
+    (folder / "render/orbit.mkv").write_bytes(b"film")
+    (folder / "render/room.light.json").write_text("{}")
+    ball = read_ply(folder / "background/scene.ply").take(np.arange(20))
+    centres = np.tile([0.1, 0.2, 0.3], (FRAMES, 1))
+    known = np.ones(FRAMES, bool)
+    write_objects(
+        folder / "objects/objects.npz",
+        [RigidObject("o0", ball, np.zeros(20, np.uint8), centres, known, known, 0.1)],
+        FRAMES,
+    )
+    verdict(folder, "on")
+    return folder
+
+
+def verdict(folder: Path, said: str) -> None:
+    entry = {"effect": "dynamic_objects", "statistic": "", "value": 1.0, "interval": None, "threshold": 0.5}
+    write_json(folder / "survey/decisions.json", {"decisions": [{**entry, "verdict": said, "reason": ""}]})
+
+
+@pytest.mark.parametrize("people", [0, 1, 7])
+def test_a_scene_is_read_whole(tmp_path: Path, root: Path, people: int) -> None:
+    scene = studiorecon.load(str(results(tmp_path, root, people)))
+    assert (scene.name, scene.capture.fps, scene.capture.frames) == ("made", FPS, FRAMES)
+    assert [c.name for c in scene.cameras] == ["cam0", "cam1", "cam2", "cam3"]
+    assert scene.provenance.shape == (scene.room.count,)
+    assert set(scene.provenance.tolist()) == {0, 1, 2}
+    assert [p.person for p in scene.people] == [f"p{i}" for i in range(people)]
+    assert [step.frame for step in scene.paths["orbit"]] == [1.5] * 3
+    assert list(scene.paths) == ["orbit"], "the light is no film"
+    assert [thing.posed(2.5).count for thing in scene.things] == [20]
+    for person in scene.people:
+        assert person.poses.shape == (FRAMES, 72)
+        assert np.abs(person.posed(0).means_m.mean(axis=0)[:2] - person.trans[0, :2]).max() < 0.3
+
+
+def test_things_that_the_survey_no_longer_asks_for_are_not_read(tmp_path: Path, root: Path) -> None:
+    folder = results(tmp_path, root, 0)
+    assert [thing.person for thing in studiorecon.load(folder).things] == ["o0"]
+    verdict(folder, "off")
+    assert not studiorecon.load(folder).things
+
+
+def test_who_has_no_gaussians_is_said_and_left_out(
+    tmp_path: Path, root: Path, capsys: pytest.CaptureFixture, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = results(tmp_path, root, 3)
+    (folder / "humans/p1.ply").unlink()
+    with caplog.at_level("INFO", "studiorecon"):
+        scene = studiorecon.load(folder)
+    assert [p.person for p in scene.people] == ["p0", "p2"]
+    assert "p1 of scene made has no Gaussians" in caplog.text + capsys.readouterr().out
+
+
+def test_what_does_not_belong_together_is_refused(tmp_path: Path, root: Path) -> None:
+    with pytest.raises(UserError, match="holds no finished scene"):
+        studiorecon.load(tmp_path / "nowhere")
+    folder = results(tmp_path, root, 1)
+    with pytest.raises(UserError, match=r"body model .*nobody\.npz is missing"):
+        studiorecon.load(folder, body=tmp_path / "nobody.npz")
+    manifest = read_json(folder / "capture/manifest.json")
+    write_json(folder / "capture/manifest.json", {**manifest, "frames": 2})
+    with pytest.raises(UserError, match=r"the motion of p0 in scene made has 6 frames and the capture 2"):
+        studiorecon.load(folder)
+    write_npz(folder / "background/provenance.npz", {"provenance": np.zeros(3, np.uint8)})
+    with pytest.raises(UserError, match="does not describe the"):
+        studiorecon.load(folder)
+
+
+def test_the_readme_s_lines_run(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    written = re.search(r"```python\n(import studiorecon\n.*?)```", (root / "README.md").read_text(), re.DOTALL)
+    assert written
+    results(tmp_path / "results/demo", root, 1)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(written.group(1), "README.md", "exec"), {})
+    assert f"({FRAMES}, 72)" in capsys.readouterr().out

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corrected identities are taken as they stand, and mistakes in them are named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.people.association.corrected import read_corrected, rows_of
+from studiorecon.scene.people import Detections
+
+
+def detections(camera: str, frames_of_tracks: dict[int, list[int]]) -> Detections:
+    frame = np.array([f for frames in frames_of_tracks.values() for f in frames])
+    track = np.array([t for t, frames in frames_of_tracks.items() for _ in frames])
+    return Detections(camera, "coco17", frame, track, np.zeros((len(frame), 17, 3)))
+
+
+FOUND = [detections("a", {0: [0, 1, 2], 1: [5, 6]}), detections("b", {0: [1, 2, 3], 4: [0]}), detections("c", {2: [0]})]
+
+
+def write(folder: Path, *lines: tuple[str, int, str]) -> Path:
+    path = folder / "identities.tsv"
+    path.write_text("camera\ttrack\tperson\n" + "".join(f"{c}\t{t}\t{p}\n" for c, t, p in lines))
+    return path
+
+
+def test_corrections_are_taken_and_what_is_left_out_belongs_to_nobody(tmp_path: Path) -> None:
+    table = read_corrected(
+        write(tmp_path, ("a", 0, "p1"), ("b", 0, "p1"), ("a", 1, "p0"), ("c", 2, "p0"), ("b", 4, "")), FOUND
+    )
+    assert table == {("a", 0): "p1", ("a", 1): "p0", ("b", 0): "p1", ("b", 4): "", ("c", 2): "p0"}
+    assert rows_of(table, FOUND) == [("p0", 3, "a,c", 1.0, "corrected"), ("p1", 4, "a,b", 1.0, "corrected")]
+    short = read_corrected(write(tmp_path, ("a", 0, "p0"), ("b", 0, "p0")), FOUND)
+    assert {key for key, person in short.items() if not person} == {("a", 1), ("b", 4), ("c", 2)}
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (("a", 7, "p0"), "track 7 of camera a, which was not detected"),
+        (("d", 0, "p0"), "track 0 of camera d"),
+        (("a", 0, "Anna"), "'Anna'; people are called p0"),
+        (("a", 0, "p0"), "gives p0 tracks of camera a only"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, line: tuple[str, int, str], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        read_corrected(write(tmp_path, line), FOUND)

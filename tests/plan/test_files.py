@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which files rules take: of the dataset, of who was found, of what the survey decided."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace as Wildcards
+from typing import Any
+
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.plan.files import Files
+from studiorecon.plan.make import make_plan
+from studiorecon.plan.told import section, settings, shot_settings, shown_settings
+from studiorecon.scene.people import write_people
+
+SCENE = Wildcards(scene="capture")
+
+
+class Asked:
+    """Snakemake's checkpoints of a run in which ``finished`` have run; who was asked is counted."""
+
+    def __init__(self, folder: Path, **finished: Any) -> None:
+        self.asked: list[str] = []
+        for name in ("people_associate", "people_without_keypoints", "survey_decide"):
+            setattr(self, name, Wildcards(get=self._get(name, finished.get(name))))
+
+    def _get(self, name: str, output: Any) -> Any:
+        def get(scene: str) -> Any:
+            self.asked.append(name)
+            assert scene == "capture"
+            if output is None:
+                raise LookupError(f"{name} has not run")
+            return Wildcards(output=Wildcards(**output))
+
+        return get
+
+
+@pytest.fixture
+def found(tmp_path: Path) -> dict[str, Any]:
+    """Two with keypoints, one rejected; one more against the plates; views and exposures called for."""
+    rows = [(name, 9, "left,right", 0.9, "keypoints") for name in ("p0", "p1")]
+    write_people(tmp_path / "with.tsv", rows, [("x0", 1, "left", 0.1, "keypoints", "rejected", "no depth")])
+    write_people(tmp_path / "all.tsv", [*rows, ("p2", 9, "left,right", 0.8, "hull")])
+    verdicts = {"view_synthesis": "on", "exposure": "on", "moving_shadows": "on", "dynamic_objects": "undetermined"}
+    decided = [{"effect": effect, "verdict": verdict} for effect, verdict in verdicts.items()]
+    (tmp_path / "decisions.json").write_text(json.dumps({"decisions": decided}))
+    return {
+        "people_associate": {"people": str(tmp_path / "with.tsv"), "who": "who"},
+        "people_without_keypoints": {"people": str(tmp_path / "all.tsv"), "silhouettes": "silhouettes"},
+        "survey_decide": {"decisions": str(tmp_path / "decisions.json")},
+    }
+
+
+def files_of(config: dict[str, Any], home: Path, checkpoints: Any = None) -> Files:
+    return Files(make_plan(config, home), config, home, lambda path: f"local:{path}", checkpoints)
+
+
+def test_a_users_files_lie_where_they_lie_and_a_studios_are_results(configured, capture, home):
+    own, left = files_of(configured(), home), Wildcards(scene="capture", camera="left")
+    assert own.footage(left) == f"local:{capture}/videos/left.mp4"
+    assert own.keypoints(left) == f"local:{capture}/keypoints/left"
+    assert own.calibration == [f"local:{capture}/{name}.yml" for name in ("intri", "extri")]
+    assert own.body == own.given_body == "local:resources/body.npz", "as given where it is a file from here"
+    made = files_of(configured(dataset="resources/studio/tiny.yaml"), home)
+    assert made.footage(Wildcards(camera="cam1")) == "results/studio/tiny/dataset/videos/cam1.mp4"
+    assert made.truth(SCENE) == ["results/studio/tiny/truth"]
+
+
+def test_what_was_made_elsewhere_is_found_by_its_name(configured, home, tmp_path):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth/left.npy").touch()
+    config = configured(depth={"source": "precomputed", "precomputed": str(tmp_path / "depth")})
+    files = files_of(config, home)
+    assert files.estimated_depth(Wildcards(camera="left")) == f"local:{tmp_path}/depth/left.npy"
+    with pytest.raises(UserError, match=r"depth.precomputed is .* has no right with one of the endings .exr, .npy"):
+        files.estimated_depth(Wildcards(camera="right"))
+    own = files_of(configured(depth={"source": "moge"}), home)
+    assert own.estimated_depth(Wildcards(scene="s", camera="right")) == "results/s/depth/right.estimate.exr"
+
+
+def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
+    (capture / "keypoints/back").rmdir()
+    files = files_of(configured(), home)
+    tracks = [f"results/capture/tracks/{camera}.npz" for camera in ("back", "left", "right")]
+    assert files.first_detections(SCENE) == tracks
+    assert files.detections(SCENE) == ["results/capture/people/detections/back.npz", *tracks[1:]]
+    assert files.seen_people(Wildcards(scene="capture", camera="left")) == []
+    assert len(files.seen_people(Wildcards(scene="capture", camera="back"))) == 3
+    assert files.keypoints(Wildcards(scene="capture", camera="back")) == "results/capture/detect/found/back.npz"
+
+
+def test_without_plates_association_alone_says_who_is_there(configured, home, tmp_path, found):
+    asked = Asked(tmp_path, people_associate=found["people_associate"])
+    files = files_of(configured(), home, asked)
+    assert files.fits(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)], "the rejected is nobody"
+    assert files.people(Wildcards()) == files.people(SCENE), "a target without wildcards is of the run's own scene"
+    person = Wildcards(scene="capture", person="p1")
+    assert (files.tracks_of(person), files.silhouettes_of(person)) == (["who/p1.tsv"], [])
+    assert set(asked.asked) == {"people_associate"}
+
+
+def test_who_has_no_keypoints_is_fitted_to_silhouettes_after_those_who_have(configured, capture, home, tmp_path, found):
+    (capture / "plates").mkdir()
+    for camera in ("left", "right", "back"):
+        (capture / "plates" / f"{camera}.png").touch()
+    first = files_of(configured(), home, Asked(tmp_path, people_associate=found["people_associate"]))
+    assert first.fits_with_keypoints(SCENE) == [f"results/capture/people/p{k}.npz" for k in (0, 1)]
+    assert first.tracks_of(Wildcards(scene="capture", person="p0")) == ["who/p0.tsv"], "fitted before the plates speak"
+    assert first.silhouettes_of(Wildcards(scene="capture", person="p0")) == []
+    with pytest.raises(LookupError, match="people_without_keypoints"):
+        first.fits(SCENE)
+    both = files_of(configured(), home, Asked(tmp_path, **found))
+    assert both.people(SCENE) == ["p0", "p1", "p2"]
+    last = Wildcards(scene="capture", person="p2")
+    assert (both.tracks_of(last), both.silhouettes_of(last)) == ([], ["silhouettes/p2.npz"])
+
+
+def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
+    (capture / "capture.yaml").write_text("people: 0\n")
+    asked = Asked(tmp_path)
+    files = files_of(configured(), home, asked)
+    for nothing in (
+        files.people,
+        files.fits,
+        files.masks,
+        files.identities,
+        files.room_light,
+        files.room_shade,
+        files.detections,
+    ):
+        assert nothing(SCENE) == []
+    assert asked.asked == []
+
+
+def test_verdicts_call_for_files_and_what_is_forced_asks_nobody(configured, home, tmp_path, found):
+    files = files_of(configured(), home, Asked(tmp_path, **found))
+    assert files.gains(SCENE) == ["results/capture/survey/gains.json"]
+    assert [Path(path).name for path in files.views(SCENE)] == [f"{s}.mkv" for s in files.plan.segments]
+    assert files.loose_objects(SCENE) == [], "undetermined is not on"
+    assert files.room_light(SCENE) == ["results/capture/render/room.light.json"]
+    assert files.room_shade(SCENE) == ["results/capture/render/room.shade.npz"]
+    asked = Asked(tmp_path)
+    off = files_of(configured(survey={"force": {"exposure": "off", "view_synthesis": "on"}}), home, asked)
+    assert off.gains(SCENE) == []
+    assert off.segments(SCENE) == off.plan.segments
+    assert asked.asked == []
+
+
+def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home, tmp_path):
+    for name in ("her.ply", "her.npz"):
+        (tmp_path / name).touch()
+    shots = {
+        "far": {"kind": "file", "file": "path.json", "reference": "edited.png"},
+        "swapped": {"kind": "orbit", "replace": {"p0": str(tmp_path / "her.ply"), "p1": "p0", "p2": "nobody"}},
+    }
+    files = files_of(configured(render={"shots": shots}), home)
+    far, swapped = (Wildcards(scene="capture", shot=shot) for shot in shots)
+    assert (files.shot_path(far), files.shot_path(swapped)) == (["local:path.json"], [])
+    assert files.edited_reference(far) == ["local:edited.png"]
+    assert files.stand_ins(swapped) == [str(tmp_path / name) for name in ("her.ply", "her.npz")]
+    assert files.truth_of_replaced(swapped) == ["results/capture/render/swapped.truth.mkv"]
+    assert files.truth_of_replaced(far) == []
+
+
+def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configured):
+    config = configured(survey={"force": {"temporal_appearance": "on", "enhancement": "off", "injection": "off"}})
+    assert section("humans.train", config)["temporal"]["use"] == "always"
+    assert section("enhance.shot", config)["enhancer"] == "none"
+    assert section("enhance.shot", config)["injection"]["history"] == 0
+    assert "review" not in json.loads(settings("people.fit", config))
+
+
+def test_a_films_settings_are_of_that_film_and_a_reference_renders_nothing_again(configured):
+    shots = {"a": {"kind": "orbit", "reference": "x.png"}, "b": {"kind": "train", "replace": {"p0": "p1"}}}
+    config = configured(render={"shots": shots})
+    film, layers = shot_settings("render.shot", config), shot_settings("render.layers", config, ("replace",))
+    assert json.loads(film(Wildcards(shot="a")))["shots"] == {"a": {"kind": "orbit"}}
+    assert json.loads(layers(Wildcards(shot="b")))["shots"] == {"b": {"replace": {"p0": "p1"}}}
+    assert json.loads(film(Wildcards(shot="train")))["shots"] == {}
+
+
+def test_the_page_shows_what_makes_the_result(configured):
+    shown = json.loads(shown_settings(configured()))
+    assert not {"sweep", "sweep_minutes", "images"} & set(shown)
+    assert "dataset" in shown

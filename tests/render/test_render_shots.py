@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""render: the kinds of camera paths, and what a film's ledger says about them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from studiorecon.body.model import BodyModel
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.errors import UserError
+from studiorecon.render.composite import Composite
+from studiorecon.render.given import GivenPath, path_steps
+from studiorecon.render.keyframes import read_keys, spline_steps
+from studiorecon.render.kinds import KINDS, film
+from studiorecon.render.moves import DollyZoom, Follow, Oscillate, dolly_zoom_steps, follow_steps, oscillate_steps
+from studiorecon.render.planning import plan
+from studiorecon.render.shot import subjects_of
+from studiorecon.render.statistics import angles_deg, obstacles
+from studiorecon.render.subjects import Subjects
+from studiorecon.scene.path import PathStep
+
+from tests.made.scene import FPS, WH, avatar, ring, room
+
+CAMERAS = ring([0, 90, 180, 270], "cam")
+T = 41
+
+
+@pytest.fixture(scope="module")
+def subjects() -> Subjects:
+    """One person walks 2 m along x, facing there; another stands at (0, 1)."""
+    walk = np.stack([np.linspace(-1, 1, T), np.zeros(T), np.full(T, 0.95)], axis=1)
+    facing = np.tile([1.0, 0.0], (T, 1))
+    stands = np.tile([0.0, 1.0, 0.95], (T, 1))
+    return Subjects({"p0": walk, "p1": stands}, {"p0": facing, "p1": facing}, np.array([0, 0, 1.0]), T, FPS)
+
+
+def seen_size(step: PathStep, place_m: np.ndarray) -> float:
+    """Pixels that a horizontal metre, square to the view, takes at a place."""
+    return step.camera.focal_px[0] / float(step.camera.project(place_m[None])[1][0])
+
+
+DOLLY = DollyZoom("dolly_zoom", 31, (0.0, 0.0, 1.0), "cam1", (1.0, 0.5), 2, 1.5, "stretch")
+
+
+def test_a_dolly_zoom_keeps_the_size_of_its_target_while_the_camera_travels(subjects: Subjects) -> None:
+    steps = dolly_zoom_steps(DOLLY, "dolly", CAMERAS, subjects, WH)
+    sizes = [seen_size(step, np.array(DOLLY.target)) for step in steps]
+    assert sizes == pytest.approx([sizes[0]] * 31)
+    own = PathStep(CAMERAS[1], 0.0, "")
+    assert sizes[0] == pytest.approx(1.5 * seen_size(own, np.array(DOLLY.target))), (
+        "a multiple of its size in the camera's own picture"
+    )
+    travel = np.array([np.linalg.norm(s.camera.centre_m - DOLLY.target) for s in steps]) / np.linalg.norm(
+        CAMERAS[1].centre_m - DOLLY.target
+    )
+    assert travel[[0, 15, 30]] == pytest.approx([1, 0.5, 1])
+    assert (np.diff(travel[:16]) < 0).all()
+    behind = np.array([0.0, -1.5, 1.0])
+    assert seen_size(steps[15], behind) < 0.8 * seen_size(steps[0], behind), "the room behind the target opens up"
+
+
+def test_a_dolly_zoom_is_locked_on_a_person_who_walks(subjects: Subjects) -> None:
+    steps = dolly_zoom_steps(replace(DOLLY, target="p0", camera="cam3"), "dolly", CAMERAS, subjects, WH)
+    places = subjects.at("p0", np.array([s.frame for s in steps]), "dolly")
+    sizes = [seen_size(step, place) for step, place in zip(steps, places)]
+    assert sizes == pytest.approx([sizes[0]] * 31)
+    pixels = np.array([s.camera.project(p[None])[0][0] for s, p in zip(steps, places)])
+    assert np.abs(pixels - np.array(WH) / 2).max() < 1e-6
+    assert places[-1, 0] - places[0, 0] > 1.5
+
+
+def test_a_dolly_zoom_into_its_target_is_refused(subjects: Subjects) -> None:
+    with pytest.raises(UserError, match=r"comes within 0\.05 m of its target in picture 15"):
+        dolly_zoom_steps(replace(DOLLY, distances=(1.0, 0.02)), "dolly", CAMERAS, subjects, WH)
+
+
+def test_an_oscillation_swings_evenly_about_its_camera(subjects: Subjects) -> None:
+    shot = Oscillate("oscillate", 80, "scene", "cam2", 20.0, 0.1, 2.0, 0.9, 1.0, "loop")
+    steps = oscillate_steps(shot, "swing", CAMERAS, subjects, WH, np.ones(80))
+    eyes = np.array([s.camera.centre_m for s in steps]) - subjects.scene_m
+    azimuth = np.degrees(np.unwrap(np.arctan2(eyes[:, 1], eyes[:, 0]))) - 180
+    assert (azimuth.min(), azimuth.max()) == pytest.approx((-20, 20), abs=0.1)
+    assert np.linalg.norm(eyes[:, :2], axis=1) == pytest.approx(0.9 * 2.4)
+    assert np.ptp(eyes[:, 2]) == pytest.approx(0.2, abs=1e-3)
+    # Pictures follow each other without a jump, also from the last to the first: the film can be looped.
+    gaps = np.linalg.norm(np.diff(eyes, axis=0, append=eyes[:1]), axis=1)
+    assert gaps.max() < 2 * np.median(gaps)
+
+
+def test_a_following_camera_keeps_its_place_beside_the_person(subjects: Subjects) -> None:
+    shot = Follow("follow", T, "p0", 2.0, 0.5, 180.0, "person", 0.2, 1.0, "stretch")
+    steps = follow_steps(shot, "follow", CAMERAS, subjects, WH, np.ones(T))
+    places = subjects.at("p0", np.arange(float(T)), "follow", 0.2)
+    offsets = np.array([s.camera.centre_m for s in steps]) - places
+    assert np.abs(offsets - [-2.0, 0, 0.5]).max() < 1e-9, "behind a person who faces x"
+    turned = replace(subjects, facing={"p0": np.tile([0.0, 1.0], (T, 1))})
+    beside = follow_steps(shot, "follow", CAMERAS, turned, WH, np.ones(T))
+    assert np.abs(np.array([s.camera.centre_m for s in beside]) - places - [0, -2.0, 0.5]).max() < 1e-9
+    fixed = follow_steps(replace(shot, beside="world"), "follow", CAMERAS, turned, WH, np.ones(T))
+    assert np.abs(np.array([s.camera.centre_m for s in fixed]) - places - [-2.0, 0, 0.5]).max() < 1e-9
+
+
+def test_facing_does_not_wrap(subjects: Subjects) -> None:
+    """A person who faces 179 and -179 degrees in turn faces 180, not 0 (F01's trap, for headings)."""
+    angle = np.radians(np.where(np.arange(T) % 2, 179, -179))
+    turned = replace(subjects, facing={"p0": np.stack([np.cos(angle), np.sin(angle)], axis=1)})
+    facing = turned.facing_at("p0", np.arange(float(T)), "follow", 1.0)
+    assert np.abs(np.degrees(np.abs(facing)) - 180).max() < 1.0
+
+
+def key(picture: int, frame: float, eye: tuple, target: object = "scene", zoom: float = 1.0) -> dict:
+    return {"picture": picture, "frame": frame, "eye_m": list(eye), "target": target, "zoom": zoom}
+
+
+KEYS = [
+    key(0, 0, (2, 0, 1.5)),
+    key(20, 20, (2, 1, 1.5)),
+    key(60, 20, (-2, 1, 1.5), zoom=2.0),
+    key(80, 40, (-2, 0, 1.5), zoom=2.0),
+]
+
+
+def test_a_spline_passes_through_its_keys_and_stops_time_between_equal_frames(subjects: Subjects) -> None:
+    steps = spline_steps(read_keys(KEYS, "bullet"), "bullet", CAMERAS, subjects, WH)
+    assert len(steps) == 81
+    for given in KEYS:
+        step = steps[given["picture"]]
+        assert step.camera.centre_m == pytest.approx(given["eye_m"])
+        assert step.frame == pytest.approx(given["frame"])
+        assert step.camera.focal_px[0] == pytest.approx(given["zoom"] * 0.7 * WH[0])
+    frames = np.array([s.frame for s in steps])
+    assert frames[20:61] == pytest.approx(20), "bullet time"
+    assert (np.diff(frames) >= -1e-12).all(), "time never runs backwards"
+    speed = np.linalg.norm(np.diff([s.camera.centre_m for s in steps], axis=0), axis=1)
+    assert np.abs(np.diff(speed)).max() < 0.2 * speed.max(), "no jerk at the keys"
+    for step in steps:
+        assert step.camera.project(subjects.scene_m[None])[0][0] == pytest.approx(np.array(WH) / 2, abs=1e-6)
+
+
+def test_a_spline_through_training_cameras_turns_on_so3(subjects: Subjects) -> None:
+    keys = [
+        {"picture": p, "frame": 0.0, "camera": c, "zoom": 1.0} for p, c in ((0, "cam0"), (10, "cam1"), (20, "cam2"))
+    ]
+    steps = spline_steps(read_keys(keys, "tour"), "tour", CAMERAS, subjects, WH)
+    for picture, camera in ((0, 0), (10, 1), (20, 2)):
+        assert steps[picture].camera.camera_from_world == pytest.approx(CAMERAS[camera].camera_from_world, abs=1e-9)
+    for step in steps:
+        rotation = step.camera.camera_from_world[:3, :3]
+        assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_a_spline_between_targets_moves_on_with_a_walking_person(subjects: Subjects) -> None:
+    keys = [key(0, 0, (0, -2, 1.5), "p0"), key(40, 40, (0, -2, 1.5), "p0")]
+    steps = spline_steps(read_keys(keys, "watch"), "watch", CAMERAS, subjects, WH)
+    places = subjects.at("p0", np.array([s.frame for s in steps]), "watch")
+    for step, place in zip(steps, places):
+        assert step.camera.project(place[None])[0][0] == pytest.approx(np.array(WH) / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize("pictures", [[0], [3, 5], [0, 5, 5], [0, 5, 4]])
+def test_keys_that_make_no_film_are_refused(pictures: list[int]) -> None:
+    with pytest.raises(UserError, match="at least two keys"):
+        read_keys([key(p, 0, (2, 0, 1.5)) for p in pictures], "spline")
+
+
+def test_a_path_file_is_followed_as_it_stands(tmp_path: Path) -> None:
+    """transforms.json in OpenGL axes and a COLMAP model of the same cameras give the same pictures."""
+    frames = []
+    for index, camera in enumerate(CAMERAS):
+        pose = camera.world_from_camera @ np.diag([1.0, -1, -1, 1])
+        frames.append({"transform_matrix": pose.tolist(), "frame": 1.5 * index})
+    lens = CAMERAS[0]
+    content = {"fl_x": lens.focal_px[0], "fl_y": lens.focal_px[1], "w": WH[0], "h": WH[1], "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    given = path_steps(GivenPath("path", str(tmp_path / "transforms.json"), "hold"), "fly", (2 * WH[0], 0), T)
+    assert [s.frame for s in given] == [0, 1.5, 3.0, 4.5]
+    assert given[0].camera.wh == (2 * WH[0], 2 * WH[1])
+    write_model(tmp_path / "sparse", CAMERAS)
+    colmap = path_steps(GivenPath("path", str(tmp_path / "sparse/images.txt"), "stretch"), "fly", (2 * WH[0], 0), T)
+    assert [s.frame for s in colmap] == pytest.approx(np.linspace(0, T - 1, 4))
+    for a, b, camera in zip(given, colmap, CAMERAS):
+        assert a.camera.camera_from_world == pytest.approx(camera.camera_from_world, abs=1e-9)
+        assert b.camera.camera_from_world == pytest.approx(camera.camera_from_world, abs=1e-9)
+        assert a.camera.intrinsics == pytest.approx(b.camera.intrinsics)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, "is missing"),
+        ({"frames": []}, "has no frames"),
+        ({"fl_x": 100, "w": 10, "frames": [{"transform_matrix": np.eye(4).tolist()}]}, "picture 0 .* has no h"),
+        (
+            {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": np.diag([1.0, 2, 1, 1]).tolist()}]},
+            "not a rotation",
+        ),
+        (
+            {"fl_x": 100, "w": 10, "h": 10, "frames": [{"transform_matrix": (2 * np.eye(4)).tolist()}]},
+            "no rigid pose; remove its scale of 2",
+        ),
+    ],
+)
+def test_a_broken_path_file_is_refused_by_name(tmp_path: Path, content: dict | None, sentence: str) -> None:
+    file = tmp_path / "transforms.json"
+    if content is not None:
+        file.write_text(json.dumps(content))
+    with pytest.raises(UserError, match=sentence):
+        path_steps(GivenPath("path", str(file), "hold"), "fly", WH, T)
+
+
+def test_who_is_not_there_cannot_be_looked_at(subjects: Subjects) -> None:
+    with pytest.raises(UserError, match=r"looks at 'p7'.*p0, p1"):
+        subjects.at("p7", np.zeros(1), "shot")
+    with pytest.raises(UserError, match=r"camera 'north'.*cam0, cam1"):
+        dolly_zoom_steps(replace(DOLLY, camera="north"), "dolly", CAMERAS, subjects, WH)
+
+
+def test_people_without_people_means_the_scene(subjects: Subjects) -> None:
+    empty = replace(subjects, pelvis_m={}, facing={})
+    assert empty.still("people", "shot") == pytest.approx(subjects.scene_m)
+
+
+def test_every_example_shot_is_planned(root: Path) -> None:
+    """config/presets/shots.yaml, on a room with one walking person: right number of pictures, level or rigid cameras,
+    times in range."""
+    shots = yaml.safe_load((root / "config/presets/shots.yaml").read_text())["render"]["shots"]
+    rng = np.random.default_rng(0)
+    person = avatar(BodyModel.load(root / "resources/body.npz"), rng, "p0", frames=40)
+    subjects = subjects_of([person], CAMERAS, 40, FPS)
+    static = room(rng, 0.3)
+    for name, described in shots.items():
+        steps = plan(name, shots, 0, 0.3, CAMERAS, [], subjects, static)
+        expected = described["keys"][-1]["picture"] + 1 if "keys" in described else film(described, name).frames
+        assert len(steps) == expected, name
+        assert {s.camera.wh for s in steps} == {WH}
+        assert all(0 <= s.frame <= 39 and np.isfinite(s.camera.camera_from_world).all() for s in steps), name
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "path"])
+def test_a_film_needs_only_its_kind(kind: str, subjects: Subjects) -> None:
+    rng = np.random.default_rng(0)
+    held_out = ring([45], "held")
+    steps = plan("extra", {"extra": {"kind": kind}}, 0, 0.3, CAMERAS, held_out, subjects, room(rng, 0.3))
+    assert len(steps) == (T if kind == "heldout" else 91 if kind == "spline" else film({"kind": kind}, "extra").frames)
+    assert all(0 <= s.frame <= T - 1 and np.isfinite(s.camera.camera_from_world).all() for s in steps)
+
+
+def test_a_spline_without_keys_goes_from_camera_to_camera_while_time_runs_through(subjects: Subjects) -> None:
+    shuffled = [CAMERAS[i] for i in (1, 3, 0, 2)]
+    steps = plan(
+        "tour", {"tour": {"kind": "spline"}}, 0, 0.3, shuffled, [], subjects, room(np.random.default_rng(0), 0.3)
+    )
+    for picture, camera in ((0, 1), (30, 2), (60, 3), (90, 0)):
+        assert steps[picture].camera.centre_m == pytest.approx(CAMERAS[camera].centre_m), "once around, by azimuth"
+    assert [steps[0].frame, steps[-1].frame] == pytest.approx([0, T - 1])
+    assert np.diff([s.frame for s in steps]) == pytest.approx((T - 1) / 90)
+
+
+def test_a_key_without_a_frame_leaves_time_to_the_keys_around_it(subjects: Subjects) -> None:
+    keys = [{k: v for k, v in key.items() if k != "frame"} for key in KEYS]
+    keys[1]["frame"] = keys[2]["frame"] = 20.0
+    steps = spline_steps(read_keys(keys, "bullet"), "bullet", CAMERAS, subjects, WH)
+    frames = np.array([s.frame for s in steps])
+    assert frames[[0, 80]] == pytest.approx([0, T - 1])
+    assert frames[20:61] == pytest.approx(20)
+
+
+def test_a_follower_is_kept_out_of_the_wall(subjects: Subjects) -> None:
+    shot = Follow("follow", T, "p0", 2.9, 0.5, 0.0, "person", 0.2, 1.0, "stretch")
+    shots = {"follow": vars(shot)}
+    steps = plan("follow", shots, 0, 0.3, CAMERAS, [], subjects, room(np.random.default_rng(0)))
+    eyes = np.array([s.camera.centre_m for s in steps])
+    assert subjects.pelvis_m["p0"][-1, 0] + 2.9 > 3.0, "unhindered it would end outside the room"
+    assert eyes[:10, 0].max() < 2.7
+
+
+def test_a_person_faces_where_the_body_does(root: Path) -> None:
+    person = avatar(BodyModel.load(root / "resources/body.npz"), np.random.default_rng(0), "p0")
+    toes = person.model.joints(person.poses, person.betas, person.trans)[:, [10, 11]].mean(axis=1)
+    ankles = person.model.joints(person.poses, person.betas, person.trans)[:, [7, 8]].mean(axis=1)
+    forward = (toes - ankles)[:, :2]
+    assert (np.sum(forward * person.facing(), axis=1) > 0.95 * np.linalg.norm(forward, axis=1)).all()
+
+
+def test_the_ledger_names_what_the_camera_touches(root: Path) -> None:
+    person = avatar(BodyModel.load(root / "resources/body.npz"), np.random.default_rng(0), "p0")
+    scene = Composite(room(np.random.default_rng(0)), np.zeros(0, np.uint8), [person])
+    through = replace(
+        CAMERAS[0], camera_from_world=np.block([[np.eye(3), -person.joints_m(2.0)[15][:, None]], [np.zeros(3), 1.0]])
+    )
+    in_wall = replace(
+        CAMERAS[0], camera_from_world=np.block([[np.eye(3), -np.array([[2.95], [0], [1.0]])], [np.zeros(3), 1.0]])
+    )
+    steps = [PathStep(CAMERAS[0], 0.0, "00"), PathStep(through, 2.0, "00"), PathStep(in_wall, 0.0, "00")]
+    assert obstacles(steps, scene, 0.3) == ["", "p0", "background"]
+    assert angles_deg(steps[:1], CAMERAS[1:], np.array([0, 0, 1.0])) == pytest.approx(
+        [np.degrees(np.arccos(0.36 / (2.4**2 + 0.36)))]
+    )
+
+
+def test_a_path_through_bent_lenses_is_drawn_straight_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    pose = (CAMERAS[0].world_from_camera @ np.diag([1.0, -1, -1, 1])).tolist()
+    content = {"fl_x": 100, "w": 10, "h": 10, "k1": -0.1, "frames": [{"transform_matrix": pose}]}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    (step,) = path_steps(GivenPath("path", str(tmp_path / "transforms.json"), "hold"), "fly", WH, T)
+    assert step.camera.camera_from_world == pytest.approx(CAMERAS[0].camera_from_world)
+    assert "without the distortion of its lenses" in capsys.readouterr().out

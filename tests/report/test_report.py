@@ -1,0 +1,563 @@
+# SPDX-License-Identifier: Apache-2.0
+"""report: averages, bodies, cost, truth regions, comparison of folders, and the page."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon import __main__ as command
+from studiorecon import settings as settings_module
+from studiorecon.body.person_files import read_person, write_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frame, write_lossless
+from studiorecon.models.adapters.lpips import read_lpips
+from studiorecon.report import compare, evaluate, score
+from studiorecon.report.metrics.bodies import compare_bodies, match, similarity_aligned
+from studiorecon.report.metrics.measures import Flicker, measure_picture, summary
+from studiorecon.report.metrics.truth import TrueView, regions
+from studiorecon.report.sections import paper
+from studiorecon.report.sections import tables as sections
+from studiorecon.report.sections.cost import cost, read_benchmark
+from studiorecon.report.sections.pictures import depth_picture, difference, mask_picture, truth_picture
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.files import read_json, read_table, write_json
+from studiorecon.scene.path import PathStep, write_path
+from studiorecon.scene.people import Person
+
+from tests.made.report import poses_of_nobody, report_scene
+from tests.made.scene import FPS, FRAMES, WH, ring
+from tests.made.vgg import random_weights
+
+MISSING = "not measured"
+
+
+def test_frames_are_averaged_per_camera_and_cameras_equally() -> None:
+    """40, 15, 15 dB is 23.3 dB; pooling squared errors would give 16.75."""
+    result = summary({"a": [40.0, 15.0, 15.0], "b": [20.0, None, None]}, "")
+    assert result["cameras"]["a"]["value"] == pytest.approx(70 / 3)
+    assert result["value"] == pytest.approx((70 / 3 + 20) / 2)
+    assert (result["cameras"]["b"]["used"], result["cameras"]["b"]["skipped"]) == (1, 2)
+    assert result["cameras"]["a"]["frames"] == [40.0, 15.0, 15.0]
+
+
+def test_nothing_measured_is_null_with_a_reason_and_never_zero() -> None:
+    result = summary({"a": [None, None]}, "too small")
+    assert result["value"] is None
+    assert result["reason"] == "too small"
+    assert sections.shown(None, 2, "dB") == MISSING
+
+
+def test_errors_inside_people_do_not_reach_the_background_measures() -> None:
+    """Numerics I08: naive masking of the map gives 0.991 outside."""
+    rng = np.random.default_rng(0)
+    photo = rng.integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    people = np.zeros((60, 80), bool)
+    people[10:40, 20:50] = True
+    picture = np.where(people[..., None], 255 - photo, photo).astype(np.uint8)
+    values = measure_picture(picture, photo, {"people": people, "background": ~people})
+    assert values["ssim_background"] == pytest.approx(1.0, abs=1e-9)
+    assert values["psnr_background"] == 100.0
+    assert values["psnr_people"] < 10 < values["psnr"]
+
+
+def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
+    rng = np.random.default_rng(0)
+    photo = cv2.GaussianBlur(rng.integers(0, 255, (64, 96, 3), dtype=np.uint8), (0, 0), 2)
+    flicker = Flicker("medium")
+    noisy = [np.clip(photo + rng.normal(0, 5, photo.shape), 0, 255).astype(np.uint8) for _ in range(3)]
+    seen = {"seen": np.ones((64, 96), bool), "unseen": np.zeros((64, 96), bool)}
+    values = [flicker.measure(photo, {"still": photo, "noisy": picture}, seen) for picture in noisy]
+    assert values[0]["still"]["temporal_l1"] is None
+    assert values[2]["still"]["temporal_l1"] == pytest.approx(0, abs=1e-6)
+    noise = values[2]["noisy"]
+    assert noise["temporal_l1"] * 255 == pytest.approx(5 * 2 / np.sqrt(np.pi), rel=0.1)
+    assert noise["warp_rms"] * 255 == pytest.approx(5 * np.sqrt(2), rel=0.1)
+    assert noise["warp_rms"] ** 2 == pytest.approx(noise["warp_square"])
+    assert noise["flicker_excess"] == pytest.approx(noise["temporal_l1"], abs=1e-6), "the photos do not flicker"
+    assert noise["temporal_l1_seen"] == noise["temporal_l1"]
+    assert noise["temporal_l1_unseen"] is None
+
+
+def walking(rng: np.random.Generator, frames: int = 20) -> np.ndarray:
+    return rng.normal(0, 0.4, (1, 24, 3)) + np.linspace(0, 1, frames)[:, None, None] * [1.0, 0, 0]
+
+
+def test_bodies_are_matched_by_where_they_are_and_ghosts_are_named() -> None:
+    rng = np.random.default_rng(0)
+    true = {"p0": walking(rng), "p1": walking(rng) + np.array([0, 3, 0]), "p2": walking(rng) + np.array([9, 9, 0])}
+    valid = np.ones(20, bool)
+    fitted = {
+        "p0": (true["p1"] + [0, 0, 0.03], valid),
+        "p1": (true["p0"] + 0.0, valid),
+        "p2": (true["p0"] + [0, 0, 5.0], valid),
+    }
+    assert match(fitted, true) == {"p0": "p1", "p1": "p0"}
+    result = compare_bodies(fitted, true)
+    assert result["people"]["p0"]["mpjpe_world_mm"] == pytest.approx(30)
+    assert result["people"]["p0"]["mpjpe_pelvis_mm"] == pytest.approx(0, abs=1e-9)
+    assert result["mpjpe_world_mm"] == pytest.approx(15)
+    assert (result["missed"], result["invented"]) == (["p2"], ["p2"])
+
+
+def test_only_measured_frames_count_in_joint_errors() -> None:
+    true = {"p0": walking(np.random.default_rng(0))}
+    valid = np.arange(20) < 10
+    fitted = {"p0": (np.where(valid[:, None, None], true["p0"] + [0.01, 0, 0], 50.0), valid)}
+    result = compare_bodies(fitted, true)
+    assert result["people"]["p0"]["frames"] == 10
+    assert result["mpjpe_world_mm"] == pytest.approx(10)
+    nobody = compare_bodies({"p0": (true["p0"], np.zeros(20, bool))}, true)
+    assert nobody["mpjpe_world_mm"] is None
+    assert nobody["reason"]
+
+
+def test_similarity_alignment_never_mirrors() -> None:
+    points = np.random.default_rng(0).normal(size=(24, 3))
+    turn = np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(
+        similarity_aligned(points, 1.3 * points @ turn.T + [1, 2, 3]), 1.3 * points @ turn.T + [1, 2, 3], atol=1e-12
+    )
+    mirrored = points * [-1, 1, 1]
+    assert np.linalg.norm(similarity_aligned(points, mirrored) - mirrored) > 0.5
+
+
+def test_cost_adds_jobs_and_leaves_what_was_not_measured_null(tmp_path: Path) -> None:
+    for name, seconds, memory in (
+        ("depth/sweep/a", "2.5", "100"),
+        ("depth/sweep/b", "4.0", "-"),
+        ("depth/room", "0.1", "NA"),
+    ):
+        path = tmp_path / f"{name}.tsv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"s\th:m:s\tmax_rss\tcpu_time\n{seconds}\t0:00:02\t{memory}\t-\n")
+    result = cost(tmp_path)
+    depth = result["stages"]["depth"]
+    assert depth["seconds"] == pytest.approx(6.6)
+    assert depth["rules"]["sweep"]["seconds"] == pytest.approx(6.5)
+    assert depth["peak_memory_mb"] == 100
+    assert depth["rules"]["room"]["peak_memory_mb"] is None
+    assert depth["cpu_seconds"] is None
+    assert read_benchmark(tmp_path / "depth/sweep/b.tsv")["peak_memory_mb"] is None
+    assert cost(tmp_path / "nothing")["reason"]
+
+
+def wall_view(camera, masks: Path) -> TrueView:
+    """Truth of a camera that looks at the wall x = -3."""
+    origin, rays = camera.rays()
+    depth = np.where(rays[..., 0] < -1e-6, (-3 - origin[0]) / np.minimum(rays[..., 0], -1e-6), 0).astype(np.float32)
+    return TrueView(camera, depth, masks)
+
+
+def test_a_surface_is_seen_while_nobody_stands_before_the_camera_that_sees_it(tmp_path: Path) -> None:
+    held, near, behind = ring([10, 0, 180], "c")
+    behind_masks = [np.zeros((WH[1], WH[0]), np.uint8)] * 3
+    own = [m.copy() for m in behind_masks]
+    own[0][10:40, 60:70] = 2
+    hidden = [m.copy() for m in behind_masks]
+    hidden[1][:] = 1
+    for name, masks in (("held", own), ("near", hidden), ("behind", behind_masks)):
+        write_lossless(tmp_path / f"{name}.mkv", masks, FPS)
+    views = {
+        "c0": wall_view(held, tmp_path / "held.mkv"),
+        "c1": wall_view(near, tmp_path / "near.mkv"),
+        "c2": wall_view(behind, tmp_path / "behind.mkv"),
+    }
+    found = list(regions(views, held, ["c1", "c2"], 0, 3, 0.05, (0.02, 0.10)))
+    assert found[0]["people"].sum() == 300
+    assert not (found[0]["people"] & (found[0]["seen"] | found[0]["unseen"])).any()
+    assert found[0]["seen"].mean() > 0.5
+    assert found[1]["seen"].sum() == 0, "somebody covers the whole picture of the camera that sees the wall"
+    assert found[2]["seen"].sum() >= found[0]["seen"].sum()
+    np.testing.assert_array_equal(found[2]["seen"] | found[2]["unseen"], found[2]["background"])
+    assert not (found[2]["seen_strict"] & ~found[2]["seen"]).any()
+    assert not (found[2]["seen"] & ~found[2]["seen_loose"]).any()
+    assert found[0]["people_wide"].sum() > found[0]["people"].sum()
+    assert "people_seen" not in found[0], "this truth has no depth of people"
+
+
+def test_truth_of_another_size_is_read_at_the_right_pixels(tmp_path: Path) -> None:
+    camera = ring([0], "c")[0]
+    mask = np.zeros((WH[1] * 2, WH[0] * 2), np.uint8)
+    mask[40:80, 100:160] = 1
+    write_lossless(tmp_path / "m.mkv", [mask], FPS)
+    views = {"c0": wall_view(camera.resized((WH[0] * 2, WH[1] * 2)), tmp_path / "m.mkv")}
+    people = next(regions(views, camera, [], 0, 1, 0.05, (0.02, 0.10)))["people"]
+    expected = np.zeros((WH[1], WH[0]), bool)
+    expected[20:40, 50:80] = True
+    np.testing.assert_array_equal(people, expected)
+
+
+def test_any_renders_can_be_compared_with_any_photos(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    photos = [rng.integers(0, 200, (48, 64, 3), dtype=np.uint8) for _ in range(3)]
+    write_lossless(tmp_path / "renders/a.mkv", [p + 10 for p in photos], 10.0)
+    (tmp_path / "truth/a").mkdir(parents=True)
+    for index, photo in enumerate(photos):
+        cv2.imwrite(str(tmp_path / f"truth/a/{index:03d}.png"), photo[..., ::-1])
+    arguments = ["report.score", "--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth")]
+    assert command.main([*arguments, "--output", str(tmp_path / "m.json")]) == 0
+    result = read_json(tmp_path / "m.json")
+    assert result["pictures"]["renders"]["psnr"]["value"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-6)
+    for name in ("psnr_people", "ssim_seen", "psnr_people_seen"):
+        assert result["pictures"]["renders"][name]["value"] is None
+        assert result["pictures"]["renders"][name]["reason"]
+    assert all(result[part]["reason"] for part in ("pck", "bodies", "identities"))
+    assert "add --lpips DIR" in result["pictures"]["renders"]["lpips"]["reason"]
+    assert set(result["pictures"]["renders"]) <= set(result["definitions"])
+    assert "psnr: 28.13" in capsys.readouterr().out
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    """A folder with random weights in the shape of AlexNet and of LPIPS' heads."""
+    import torch
+
+    (tmp_path / "weights").mkdir()
+    for name, values in zip(("alexnet.pth", "lpips_alex.pth"), random_weights(torch.float32, net="alex")):
+        torch.save(values, tmp_path / "weights" / name)
+    return tmp_path / "weights"
+
+
+def test_with_weights_lpips_is_measured_in_every_frame(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    photos = [rng.integers(0, 200, (64, 72, 3), dtype=np.uint8) for _ in range(3)]
+    write_lossless(tmp_path / "truth/a.mkv", photos, 10.0)
+    write_lossless(tmp_path / "renders/a.mkv", [photos[0], photos[1] + 10, photos[2] + 40], 10.0)
+    folders = ["--renders", str(tmp_path / "renders"), "--truth", str(tmp_path / "truth"), "--lpips", str(weights)]
+    assert command.main(["report.score", *folders, "--output", str(tmp_path / "m.json")]) == 0
+    result = read_json(tmp_path / "m.json")
+    frames = result["pictures"]["renders"]["lpips"]["cameras"]["a"]["frames"]
+    network = read_lpips(weights, 1, "alex")
+    expected = [
+        network(np.float32(photos[k] + gain) / 255, np.float32(photos[k]) / 255)[0]
+        for k, gain in enumerate((0, 10, 40))
+    ]
+    assert frames[0] == 0 < frames[1] < frames[2]
+    np.testing.assert_allclose(frames, expected, rtol=1e-4, atol=1e-7)
+    assert "AlexNet" in result["definitions"]["lpips"]["definition"]
+    assert "torch" in result["definitions"]["lpips"]["library"]
+    assert result["provenance"]["settings"]["lpips"] == "alex"
+    (weights / "lpips_alex.pth").unlink()
+    assert command.main(["report.score", *folders]) == 1
+    assert "lpips_alex.pth, which is missing; put it there or leave --lpips out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "count", "sentence"),
+    [("b", (48, 64), 3, "no camera"), ("a", (40, 64), 3, "differ in size"), ("a", (48, 64), 2, "ends after 2 frames")],
+)
+def test_renders_that_do_not_fit_the_photos_are_refused(
+    tmp_path: Path, name: str, size: tuple[int, int], count: int, sentence: str
+) -> None:
+    write_lossless(tmp_path / "truth/a.mkv", [np.zeros((48, 64, 3), np.uint8)] * 3, 10.0)
+    write_lossless(tmp_path / f"renders/{name}.mkv", [np.zeros((*size, 3), np.uint8)] * count, 10.0)
+    with pytest.raises(UserError, match=sentence):
+        score.run(tmp_path / "renders", tmp_path / "truth")
+
+
+def test_pictures_for_readers_mark_what_they_should() -> None:
+    photo = np.full((20, 30, 3), 100, np.uint8)
+    mask = np.zeros((20, 30), np.uint8)
+    mask[:5], mask[5:10] = 1, 255
+    tinted = mask_picture(photo, mask)
+    assert (tinted[15] == 100).all()
+    assert len({tuple(tinted[row, 0]) for row in (0, 7, 15)}) == 3
+    depth = np.full((20, 30), 2.0, np.float32)
+    depth[:, 15:], depth[0, 0] = 4.0, 0.0
+    picture, (near, far) = depth_picture(depth)
+    assert (near, far) == (2.0, 4.0)
+    assert picture[0, 0].tolist() == [0, 0, 0]
+    assert picture[5, 5].sum() > picture[5, 25].sum()
+    assert difference(photo, photo).sum(axis=-1).max() < 30
+    assert truth_picture(np.full((20, 30), 0, np.uint8), photo)[0, 0].argmax() == 0
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
+    return report_scene(tmp_path_factory.mktemp("scene"), root, default_settings)
+
+
+def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) -> None:
+    metrics = read_json(reported / "report/metrics.json")
+    raw = metrics["pictures"]["raw"]["psnr"]
+    assert raw["value"] == pytest.approx(20 * np.log10(255 / 5), abs=0.3)
+    assert list(raw["cameras"]) == ["view0", "view1"]
+    assert len(raw["cameras"]["view0"]["frames"]) == FRAMES
+    assert metrics["pictures"]["enhanced"]["psnr"]["value"] == 100.0
+    for name in ("psnr_people", "ssim_background", "psnr_seen"):
+        assert metrics["pictures"]["raw"][name]["value"] is None
+        assert "truth" in metrics["pictures"]["raw"][name]["reason"]
+    assert metrics["pictures"]["raw"]["temporal_l1"]["cameras"]["view0"]["skipped"] == 1
+    assert metrics["bodies"]["mpjpe_world_mm"] is None
+    assert metrics["pictures"]["raw"]["lpips"]["value"] is None
+    assert "report.lpips is none" in metrics["pictures"]["raw"]["lpips"]["reason"]
+    assert metrics["training"] is None, "there are held-out cameras"
+    assert set(metrics["inputs"]) >= {"render/heldout.mkv", "enhance/heldout.mkv", "view0.mkv"}
+    assert metrics["coverage"]["heldout"]["inferred"] == 1.0
+
+
+def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
+    reported: Path, default_settings: Callable, tmp_path: Path
+) -> None:
+    write_json(tmp_path / "unused.json", {})
+    for name in ("cameras", "images"):
+        (tmp_path / f"{name}.txt").write_text("# none\n")
+    evaluate.run(
+        settings_module.load(evaluate.Settings, default_settings("report"), "report"),
+        scene="made",
+        manifest=reported / "capture/manifest.json",
+        model=reported / "cameras/images.txt",
+        heldout_model=tmp_path / "images.txt",
+        poses=poses_of_nobody(tmp_path),
+        videos=[],
+        render=[],
+        render_path=[],
+        enhanced=[],
+        truth_maps=[],
+        fits=[],
+        detections=[],
+        identities=[],
+        metrics=tmp_path / "metrics.json",
+    )
+    values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
+    assert values["value"] is None
+    assert "held out" in values["reason"]
+
+
+def test_bodies_are_scored_from_the_files(tmp_path: Path) -> None:
+    joints = walking(np.random.default_rng(0))
+    for folder, shift in (("truth/bodies", 0.0), ("people", 0.02)):
+        person = Person(
+            "p0",
+            "any",
+            30.0,
+            np.zeros((20, 72)),
+            np.zeros((20, 3)),
+            np.zeros(10),
+            joints + np.array([shift, 0, 0]),
+            np.ones(20, bool),
+            np.zeros((20, 24)),
+            True,
+        )
+        write_person(tmp_path / folder / "p0.npz", person)
+    result = evaluate.score_bodies([read_person(tmp_path / "people/p0.npz")], tmp_path / "truth", 0)
+    assert result["mpjpe_world_mm"] == pytest.approx(20)
+    assert evaluate.score_bodies([], None, 0)["reason"]
+
+
+def write_folders(folder: Path, shift: int = 10, frames: int = 30, cameras: str = "ab") -> None:
+    """``truth`` and ``renders`` of moving noise, the renders brighter by ``shift`` levels and a little noisy, and
+    ``masks`` of a block."""
+    rng = np.random.default_rng(5)
+    for camera in cameras:
+        base = cv2.GaussianBlur(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8), (0, 0), 2)
+        photos = [np.roll(base, frame, axis=1) for frame in range(frames)]
+        noise = [rng.normal(0, 1 + frame % 3, base.shape) for frame in range(frames)]
+        write_lossless(folder / f"truth/{camera}.mkv", photos, 10.0)
+        renders = [np.clip(p + shift + n, 0, 255).astype(np.uint8) for p, n in zip(photos, noise)]
+        write_lossless(folder / f"renders/{camera}.mkv", renders, 10.0)
+        mask = np.zeros((48, 64), np.uint8)
+        mask[10:40, 20:50] = 1
+        write_lossless(folder / f"masks/{camera}.mkv", [mask] * frames, 10.0)
+
+
+def scored(folder: Path, name: str, masks: bool = False) -> Path:
+    score.run(folder / "renders", folder / "truth", folder / "masks" if masks else None, folder / name)
+    return folder / name
+
+
+def test_masks_add_numbers_of_people_and_room_and_every_number_has_raw_values_and_an_interval(tmp_path: Path) -> None:
+    write_folders(tmp_path)
+    result = read_json(scored(tmp_path, "m.json", masks=True))
+    for name in (
+        "psnr",
+        "psnr_people",
+        "psnr_people_wide",
+        "psnr_background",
+        "ssim_people",
+        "temporal_l1",
+        "flicker_excess",
+    ):
+        entry = result["pictures"]["renders"][name]
+        low, high = entry["interval"]
+        assert low <= entry["value"] <= high
+        assert [len(entry["cameras"][c]["frames"]) for c in "ab"] == [30, 30]
+        assert entry["cameras"]["a"]["used"] + entry["cameras"]["a"]["skipped"] == 30
+    assert result["pictures"]["renders"]["psnr_seen"]["value"] is None
+    assert result["pictures"]["renders"]["psnr"]["cameras"]["a"]["capped"] == 0
+    assert result["pictures"]["photo"]["temporal_l1"]["value"] is not None
+    assert result["provenance"]["masks"].startswith("given")
+
+
+def test_the_command_alone_and_a_run_are_told_the_same(default_settings: Callable) -> None:
+    told = settings_module.load(evaluate.Settings, default_settings("report"), "report")
+    assert told.flow_preset == score._FLOW_PRESET
+    assert (told.bootstrap_samples, told.seed) == (score._BOOTSTRAP.samples, score._BOOTSTRAP.seed)
+
+
+def test_one_film_or_one_folder_of_pictures_is_one_camera(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=3, cameras="a")
+    for name in ("renders", "truth"):
+        (tmp_path / f"{name}_only").mkdir()
+        for frame in range(3):
+            picture = read_frame(tmp_path / f"{name}/a.mkv", frame)
+            cv2.imwrite(str(tmp_path / f"{name}_only/{frame}.png"), picture[..., ::-1])
+    folders = score.score(tmp_path / "renders_only", tmp_path / "truth_only", None)
+    films = score.score(tmp_path / "renders/a.mkv", tmp_path / "truth/a.mkv", None)
+    assert folders["pictures"]["renders"]["psnr"]["value"] == films["pictures"]["renders"]["psnr"]["value"]
+
+
+def test_scoring_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=8)
+    assert scored(tmp_path, "one.json").read_bytes() == scored(tmp_path, "two.json").read_bytes()
+
+
+def test_a_better_result_is_told_from_an_equal_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, shift in (("worse", 12), ("better", 6)):
+        write_folders(tmp_path / name, shift)
+        scored(tmp_path / name, "m.json")
+    worse, better = tmp_path / "worse/m.json", tmp_path / "better/m.json"
+    arguments = ["report.compare", "--first", str(worse), "--second", str(better), "--output", str(tmp_path / "c.json")]
+    assert command.main(arguments) == 0
+    found = read_json(tmp_path / "c.json")["psnr"]
+    assert found["significant"] is True
+    assert found["interval"][0] > 3
+    assert (found["drawn"], found["pairs"]) == ("blocks of frames", 60)
+    assert "over blocks of frames" in capsys.readouterr().out
+    compare.run([worse], [worse], output=tmp_path / "same.json")
+    same = read_json(tmp_path / "same.json")["psnr"]
+    assert (same["difference"], same["significant"]) == (0.0, False)
+    again = [
+        shutil.copy(file, tmp_path / f"{file.parent.name}{seed}.json") for file in (worse, better) for seed in (1, 2)
+    ]
+    compare.run([worse, *again[:2]], [better, *again[2:]], output=tmp_path / "seeds.json")
+    assert read_json(tmp_path / "seeds.json")["psnr"]["first"] == {
+        "mean": found["first"]["mean"],
+        "half_range": 0.0,
+        "seeds": 3,
+    }
+
+
+def test_results_that_were_not_measured_alike_are_refused(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=6)
+    plain, masked = scored(tmp_path, "plain.json"), scored(tmp_path, "masked.json", masks=True)
+    with pytest.raises(UserError, match=r"plain\.json and .*masked\.json were measured with different masks"):
+        compare.run([plain], [masked])
+    values = read_json(plain)
+    values["provenance"]["libraries"]["opencv"] = "3.4"
+    write_json(tmp_path / "old.json", values)
+    with pytest.raises(UserError, match=r"different libraries \(opencv .* and 3\.4\)"):
+        compare.run([plain], [tmp_path / "old.json"])
+    values = read_json(masked)
+    values["inputs"]["masks"]["a"] = "0" * 64
+    write_json(tmp_path / "other.json", values)
+    with pytest.raises(UserError, match="different masks of camera a"):
+        compare.run([masked], [tmp_path / "other.json"])
+    values = read_json(plain)
+    values["inputs"]["truth"]["a"] = "0" * 64
+    write_json(tmp_path / "elsewhere.json", values)
+    with pytest.raises(UserError, match="no scene in common"):
+        compare.run([plain], [tmp_path / "elsewhere.json"])
+
+
+def test_a_result_that_is_cut_off_or_mixed_is_refused_by_name(tmp_path: Path) -> None:
+    write_folders(tmp_path, frames=6)
+    whole = scored(tmp_path, "whole.json")
+    (tmp_path / "cut.json").write_text(whole.read_text()[:2000])
+    with pytest.raises(UserError, match=r"cut\.json is not readable JSON"):
+        compare.run([whole], [tmp_path / "cut.json"])
+    values = read_json(whole)
+    values["pictures"]["renders"]["psnr"]["cameras"]["a"]["frames"].pop()
+    write_json(tmp_path / "mixed.json", values)
+    with pytest.raises(UserError, match=r"mixed\.json counts other values of renders\.psnr of camera a"):
+        compare.run([whole], [tmp_path / "mixed.json"])
+    write_json(tmp_path / "no.json", {"a": 1})
+    with pytest.raises(UserError, match="is not a result"):
+        compare.run([whole], [tmp_path / "no.json"])
+
+
+@pytest.mark.parametrize("frames", [[0, 2, 4, 6, 8, 10], [0, 1, 2], None])
+def test_a_film_of_another_run_is_refused_by_name(reported: Path, tmp_path: Path, frames: list[int] | None) -> None:
+    held_out, capture = read_model(reported / "cameras/heldout"), read_manifest(reported / "capture/manifest.json")
+    name = "elsewhere" if frames is None else held_out[0].name
+    write_path(tmp_path / "heldout.json", [PathStep(held_out[0], float(f), name) for f in frames or range(FRAMES)], FPS)
+    with pytest.raises(UserError, match=r"heldout\.json .* belongs to another run"):
+        evaluate.first_frames(tmp_path / "heldout.json", held_out[:1], capture)
+
+
+def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
+    reported: Path, default_settings: Callable, tmp_path: Path
+) -> None:
+    """The footage itself as render: the numbers stand under ``training``, and none among the results."""
+    for name in ("cameras", "images"):
+        (tmp_path / f"{name}.txt").write_text("# none\n")
+    training = read_model(reported / "cameras")
+    pictures = [read_frame(reported / f"capture/{c.name}.mkv", f) for c in training for f in range(FRAMES)]
+    write_lossless(tmp_path / "train.mkv", pictures, FPS)
+    write_path(tmp_path / "train.json", [PathStep(c, float(f), c.name) for c in training for f in range(FRAMES)], FPS)
+    evaluate.run(
+        settings_module.load(evaluate.Settings, default_settings("report"), "report"),
+        scene="made",
+        manifest=reported / "capture/manifest.json",
+        model=reported / "cameras/images.txt",
+        heldout_model=tmp_path / "images.txt",
+        poses=poses_of_nobody(tmp_path),
+        videos=[reported / f"capture/{c.name}.mkv" for c in training],
+        render=[tmp_path / "train.mkv"],
+        render_path=[tmp_path / "train.json"],
+        enhanced=[],
+        truth_maps=[],
+        fits=[],
+        detections=[],
+        identities=[],
+        metrics=tmp_path / "metrics.json",
+    )
+    metrics = read_json(tmp_path / "metrics.json")
+    assert metrics["training"]["raw"]["psnr"]["value"] == 100.0
+    assert metrics["training"]["raw"]["psnr"]["cameras"][training[0].name]["capped"] == FRAMES
+    assert metrics["pictures"]["raw"]["psnr"]["value"] is None
+
+
+def test_a_run_measures_lpips_when_it_is_told_to(
+    tmp_path: Path, weights: Path, root: Path, default_settings: Callable
+) -> None:
+    def with_lpips(stage: str) -> dict:
+        return default_settings(stage, **({"lpips": "alex"} if stage == "report" else {}))
+
+    scene = report_scene(tmp_path / "scene", root, with_lpips, weights)
+    metrics = read_json(scene / "report/metrics.json")
+    raw, enhanced = (metrics["pictures"][version]["lpips"]["value"] for version in ("raw", "enhanced"))
+    assert raw > enhanced == 0, "the enhanced film is the photos themselves"
+    _, rows = paper.table(metrics, root / "resources/paper/results.tsv")
+    assert {row[0]: row for row in rows}["LPIPS ↓"][1:3] == [f"{raw:.3f}", "0.000"]
+    assert f"{raw:.4f}" in (scene / "report/index.html").read_text()
+
+
+def test_the_papers_rows_stand_beside_the_runs_and_are_marked(reported: Path, root: Path) -> None:
+    header, rows = paper.table(read_json(reported / "report/metrics.json"), root / "resources/paper/results.tsv")
+    assert [name for name in header if "other data" in name] == [f"{m} (other data)" for m in paper.METHODS]
+    by_measure = {row[0]: row for row in rows}
+    assert by_measure["PSNR ↑"][3:7] == ["20.44", "17.06", "16.68", "17.21"]
+    assert by_measure["LPIPS ↓"][1:3] == [MISSING, MISSING]
+    assert "Beside the paper" in (reported / "report/index.html").read_text()
+
+
+def test_the_papers_means_are_the_means_of_its_scenes(root: Path) -> None:
+    lines = read_table(root / "resources/paper/results.tsv", paper.COLUMNS)
+    for method, measures in paper.paper_rows(root / "resources/paper/results.tsv").items():
+        for name in ("psnr", "ssim", "lpips"):
+            each = [
+                float(x["value"])
+                for x in lines
+                if x["table"] in ("tab:360", "tab:180") and (x["method"], x["measure"]) == (method, name)
+            ]
+            assert len(each) == 8
+            assert measures[name][0] == pytest.approx(np.mean(each), abs=0.0051 if name == "psnr" else 0.0011)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of a trained scene: holes, flicker and what nobody saw are found where they are planted, and only there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.footage.video import write_lossless
+from studiorecon.geometry.statistics import NOTHING, Estimate
+from studiorecon.report import audit as step
+from studiorecon.report.metrics.rendered_effects import (
+    appearance,
+    decide_enhancement,
+    decide_injection,
+    decide_refinement,
+    density_px,
+    excess_flicker,
+    thin_share,
+)
+from studiorecon.scene.decisions import Decision, read_decisions
+from studiorecon.scene.files import write_npz, write_table
+from studiorecon.scene.gaussians_ply import write_ply
+from studiorecon.scene.path import PathStep, write_path
+from studiorecon.settings import load
+from studiorecon.splatting.discs import discs
+
+from tests.made.studio_world import looking
+
+SEEDS = 20
+
+
+class TestRefinement:
+    @pytest.mark.parametrize(("hole", "verdict"), [(0.05, "on"), (0.0, "off")])
+    def test_holes_are_found(self, hole: float, verdict: str) -> None:
+        for seed in range(SEEDS):
+            rng = np.random.default_rng(seed)
+            alpha = np.where(rng.random((2, 80, 120)) < hole, 0.5, 0.99)
+            assert decide_refinement(thin_share(alpha, np.ones_like(alpha)), 0.02).verdict == verdict
+
+    def test_a_floor_that_few_gaussians_cover_is_thin(self) -> None:
+        rng = np.random.default_rng(0)
+        even = rng.uniform((0, 0), (120, 160), (80000, 2))
+        thinned = even[(even[:, 1] < 140) | (rng.random(len(even)) < 0.1)]
+        alpha = np.ones((1, 160, 120))
+        found = [
+            decide_refinement(thin_share(alpha, density_px(p, (160, 120))[None]), 0.02).verdict for p in (even, thinned)
+        ]
+        assert found == ["off", "on"]
+
+    def test_without_views_nothing_is_said(self) -> None:
+        nothing = np.full((1, 80, 120), np.nan)
+        assert decide_refinement(thin_share(nothing, nothing), 0.02).verdict == "undetermined"
+
+    def test_density_counts_what_is_in_the_picture(self) -> None:
+        pixels = np.array([[4.0, 4.0], [4.5, 4.0], [12.0, 4.0], [-3.0, 4.0], [np.nan, np.nan]])
+        found = density_px(pixels, (10, 20))
+        assert found.shape == (10, 20)
+        assert found[0, 0] * 64 == pytest.approx(2)
+        assert found[0, 9] * 64 == pytest.approx(1)
+        assert found[9].sum() == 0
+
+
+class TestInjection:
+    def films(self, seed: int, noise: float, film: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        raw = np.full((12, 20, 30), 0.5) + rng.normal(0, film, (12, 20, 30))
+        return raw, raw + rng.normal(0, noise, raw.shape)
+
+    @pytest.mark.parametrize(("noise", "verdict"), [(0.006, "on"), (0.0, "off")])
+    def test_flicker_that_enhancement_adds_is_found(self, noise: float, verdict: str) -> None:
+        for seed in range(SEEDS):
+            raw, enhanced = self.films(seed, noise)
+            found = excess_flicker(raw, enhanced, np.ones((20, 30), bool))
+            assert decide_injection([found], 0, 0.2).verdict == verdict
+
+    def test_flicker_that_was_there_before_is_not_enhancements(self) -> None:
+        raw, enhanced = self.films(0, 0.0, film=0.05)
+        assert decide_injection([excess_flicker(raw, enhanced, np.ones((20, 30), bool))], 0, 0.2).verdict == "off"
+
+    def test_a_film_made_with_injection_cannot_say_that_none_is_needed(self) -> None:
+        calm = decide_injection([Estimate(0.0, (-0.01, 0.01))], 3, 0.2)
+        assert calm.verdict == "undetermined"
+        assert "3 earlier pictures" in calm.reason
+        assert decide_injection([Estimate(0.5, (0.4, 0.6))], 3, 0.2).verdict == "on", "it flickers all the same"
+
+    def test_a_single_picture_says_nothing(self) -> None:
+        one = np.zeros((1, 4, 4))
+        assert excess_flicker(one, one, np.ones((4, 4), bool)) is NOTHING
+        assert decide_injection([NOTHING], 0, 0.2).verdict == "undetermined"
+
+
+class TestEnhancement:
+    def test_either_half_is_enough_and_both_are_needed_to_say_no(self) -> None:
+        bad, good = Estimate(0.3, (0.28, 0.32)), Estimate(0.05, (0.04, 0.06))
+        assert decide_enhancement(bad, NOTHING, 1.0).verdict == "on"
+        assert decide_enhancement(NOTHING, bad, 1.0).verdict == "on"
+        assert decide_enhancement(good, Estimate(0.01, (0.0, 0.02)), 1.0).verdict == "off"
+        assert decide_enhancement(NOTHING, good, 1.0).verdict == "undetermined"
+        assert decide_enhancement(NOTHING, NOTHING, 1.0).verdict == "undetermined"
+
+
+def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> None:
+    drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "p1's shirt")
+    still = replace(drift, value=0.02, interval=(0.01, 0.03), verdict="off", reason="p0 is of stone")
+    found = appearance({"p0": still, "p1": drift, "p2": None}, 0.1)
+    assert (found.verdict, found.reason, set(found.detail)) == ("on", "p1's shirt", {"p0", "p1"})
+    assert appearance({"p0": still}, 0.1).verdict == "off"
+    assert appearance({"p0": None}, 0.1).verdict == "undetermined"
+    assert appearance({}, 0.1).verdict == "undetermined"
+
+
+def test_still_stretches_are_those_of_one_unmoving_camera() -> None:
+    camera = looking("v", np.array([3.0, 0, 1.5]), np.zeros(3), (32, 24), 30.0)
+    other = looking("w", np.array([0.0, 3, 1.5]), np.zeros(3), (32, 24), 30.0)
+    steps = [PathStep(camera, float(t), "v") for t in range(20)] + [PathStep(other, float(t), "w") for t in range(3)]
+    assert list(step.still_stretches(steps)) == [(0, 12)]
+
+
+def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) -> None:
+    camera = looking("c0", np.array([3.0, 0, 1.5]), np.array([0, 0, 0.8]), (64, 48), 50.0)
+    write_model(tmp_path / "cameras", [camera])
+    # A floor without walls: most of what cameras 15 % higher and lower see is empty.
+    x, y = np.meshgrid(np.arange(-1, 1, 0.1), np.arange(-1, 1, 0.1))
+    points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1)
+    write_ply(
+        tmp_path / "scene.ply",
+        discs(points, np.tile([0, 0, 1.0], (len(points), 1)), np.full((len(points), 3), 0.5), 0.08, 0.1, 0.9, 0),
+    )
+    drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "why")
+    write_npz(tmp_path / "p0.npz", {"decision": json.dumps(asdict(drift))})
+    write_table(tmp_path / "orbit.tsv", ("picture", "measured"), [(i, "0.99") for i in range(12)])
+    rng = np.random.default_rng(0)
+    raw = [np.full((48, 64, 3), 120, np.uint8)] * 12
+    write_lossless(tmp_path / "raw.mkv", raw, 30.0)
+    write_lossless(
+        tmp_path / "better.mkv", [np.clip(f + rng.normal(0, 3, f.shape), 0, 255).astype(np.uint8) for f in raw], 30.0
+    )
+    write_path(tmp_path / "path.json", [PathStep(camera, float(t), "c0") for t in range(12)], 30.0)
+    settings = load(step.Settings, default_settings("survey"), "survey")
+    files = {
+        "model": tmp_path / "cameras/images.txt",
+        "background": tmp_path / "scene.ply",
+        "avatars": [tmp_path / "p0.npz"],
+        "ledgers": [tmp_path / "orbit.tsv"],
+        "renders": [tmp_path / "raw.mkv"],
+        "enhanced": [tmp_path / "better.mkv"],
+        "paths": [tmp_path / "path.json"],
+        "history": 3,
+        "earlier": [],
+        "decisions": tmp_path / "report/audit.json",
+    }
+    step.run(settings, **files)
+    found = {effect: d.verdict for effect, d in read_decisions(files["decisions"]).items()}
+    assert found == {"refinement": "on", "temporal_appearance": "on", "enhancement": "undetermined", "injection": "on"}
+    step.run(replace(settings, force={"enhancement": "on", "injection": "off"}), **files)
+    made = read_decisions(files["decisions"])
+    assert (made["enhancement"].verdict, made["injection"].verdict, made["injection"].forced) == ("on", "off", True)

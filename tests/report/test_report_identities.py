@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""report: who is who and where bodies appear in held-out pictures, against planted truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.footage.video import write_lossless
+from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.truth import TrueView
+from studiorecon.scene.people import Detections
+
+from tests.made.scene import FPS, WH, ring
+
+FRAMES = 5
+
+
+def standing() -> dict[str, np.ndarray]:
+    """Two people (T, 24, 3), 1.2 m apart."""
+    joints = (
+        np.random.default_rng(0).normal(0, 0.3, (1, 24, 3)) * [0.5, 0.5, 1.2]
+        + np.array([0, 0, 1.0])
+        + np.zeros((FRAMES, 1, 1))
+    )
+    return {"p0": joints - [0, 0.6, 0], "p1": joints + np.array([0, 0.6, 0])}
+
+
+@pytest.mark.parametrize(("swapped", "share"), [(False, 1.0), (True, 0.5)])
+def test_identities_swapped_in_one_of_four_cameras_halve_the_pairs(swapped: bool, share: float) -> None:
+    """Of the six pairs of four cameras, three do without the swapped one."""
+    cameras = {camera.name: camera for camera in ring([10, 100, 190, 280], "c")}
+    people, found, given = standing(), [], {}
+    for camera in cameras.values():
+        rows = [
+            (frame, track, *np.c_[camera.project(people[p][frame])[0], np.ones(24)])
+            for track, p in enumerate(people)
+            for frame in range(FRAMES)
+        ]
+        points = np.array([row[2:] for row in rows])
+        found.append(
+            Detections(camera.name, "smpl24", np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), points)
+        )
+        given |= {
+            (camera.name, track): f"p{1 - track if swapped and camera.name == 'c0' else track}" for track in (0, 1)
+        }
+    result = score_identities(found, given, cameras, people)
+    assert (result["accuracy"], result["precision"]) == (share, share)
+    assert (result["pairs"], result["reason"]) == (6 * 2 * FRAMES, None)
+
+
+def test_bodies_in_held_out_pictures_are_scored_where_they_can_be_seen(tmp_path: Path) -> None:
+    camera, people = ring([0], "c")[0], standing()
+    mask = np.zeros((WH[1], WH[0]), np.uint8)
+    for label, joints in enumerate(people.values(), 1):
+        columns, rows = np.floor(camera.project(joints[0])[0]).astype(int).T
+        inside = (columns >= 0) & (columns < WH[0]) & (rows >= 0) & (rows < WH[1])
+        mask[rows[inside], columns[inside]] = label
+    write_lossless(tmp_path / "c0.mkv", [mask] * FRAMES, FPS)
+    views = {"c0": TrueView(camera, np.full((WH[1], WH[0]), 3.0, np.float32), tmp_path / "c0.mkv")}
+    fitted = {name: (joints, np.ones(FRAMES, bool)) for name, joints in people.items()}
+    exact = score_bodies_in_pictures(views, [camera], fitted, people, 0, FRAMES)
+    assert (exact["pck_0.05"], exact["detection_rate"]) == (1.0, 1.0)
+    alone = score_bodies_in_pictures(views, [camera], {"p0": fitted["p0"]}, people, 0, FRAMES)
+    assert alone["detection_rate"] == 0.5
+    assert 0.3 < alone["pck_0.1"] < 0.7

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page: complete without a network, its numbers those of the JSON, and at work in a browser without a window where
+there is one."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.report.sections import appendix, comparison_slider, timeline
+from studiorecon.report.sections import tables as sections
+from studiorecon.scene.decisions import Decision
+from studiorecon.scene.files import read_json, write_table, write_text
+from studiorecon.scene.people import Detections, Person
+
+from tests.made.report import report_scene
+
+BROWSER = next(
+    (found for name in ("chromium-headless-shell", "chromium", "google-chrome") if (found := shutil.which(name))), None
+)
+in_browser = pytest.mark.skipif(
+    BROWSER is None, reason="no Chromium on this machine (apt-get install chromium-headless-shell)"
+)
+# One pixel each: a picture need not be large to be swapped.
+PIXELS = {
+    name: f"data:image/gif;base64,R0lGODlhAQABAIAAA{code}AAP///yH5BAAAAAAALAAAAAABAAEAAAICRAEAOw=="
+    for name, code in (("photo", "P8A"), ("enhanced", "AD/"), ("render", "AAA"))
+}
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings: Callable) -> Path:
+    return report_scene(tmp_path_factory.mktemp("scene"), root, default_settings)
+
+
+class Addresses(HTMLParser):
+    """Every address that a page's elements name."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[str, str]] = []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.found += [
+            (tag, value or "") for name, value in attributes if name in ("src", "href", "data", "action", "poster")
+        ]
+
+
+def opened(page: Path, *arguments: str, script: str = "") -> tuple[str, str]:
+    """The document after its scripts ran in a browser that reaches no host, and what the browser logged. ``script``
+    runs at the end."""
+    if script:
+        page = page.with_name("scripted.html")
+        source = (page.with_name("index.html")).read_text(encoding="utf-8")
+        write_text(page, source.replace("</body>", f"<script>{script}</script></body>"))
+    command = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
+    command += [
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--virtual-time-budget=4000",
+        *arguments,
+        "--dump-dom",
+        page.as_uri(),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout, done.stderr
+
+
+def test_the_page_needs_no_network_and_shows_the_numbers(reported: Path) -> None:
+    text = (reported / "report/index.html").read_text(encoding="utf-8")
+    metrics = read_json(reported / "report/metrics.json")
+    parser = Addresses()
+    parser.feed(text)
+    shown = [(tag, address) for tag, address in parser.found if not address.startswith("data:")]
+    assert {tag for tag, _ in shown} <= {"a"}, "everything that is shown is inside the page"
+    for _, address in shown:
+        assert (reported / "report" / address).is_file(), "links lead to files beside the page"
+    assert ("a", "metrics.json") in shown
+    assert ("a", "../deliver/player.html") in shown
+    assert not re.search(r"@import|url\(", text)
+    assert f"{metrics['pictures']['raw']['psnr']['value']:.2f} dB" in text
+    assert "not measured" in text
+    assert "data:video/mp4;base64," in text
+    assert "an &lt;empty&gt; room" in text
+    assert "it flickers" in text
+    assert "too early" not in text, "what a later survey decided counts"
+    assert "100 % inferred" in text
+    assert "passes through &lt;p0&gt;" in text, "warnings of the logs"
+    assert "shows less than 50 % measured surfaces in 1 of 2 pictures" in text, "and of the films' ledgers"
+    assert "shot heldout passes through &lt;p1&gt;" in text
+    assert "drawn" not in text.split("<h2>Warnings")[1].split("<h2>Versions")[0]
+    for library, version in metrics["provenance"]["libraries"].items():
+        assert f"<td>{library}</td><td>{version}</td>" in text
+
+
+@in_browser
+def test_a_browser_opens_the_page_without_errors_and_shows_the_numbers_of_the_json(reported: Path) -> None:
+    document, log = opened(reported / "report/index.html")
+    assert "CONSOLE" not in log, log[-2000:]
+    words = re.sub(
+        r"\s+", " ", re.sub(r"<script.*?</script>|<style.*?</style>|<[^>]+>", " ", document, flags=re.DOTALL)
+    )
+    pictures = read_json(reported / "report/metrics.json")["pictures"]
+    for version in ("raw", "enhanced"):
+        assert f"{pictures[version]['psnr']['value']:.2f} dB" in words
+        assert f"{pictures[version]['ssim']['value']:.4f}" in words
+        for camera, entry in pictures[version]["psnr"]["cameras"].items():
+            assert camera in words
+            assert f"{entry['value']:.2f}" in words
+
+
+@in_browser
+@pytest.mark.parametrize("width", [360, 1280])
+def test_nothing_is_wider_than_the_window(reported: Path, width: int) -> None:
+    told = "document.title = document.documentElement.scrollWidth + ' of ' + window.innerWidth;"
+    document, _ = opened(reported / "report/index.html", f"--window-size={width},800", script=told)
+    inner, outer = map(int, re.search(r"<title>(\d+) of (\d+)</title>", document).groups())
+    assert inner <= outer, "a phone must not scroll sideways"
+
+
+@in_browser
+def test_the_slider_moves_the_line_and_swaps_versions_and_moments(reported: Path) -> None:
+    script = """
+    const figure = document.querySelector('figure.comparison'), at = q => figure.querySelector(q);
+    const made = JSON.parse(at('script').textContent), images = figure.querySelectorAll('.wipe img');
+    const started = images[0].src === made[0].pictures.photo && images[1].src === made[0].pictures.enhanced;
+    const line = at('input'); line.value = 20; line.dispatchEvent(new Event('input'));
+    const moment = at('.moment'); moment.value = 1; moment.dispatchEvent(new Event('change'));
+    const right = figure.querySelectorAll('.version')[1]; right.value = 'render';
+    right.dispatchEvent(new Event('change'));
+    const ended = images[0].src === made[1].pictures.photo && images[1].src === made[1].pictures.render;
+    const told = images[1].alt === 'render, ' + made[1].caption;
+    document.title = [started, at('.wipe').style.getPropertyValue('--cut'), ended, told].join(' ');
+    """
+    document, log = opened(reported / "report/index.html", script=script)
+    assert "CONSOLE" not in log, log[-2000:]
+    assert "<title>true 20% true true</title>" in document
+
+
+def test_the_slider_keeps_a_caption_from_ending_its_script() -> None:
+    made = comparison_slider.slider([("a</script><b>", PIXELS)], "photo", "enhanced")
+    held = re.search(r'<script type="application/json">(.*?)</script>', made, re.DOTALL).group(1)
+    assert json.loads(held)[0]["caption"] == "a</script><b>"
+    assert comparison_slider.slider([], "photo", "enhanced") == ""
+    with pytest.raises(ValueError, match="same versions"):
+        comparison_slider.slider([("a", PIXELS), ("b", {"photo": ""})], "photo", "enhanced")
+
+
+def test_the_strip_shows_who_is_seen_when() -> None:
+    frame, track = np.array([0, 1, 2, 4, 4]), np.array([7, 7, 7, 7, 9])
+    found = Detections("cam1", "coco", frame, track, np.zeros((5, 17, 3)))
+    seen = timeline.frames_seen([found], {("cam1", 7): "p1"}, ["p0", "p1"], 5)
+    assert seen["cam1"].tolist() == [[False] * 5, [True, True, True, False, True], [False] * 4 + [True]]
+    assert timeline.runs(seen["cam1"][1]) == [(0, 3), (4, 5)]
+    drawn = timeline.strip(seen, ["p0", "p1"])
+    assert "<title>p1, frames 0 to 2</title>" in drawn
+    assert "<title>nobody kept, frames 4 to 4</title>" in drawn
+    assert "p0, frames" not in drawn
+    assert timeline.strip({}, []) == ""
+
+
+def test_joint_deviations_are_those_of_measured_frames() -> None:
+    valid, sigma = np.array([True, True, False]), np.full((3, 24), 0.004)
+    sigma[2] = np.inf
+    person = Person(
+        "p0", "body", 30.0, np.zeros((3, 72)), np.zeros((3, 3)), np.zeros(10), np.zeros((3, 24, 3)), valid, sigma, True
+    )
+    shown = timeline.surety([person], {"p0": {"joints_mm_f2": 1.25, "pose_deg_f2": None}})
+    assert "2 of 3" in shown
+    assert shown.count("4.0 mm") == 2
+    assert "1.25 mm/frame²" in shown
+    assert "not known" in shown
+
+
+def test_coverage_is_what_the_survey_measured() -> None:
+    decision = Decision("view_synthesis", "s", 0.5, (0.4, 0.6), 0.2, "on", "r", detail={"seen_by": [0.91, 0.52]})
+    shown = sections.coverage([{"view_synthesis": decision}])
+    assert "91%" in shown
+    assert "52%" in shown
+    assert sections.coverage([{}]) == ""
+
+
+def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:
+    write_text(tmp_path / "people/fit/p0.log", "fine\nwarning: one\nwarning: one\n")
+    write_text(tmp_path / "plates/clean/cam1.log", "warning: two\na warning: is no warning\n")
+    assert appendix.read_warnings(tmp_path) == [("people.fit.p0", "one"), ("plates.clean.cam1", "two")]
+    assert "No step warned" in appendix.warnings([])
+
+
+def test_warnings_name_the_pictures_of_a_film(tmp_path: Path) -> None:
+    columns = ("picture", "measured", "angle_deg", "near")
+    rows = [(i, 0.9 if i < 5 else 0.3, 70.0 if i in (1, 3) else 10.0, "p0" if i == 7 else "") for i in range(8)]
+    write_table(tmp_path / "fly.tsv", columns, rows)
+    assert [sentence for _, sentence in appendix.film_warnings([tmp_path / "fly.tsv"], 0.5, 60.0)] == [
+        "shot fly shows less than 50 % measured surfaces in 3 of 8 pictures (5-7)",
+        "shot fly stands more than 60 degrees from every training camera in 2 of 8 pictures (1, 3)",
+        "shot fly passes through p0 in 1 of 8 pictures (7)",
+    ]
+    assert appendix.film_warnings([tmp_path / "fly.tsv"], 0.2, 90.0) == [
+        ("render.shot.fly", "shot fly passes through p0 in 1 of 8 pictures (7)")
+    ]

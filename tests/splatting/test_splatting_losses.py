@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Losses against float64 autograd and against scikit-image; masks that leave no trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from studiorecon.splatting.train.photometric import Photometric
+from studiorecon.splatting.train.terms import Density
+
+from tests.made.training import of_alpha, photometric
+
+SIZES = [(40, 53), (33, 64), (7, 5)]
+
+
+def pair(hw: tuple[int, int], seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rendering, noisy target, and weights of which 30 % are 0."""
+    rng = np.random.default_rng(seed)
+    rendered = rng.random((*hw, 3)).astype(np.float32)
+    target = np.clip(rendered + rng.normal(0, 0.1, rendered.shape), 0, 1).astype(np.float32)
+    weight = (rng.random(hw) < 0.7) * rng.uniform(0.5, 3, hw)
+    return rendered, target, weight.astype(np.float32)
+
+
+def autograd_photometric(
+    rendered: np.ndarray, target: np.ndarray, weight: np.ndarray, l1: float, ssim: float
+) -> tuple[float, np.ndarray]:
+    import torch
+
+    x = torch.tensor(rendered, dtype=torch.float64, requires_grad=True)
+    y, w = torch.tensor(target, dtype=torch.float64), torch.tensor(weight, dtype=torch.float64)[..., None]
+    filled = torch.where(w > 0, x, y).permute(2, 0, 1)[:, None]
+    wanted = y.permute(2, 0, 1)[:, None]
+    taps = torch.exp(-0.5 * ((torch.arange(11, dtype=torch.float64) - 5) / 1.5) ** 2)
+    window = (taps[:, None] * taps / taps.sum() ** 2)[None, None]
+
+    def blur(image):
+        return torch.nn.functional.conv2d(image, window, padding=5)
+
+    mx, my = blur(filled), blur(wanted)
+    vx, vy, cov = blur(filled * filled) - mx * mx, blur(wanted * wanted) - my * my, blur(filled * wanted) - mx * my
+    similarity = (2 * mx * my + 1e-4) * (2 * cov + 9e-4) / ((mx * mx + my * my + 1e-4) * (vx + vy + 9e-4))
+    used = 3 * (w > 0).sum()
+    loss = l1 * (w * (x - y).abs()).sum() / used + ssim * (w * (1 - similarity[:, 0].permute(1, 2, 0))).sum() / used
+    loss.backward()
+    return loss.item(), x.grad.numpy()
+
+
+@pytest.mark.parametrize("hw", SIZES)
+@pytest.mark.parametrize(("l1", "ssim"), [(0.7, 0.3), (1.0, 0.0), (0.0, 1.0)])
+def test_photometric_loss_agrees_with_autograd(hw: tuple[int, int], l1: float, ssim: float) -> None:
+    rendered, target, weight = pair(hw, 0)
+    loss, gradient = photometric(rendered, target, weight, l1, ssim)
+    expected, by_rendered = autograd_photometric(rendered, target, weight, l1, ssim)
+    assert loss == pytest.approx(expected, abs=1e-6)
+    assert np.linalg.norm(gradient - by_rendered) < 2e-6 * np.linalg.norm(by_rendered)
+
+
+def test_ssim_agrees_with_scikit_image_away_from_the_border() -> None:
+    from skimage.metrics import structural_similarity
+
+    rendered, target, _ = pair((60, 70), 1)
+    inside = np.zeros((60, 70), np.float32)
+    inside[8:-8, 8:-8] = 1
+    _, full = structural_similarity(
+        rendered,
+        target,
+        channel_axis=2,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+        full=True,
+    )
+    # Weight 1 inside and a hair outside: those pixels must not be masked, or the target would stand in for them.
+    hair = np.float32(1e-12)
+    terms_loss, _ = photometric(rendered, target, np.where(inside > 0, np.float32(1), hair), 0.0, 1.0)
+    pixels = inside.size / inside.sum()
+    assert 1 - terms_loss * pixels == pytest.approx(full[8:-8, 8:-8].mean(), abs=2e-6)
+
+
+def test_masked_pixels_leave_no_trace_in_loss_or_gradient() -> None:
+    rendered, target, weight = pair((40, 53), 2)
+    loss, gradient = photometric(rendered, target, weight, 0.7, 0.3)
+    masked = weight == 0
+    other = rendered.copy()
+    other[masked] = np.random.default_rng(3).random((int(masked.sum()), 3))
+    again, same = photometric(other, target, weight, 0.7, 0.3)
+    assert loss == again
+    np.testing.assert_array_equal(gradient, same)
+    assert not gradient[masked].any()
+
+
+def test_a_masked_target_may_hold_nan() -> None:
+    rendered, target, weight = pair((20, 20), 4)
+    target[weight == 0] = np.nan
+    loss, gradient = photometric(rendered, target, weight, 0.7, 0.3)
+    assert np.isfinite(loss)
+    assert np.isfinite(gradient).all()
+
+
+def test_statistics_computed_at_use_equal_kept_ones() -> None:
+    rendered, target, weight = pair((40, 53), 5)
+    planes = np.zeros((5, 40, 53), np.float32)
+    planes[:3] = rendered.transpose(2, 0, 1)
+    loss = Photometric((40, 53), 0.7, 0.3)
+    gradients = [np.zeros_like(planes) for _ in range(2)]
+    terms = [
+        loss.evaluate(planes, loss.prepare(target, weight, keep), gradients[i]) for i, keep in enumerate((True, False))
+    ]
+    assert terms[0] == terms[1]
+    np.testing.assert_array_equal(*gradients)
+    used = weight > 0
+    assert terms[0].psnr_db == pytest.approx(-10 * np.log10(((rendered - target)[used] ** 2).mean()), abs=1e-3)
+
+
+@pytest.mark.parametrize("hw", SIZES)
+def test_density_prior_agrees_with_autograd(hw: tuple[int, int]) -> None:
+    import torch
+
+    alpha = np.random.default_rng(6).random(hw).astype(np.float32)
+    _, _, weight = pair(hw, 6)
+    loss, gradient = of_alpha(Density(0.1), alpha, weight)
+    a, w = torch.tensor(alpha, dtype=torch.float64, requires_grad=True), torch.tensor(weight)
+    prior = -torch.log(torch.exp(-a) + torch.exp(a - 1)) + np.log1p(np.exp(-1))
+    expected = (w * 0.1 * prior).sum() / (w > 0).sum()
+    expected.backward()
+    assert loss == pytest.approx(expected.item(), abs=1e-6)
+    assert np.linalg.norm(gradient - a.grad.numpy()) < 2e-6 * np.linalg.norm(a.grad.numpy())

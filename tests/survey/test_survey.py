@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Survey: planted effects are found, absent ones are not, and what cannot be known is called undetermined."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.decisions import Decision, forced, read_decisions, switched_on, write_decisions
+from studiorecon.survey import decide as step
+from studiorecon.survey.clips import halved, read_film, run_starts
+from studiorecon.survey.coverage import (
+    from_two_sides,
+    largest_gap_deg,
+    seen_by,
+    stage,
+    stage_points,
+)
+from studiorecon.survey.effects import CLOSED_PATH, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
+from studiorecon.survey.exposures import ExposureView
+
+from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
+
+
+def blank(camera: Camera) -> ExposureView:
+    """A camera whose depth is unknown, which hides nothing."""
+    zero = np.zeros(camera.hw, np.float32)
+    return ExposureView(camera, np.zeros((*camera.hw, 3), np.float32), zero > 0, zero)
+
+
+class TestPeople:
+    def test_somebody_nobody_and_an_empty_room(self, settings: step.Settings) -> None:
+        two = decided(PEOPLE, settings, [], ["p0", "p1"])
+        assert (two.verdict, two.value) == ("on", 2.0)
+        assert decided(PEOPLE, settings, [], []).verdict == "off"
+        assert "dataset says" in decided(PEOPLE, settings, []).reason
+
+
+class TestCoverage:
+    def test_the_stage_is_where_the_cameras_look(self) -> None:
+        centre, radius_m = stage(ring([0, 90, 180, 270]))
+        np.testing.assert_allclose(centre, 0, atol=1e-9)
+        assert radius_m == pytest.approx(3.0)
+
+    @pytest.mark.parametrize(
+        ("azimuths", "gap"), [([0, 90, 180, 270], 90), ([0, 60, 120], 240), ([10], 360), ([350, 10, 180], 170)]
+    )
+    def test_the_largest_gap(self, azimuths: list[float], gap: float) -> None:
+        assert largest_gap_deg(ring(azimuths)) == pytest.approx(gap, abs=1.0)
+
+    def test_walls_hide_what_is_behind_them(self) -> None:
+        camera = ring([0])[0]
+        points = camera.unproject(np.array([[48.0, 32.0]] * 3), np.array([1.0, 2.0, 4.0]))
+        wall = np.full(camera.hw, 2.0, np.float32)
+        assert seen_by(points, [camera], [wall], 0.05)[0].tolist() == [True, True, False]
+        assert seen_by(points, [camera], [0 * wall], 0.05)[0].all()
+        assert not seen_by(camera.unproject(np.array([[-5.0, 3.0]]), np.ones(1)), [camera], [wall], 0.05).any()
+
+    def test_two_cameras_side_by_side_are_one_side(self) -> None:
+        cameras = ring([0, 0.5, 90])
+        seen = np.array([[True], [True], [False]])
+        assert not from_two_sides(np.array([[0, 0, 1.0]]), cameras, seen, 2.0).any()
+        assert from_two_sides(np.array([[0, 0, 1.0]]), cameras, np.ones((3, 1), bool), 2.0).all()
+
+    def test_four_cameras_need_views_between_and_a_dense_ring_does_not(self, settings: step.Settings) -> None:
+        def verdict(azimuths: list[float], was_on: bool = False) -> str:
+            views = [blank(camera) for camera in ring(azimuths, focal_px=40)]
+            return decided(VIEW_SYNTHESIS, settings, views, was_on=was_on).verdict
+
+        assert verdict([0, 90, 180, 270]) == "on"
+        assert verdict(list(range(0, 360, 20))) == "off"
+        # A gap of 33 degrees lies between 0.8 times the threshold and the threshold.
+        almost = list(np.arange(0, 360, 360 / 11))
+        assert (verdict(almost), verdict(almost, was_on=True)) == ("off", "on")
+
+    @pytest.mark.parametrize(("azimuths", "verdict"), [([0, 90, 180, 270], "on"), ([0, 45, 90], "off")])
+    def test_a_ring_is_closed_and_an_arc_is_not(
+        self, azimuths: list[float], verdict: str, settings: step.Settings
+    ) -> None:
+        assert decided(CLOSED_PATH, settings, [blank(c) for c in ring(azimuths)]).verdict == verdict
+
+    def test_parallel_cameras_have_a_stage(self) -> None:
+        cameras = ring([0, 0.0])
+        assert np.isfinite(stage(cameras)[0]).all()
+        assert len(stage_points(cameras, 0.5, 2.0)) >= 0
+
+
+class TestExposure:
+    def test_a_planted_gain_is_found_and_equal_cameras_are_left_alone(self, settings: step.Settings) -> None:
+        cameras = ring([0, 90, 180, 270])
+        right = wrong = 0
+        for seed in range(20):
+            views = [floor_view(c, noise=0.02, seed=10 * seed + k) for k, c in enumerate(cameras)]
+            wrong += decided(EXPOSURE, settings, views).verdict == "on"
+            views[2] = floor_view(cameras[2], gain=1.03, noise=0.02, seed=10 * seed + 7)
+            decision = decided(EXPOSURE, settings, views)
+            right += decision.verdict == "on" and decision.reason.startswith("c2")
+        assert (right, wrong) == (20, 0)
+
+    def test_a_colour_cast_counts_as_exposure(self, settings: step.Settings) -> None:
+        views = [floor_view(c, gain=(1.0, 1.0, 1.06) if k == 1 else 1.0) for k, c in enumerate(ring([0, 90, 180]))]
+        assert decided(EXPOSURE, settings, views).verdict == "on"
+
+    def test_cameras_that_share_nothing_are_undetermined(self, settings: step.Settings) -> None:
+        blind = [ExposureView(v.camera, v.rgb, v.measured, 0 * v.depth_m) for v in map(floor_view, ring([0, 180]))]
+        decision = decided(EXPOSURE, settings, blind)
+        assert (decision.verdict, decision.value) == ("undetermined", None)
+
+
+class TestDecisions:
+    def test_they_can_be_forced(self) -> None:
+        made = [Decision("exposure", "s", 1.5, None, 1.0, "on", "because")]
+        (decision,) = forced(made, {"exposure": "off"})
+        assert decision.verdict == "off"
+        assert "measured on" in decision.reason
+        with pytest.raises(UserError, match=r"effects decided here are .*exposure"):
+            forced(made, {"weather": "off"})
+
+    def test_the_next_survey_knows_what_was_on_but_not_what_was_forced(self, tmp_path: Path) -> None:
+        assert switched_on([]) == frozenset()
+        made = [
+            Decision(e, "s", 1.5, None, 1.0, v, "r") for e, v in (("exposure", "on"), ("hands", "off"), ("face", "on"))
+        ]
+        write_decisions(tmp_path / "decisions.json", forced(made, {"face": "on"}))
+        assert switched_on([tmp_path / "decisions.json"]) == {"exposure"}
+
+
+class TestStep:
+    def test_every_effect_has_a_decision_with_its_reason(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files)
+        found = read_decisions(files["decisions"])
+        assert list(found) == [effect.name for effect in EFFECTS]
+        assert all(d.reason and d.statistic and d.calibration == "uncalibrated" for d in found.values())
+        told = {
+            "people": "on",
+            "view_synthesis": "on",
+            "closed_path": "on",
+            "exposure": "off",
+            "sync_offset": "undetermined",
+        }
+        assert {effect: found[effect].verdict for effect in told} == told
+        assert "report/audit.json" in found["injection"].reason
+        assert found["view_synthesis"].obeyed_by
+        assert not found["hands"].obeyed_by
+
+    def test_every_effect_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
+        for verdict in ("on", "off"):
+            step.run(replace(settings, force=dict.fromkeys([effect.name for effect in EFFECTS], verdict)), **files)
+            assert {(d.verdict, d.forced) for d in read_decisions(files["decisions"]).values()} == {(verdict, True)}
+        step.run(settings, **files)
+        assert read_decisions(files["decisions"])["exposure"].verdict == "off", "a lifted force leaves no trace"
+
+    def test_same_input_same_bytes(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files)
+        once = files["decisions"].read_bytes()
+        step.run(settings, **files)
+        assert files["decisions"].read_bytes() == once
+
+    def test_an_earlier_run_counts_only_where_it_is_given(self, files: dict, settings: step.Settings) -> None:
+        """A ring whose widest gap, 120 degrees, lies within the hysteresis of 110: up to 132 once it was on."""
+        narrow = replace(settings, thresholds={**settings.thresholds, "closed_path": 110.0})
+        step.run(settings, **files)
+        earlier = files["decisions"].rename(files["decisions"].with_name("earlier.json"))
+        verdicts = []
+        for given in ([], [earlier], []):
+            step.run(narrow, **files | {"earlier": given})
+            verdicts.append(read_decisions(files["decisions"])["closed_path"].verdict)
+        assert verdicts == ["off", "on", "off"]
+
+    def test_a_room_that_is_known_to_be_empty(self, files: dict, settings: step.Settings) -> None:
+        step.run(settings, **files | {"people": [], "identities": []})
+        found = read_decisions(files["decisions"])
+        assert found["people"].verdict == "off"
+        assert found["hands"].verdict == "undetermined"
+
+    def test_a_missing_film_is_refused(self, files: dict, settings: step.Settings) -> None:
+        with pytest.raises(UserError, match="2 videos, 3 plates"):
+            step.run(settings, **files | {"videos": files["videos"][:2]})
+
+
+class TestFilms:
+    def test_runs_are_spread_over_the_clip_and_begin_with_it(self) -> None:
+        assert run_starts(1000, 60, 12) == [0, 247, 494, 741, 988]
+        assert run_starts(5, 60, 12) == [0]
+        assert run_starts(60, 60, 12) == [0, 12, 24, 36, 48]
+
+    def test_pictures_shrink_and_runs_are_found_again(self, files: dict) -> None:
+        camera = ring([0, 120, 240])[0]
+        film = read_film(files["videos"][0], camera, 12, 30.0, None, pictures=6, run=2, longest_px=48)
+        assert film.times.tolist() == [0, 1, 5, 6, 10, 11]
+        assert film.runs == [slice(0, 2), slice(2, 4), slice(4, 6)]
+        assert (film.pictures.shape, film.scale, film.free.all()) == ((6, 32, 48, 3), 2.0, True)
+        small = halved(film)
+        assert (small.pictures.shape, small.scale) == ((6, 16, 24, 3), 4.0)
+
+    def test_fast_footage_is_looked_at_thirty_times_a_second(self, files: dict) -> None:
+        film = read_film(files["videos"][0], ring([0, 120, 240])[0], 12, 60.0, None, pictures=4, run=2, longest_px=48)
+        assert film.times.tolist() == [0, 2, 8, 10]
+        assert film.runs == [slice(0, 2), slice(2, 4)]
+        assert len(film.pictures) == 4

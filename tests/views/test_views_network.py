@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views by GEN3C: the network's frame and ours, checked requests, films back at the working size, and what no photo
+shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
+from studiorecon.footage.video import read_stack, to_bytes, write_lossless
+from studiorecon.models.adapters import gen3c
+from studiorecon.models.catalogue.card import Card
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.path import read_path, write_path
+from studiorecon.settings import load
+from studiorecon.views import fitted, generate, request
+from studiorecon.views import path as views_path
+from studiorecon.views.frame import frame_of
+
+from tests.made.networks import room_views
+from tests.made.room import write_capture
+
+WH = (96, 54)
+NETWORK_HW = (88, 160)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gen3c, "HW", NETWORK_HW)
+    monkeypatch.setattr(gen3c.Gen3c, "hw", NETWORK_HW)
+
+
+@pytest.mark.parametrize("hw", [(270, 480), (54, 96), (720, 1280), (704, 1280), (600, 1000)])
+def test_a_picture_comes_back_from_the_networks_frame_where_it_was(hw: tuple[int, int]) -> None:
+    frame = frame_of(hw, (704, 1280))
+    v, u = (np.arange(size) / size for size in hw)
+    picture = np.stack(np.broadcast_arrays(v[:, None], u, 0.5 + 0.2 * np.sin(9 * u + 5 * v[:, None])), -1).astype(
+        np.float32
+    )
+    there = frame.colours(picture)
+    assert there.shape == (704, 1280, 3)
+    back, inside = frame.back(there)
+    assert back.shape == picture.shape
+    assert inside.mean() > 0.85
+    # Naive, a squeeze of 720 rows into 704: off by up to 8 rows.
+    error = np.abs(back - picture)[inside]
+    assert np.percentile(error, 99) < 0.02
+    assert np.median(error) < 1e-3
+    assert inside.any(axis=0).all() or hw[1] * 704 < hw[0] * 1280
+
+
+def test_the_networks_camera_sees_the_same_points_in_its_own_pixels() -> None:
+    camera, _, depth = room_views(WH)[0]
+    frame = frame_of(WH[::-1], (704, 1280))
+    points = camera.unproject(camera.pixel_centres(), depth)[5:-5]
+    there, _ = frame.camera(camera).project(points)
+    ours, _ = camera.project(points)
+    np.testing.assert_allclose(there * frame.step + np.array(frame.start)[::-1], ours, atol=1e-9)
+    values = frame.values(depth)
+    rows, columns = (np.floor(there[..., k]).astype(int) for k in (1, 0))
+    np.testing.assert_allclose(values[rows, columns], depth[5:-5], rtol=1e-6)
+
+
+def test_portrait_footage_is_refused() -> None:
+    with pytest.raises(UserError, match=r"1080×1920 would lose \d+% of its picture"):
+        frame_of((1920, 1080), (704, 1280))
+
+
+@pytest.fixture
+def files(tmp_path: Path, small: None, default_settings: Callable) -> tuple[dict, tuple, Path]:
+    views = room_views(WH)
+    cameras, pictures, depths = zip(*views)
+    unknown = np.zeros(WH[::-1], bool)
+    unknown[20:30, 40:50] = True
+    plates = write_capture(tmp_path, cameras, pictures, unknown)
+    maps = [tmp_path / f"{c.name}.exr" for c in cameras]
+    for path, depth in zip(maps, depths):
+        write_depth(path, depth, np.ones(depth.shape))
+    section = default_settings("views", views_per_segment=120, synthesizer="gen3c")
+    steps, _ = views_path.plan(list(cameras), load(views_path.Settings, section, "views"))
+    write_path(tmp_path / "path.json", steps, 24.0)
+    return section, (tmp_path / "path.json", tmp_path / "cameras/images.txt", plates, maps, []), tmp_path
+
+
+def test_no_more_photos_are_asked_for_than_memory_bears(
+    files: tuple, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    section, common, folder = files
+    monkeypatch.setattr(gen3c.Gen3c, "most_key_frames", 2)
+    request.run(load(request.Settings, section, "views"), "00", *common, folder / "00.request.npz")
+    assert len(np.load(folder / "00.request.npz")["images_key_frames"]) == 2
+    assert "segment 00: of 4 photos the 2 nearest are its key frames" in capsys.readouterr().out
+
+
+def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    section, common, folder = files
+    request.run(load(request.Settings, section, "views"), "00", *common, folder / "00.request.npz")
+    asked = dict(np.load(folder / "00.request.npz"))
+    assert asked["images_key_frames"].shape == (4, 3, *NETWORK_HW)
+    assert len(asked["w2cs_all"]) == 121
+    # The hole that people left in the plate is masked, and its loud colour does not seed the film.
+    hole = asked["mask_key_frames"][0, 0] == 0
+    assert hole[36:44, 70:80].all()
+    assert asked["images_key_frames"][0][:, 38, 75].max() < 0.95
+
+    made: list[Path] = []
+
+    class Planted(gen3c.Gen3c):
+        def __init__(self, card: Card, weights: Path, where: str, **options: float) -> None:
+            assert (options["steps"], options["guidance"]) == (35, 1.0)
+
+        def views(self, given: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
+            made.append(folder)
+            first = ((given["images_key_frames"][0].transpose(1, 2, 0) + 1) * 127.5).round().astype(np.uint8)
+            yield np.repeat(first[None], 121, axis=0)
+
+    monkeypatch.setattr(gen3c, "ADAPTER", Planted)
+    settings = load(generate.Settings, section, "views")
+    generate.run(settings, [folder / "00.request.npz"], [folder / "00.film.mkv"], folder)
+    assert read_stack(folder / "00.film.mkv").shape == (121, *NETWORK_HW, 3)
+
+    quick = load(fitted.Settings, {**section, "oversampling": 1}, "views")
+    fitted.run(quick, "00", folder / "00.film.mkv", *common, folder / "00.mkv", folder / "00.mask.mkv")
+    views, support = read_stack(folder / "00.mkv"), read_stack(folder / "00.mask.mkv")
+    assert views.shape == (121, 54, 96, 3)
+    start = next(
+        c
+        for c, _, _ in room_views(WH)
+        if np.allclose(c.camera_from_world, read_path(common[0])[0][0].camera.camera_from_world)
+    )
+    truth = next(rgb for c, rgb, _ in room_views(WH) if c is start)
+    inside = support[0] == 255
+    assert inside.mean() > 0.6
+    assert np.median(np.abs(views[0].astype(float) - to_bytes(truth))[inside]) < 8
+    assert not support[:, [0, -1]].any(), "rows that the network's frame cuts off are shown by nothing"
+
+
+def test_the_request_of_a_wrong_length_or_wrong_depth_stops_before_a_gpu(
+    files: tuple, default_settings: Callable
+) -> None:
+    section, common, folder = files
+    settings = load(request.Settings, section, "views")
+    steps, fps = read_path(common[0])
+    write_path(folder / "short.json", steps[:100], fps)
+    with pytest.raises(
+        UserError,
+        match=r"segment 00: GEN3C makes 121, 241, 361, … frames, not 100; set views\.views_per_segment to 120",
+    ):
+        request.run(settings, "00", folder / "short.json", *common[1:], folder / "x.npz")
+    for path, (_, _, depth) in zip(common[3][:1], room_views(WH)):
+        write_depth(path, depth * 1.6, np.ones(depth.shape))
+    with pytest.raises(UserError, match="segment 00: key frames of the GEN3C request disagree about depth"):
+        request.run(settings, "00", *common, folder / "x.npz")
+    assert not (folder / "x.npz").exists()
+
+
+def test_a_brought_film_must_fit_the_path(files: tuple) -> None:
+    section, common, folder = files
+    settings = load(fitted.Settings, section, "views")
+    out = folder / "o.mkv", folder / "o.mask.mkv"
+    write_lossless(folder / "few.mkv", np.zeros((5, 54, 96, 3), np.uint8), 24.0)
+    with pytest.raises(
+        UserError, match=r"has 5 pictures for 121 views of segment 00; set views\.views_per_segment to 4"
+    ):
+        fitted.run(settings, "00", folder / "few.mkv", *common, *out)
+    camera = Camera("x", WH, np.eye(3), np.eye(4))
+    with pytest.raises(UserError, match="80×60; they must be 160×88"):
+        fitted.fitted(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)
+    own = cv2.randu(np.zeros((54, 96, 3), np.uint8), 0, 255)
+    assert fitted.fitted(own, camera, [NETWORK_HW], 3)[0] is own
+
+
+def test_a_network_that_stops_short_is_noticed() -> None:
+    class Short:
+        def views(self, given: dict) -> Iterator[np.ndarray]:
+            yield np.zeros((121, 2, 2, 3), np.uint8)
+
+    with pytest.raises(UserError, match="made 121 views of 241"):
+        list(generate.frames_of(Short(), {"w2cs_all": np.zeros((241, 4, 4))}))

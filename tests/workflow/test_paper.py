@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's presets as a whole: planned on videos alone, as the paper has it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.workflow.conftest import ROOT, House
+
+PRESETS = [str(ROOT / f"config/presets/{name}.yaml") for name in ("paper", "networks")]
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four cameras' videos and a held-out fifth; no calibration, no keypoints."""
+    folder = tmp_path_factory.mktemp("uncalibrated")
+    (folder / "videos").mkdir()
+    for camera in ("front", "left", "right", "back", "between"):
+        (folder / "videos" / f"{camera}.mp4").touch()
+    (folder / "capture.yaml").write_text("held_out: [between]\n")
+    return folder
+
+
+def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path) -> None:
+    plan = House(house.folder, str(videos)).plan("--configfile", *PRESETS)
+    assert {"calibration_network": 1, "detect_people": 5, "tracks_bodies": 4}.items() <= plan.items()
+    assert {"depth_network": 1, "depth_aligned": 4, "capture_frames": 5}.items() <= plan.items()
+    # What hangs on who is found is planned when association has run.
+    assert not {"tracks_keypoints", "views_synthesize", "calibration_from_people"} & set(plan)

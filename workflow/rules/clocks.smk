@@ -1,0 +1,30 @@
+# Clocks: when every camera was started, and which frame of each shows which moment.
+
+
+rule clocks_offsets:
+    input:
+        sources=files.all_footage,
+        sightings=collect("results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.sight.timed, allow_missing=True),
+        # The user's own files alone: cameras found from people hang on clocks.
+        calibration=branch(PLAN.calibrated, then="results/{scene}/calibration/calibration.json"),
+    output:
+        clocks="results/{scene}/clocks/clocks.json",
+        findings="results/{scene}/clocks/sync.json",
+    log:
+        "logs/{scene}/clocks/offsets.log",
+    benchmark:
+        "benchmarks/{scene}/clocks/offsets.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        settings=settings("clocks.offsets"),
+        code=code("clocks.offsets"),
+        cameras=PLAN.cameras,
+        starts=json.dumps(dict(PLAN.dataset.starts)),
+        first_frame=PLAN.dataset.first_frame,
+        frame_count=PLAN.dataset.frame_count,
+    shell:
+        command("clocks.offsets")

@@ -1,0 +1,53 @@
+# Detect: people in the footage as it was filmed, before any calibration: by the detector, or as recorded keypoints say.
+
+
+if PLAN.sight.measured or not PLAN.sight.bodies:
+
+    rule detect_people:
+        input:
+            source=files.footage,
+            clocks=branch(PLAN.sight.part_used, then="results/{scene}/clocks/clocks.json"),
+            networks=files.detector,
+        output:
+            found="results/{scene}/detect/found/{camera}.npz",
+        log:
+            "logs/{scene}/detect/people/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/detect/people/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=2000,
+        params:
+            code=code("detect.people"),
+            picture_fps=config["capture"]["picture_fps"],
+        shell:
+            command("detect.people")
+
+
+rule detect_keypoints:
+    input:
+        keypoints=files.keypoints,
+        source=files.footage,
+    output:
+        sightings="results/{scene}/detect/keypoints/{camera}.npz",
+        size="results/{scene}/detect/keypoints/{camera}.json",
+    log:
+        "logs/{scene}/detect/keypoints/{camera}.log",
+    benchmark:
+        "benchmarks/{scene}/detect/keypoints/{camera}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=500,
+    params:
+        settings=settings("detect.keypoints"),
+        code=code("detect.keypoints"),
+        layout=PLAN.dataset.keypoint_layout,
+        first_frame=PLAN.dataset.keypoint_first_frame,
+        picture_fps=config["capture"]["picture_fps"],
+        pixel_map=lookup("{camera}", within={c: json.dumps(PLAN.dataset.pixel_maps.get(c, [])) for c in PLAN.cameras}),
+    shell:
+        command("detect.keypoints")

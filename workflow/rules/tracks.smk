@@ -1,0 +1,57 @@
+# Tracks: keypoints of every camera in undistorted working pixels, followed through time: what each camera says by itself.
+
+
+if PLAN.sight.bodies:
+
+    rule tracks_bodies:
+        input:
+            video="results/{scene}/capture/{camera}.mkv",
+            footage="results/{scene}/capture/{camera}.json",
+            clocks="results/{scene}/clocks/clocks.json",
+            given=files.given_bodies,
+        output:
+            detections="results/{scene}/tracks/{camera}.npz",
+        log:
+            "logs/{scene}/tracks/bodies/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/tracks/bodies/{camera}.tsv"
+        container:
+            model_image(PLAN.sight.bodies)
+        threads: 2
+        resources:
+            mem_mb=8000,
+            gpu=gpus(PLAN.sight.bodies),
+        params:
+            settings=settings("tracks.bodies"),
+            code=code("tracks.bodies"),
+            weights=PLAN.networks.weights,
+            device=config["device"],
+        shell:
+            command("tracks.bodies")
+
+else:
+
+    rule tracks_keypoints:
+        input:
+            keypoints=files.keypoints,
+            clocks="results/{scene}/clocks/clocks.json",
+            footage="results/{scene}/capture/{camera}.json",
+            calibration="results/{scene}/calibration/calibration.json",
+        output:
+            detections="results/{scene}/tracks/{camera}.npz",
+        log:
+            "logs/{scene}/tracks/keypoints/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/tracks/keypoints/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=500,
+        params:
+            settings=settings("tracks.keypoints"),
+            code=code("tracks.keypoints"),
+            layout=PLAN.dataset.keypoint_layout,
+            first_frame=PLAN.dataset.keypoint_first_frame,
+        shell:
+            command("tracks.keypoints")

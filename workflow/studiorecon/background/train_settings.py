@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the training of the room is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from studiorecon.background.refinement import Refinement
+from studiorecon.configuration.setting import setting
+from studiorecon.splatting.train.schedule import TrainingSettings
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the background is started and trained."""
+
+    start: Literal["depth", "random"] = setting(
+        "depth",
+        "Where Gaussians start: depth = discs on the training cameras' depth; random = anywhere, the 4-view baseline.",
+        paper="on Pi3's points",
+        letter="depth",
+    )
+    random_count: int = 56000
+    random_size_m: float = 0.06
+    stride: int = setting(3, "One Gaussian per so many pixels in either direction of every plate.", minimum=1)
+    seed_size: float = 0.6
+    seed_opacity: float = 0.7
+    measured_confidence: float = 0.2
+    fill: bool = setting(
+        True,
+        "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from what lies "
+        "beside them (marked invented).",
+        paper="none, appendix C",
+        letter=False,
+    )
+    fill_step_m: float = setting(
+        0.06, "Grid of those discs; coarser when the room would need more than fill_limit nodes.", unit="m", above=0
+    )
+    fill_limit: int = setting(150000, "Most nodes of that grid.", minimum=1)
+    views_share: float = setting(
+        0.5,
+        "Share of the steps that train on synthesized views.",
+        minimum=0,
+        below=1,
+        paper="all of them, photos replace the frames at their own poses; U16",
+        letter=0.99,
+    )
+    hole_weight: float = setting(
+        0.3, "Weight of pixels of synthesized views that were inpainted.", minimum=0, maximum=1, paper="1", letter=1.0
+    )
+    plate_boost: float = 2.0
+    sh_cap: bool = setting(
+        True,
+        "Lower training.sh_degree to what the real cameras can tell apart: degree d needs (d + 1)² directions (G15).",
+        paper="no limit",
+        letter=False,
+    )
+    seed: int = setting(0, "Seed of all draws.", minimum=0)
+    refinement: Refinement = setting(Refinement(), "Iterative refinement, half-way.")
+    training: TrainingSettings = setting(TrainingSettings(), "The training loop.")

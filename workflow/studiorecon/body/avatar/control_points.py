@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A few hundred points on the body that carry what changes slowly over it, and how every Gaussian takes part in it.
+
+What drifts on a person beside the pose, light and folds, is as coarse as a hand is wide. So the network is asked at
+some hundred points, and its answers are spread over the thousands of Gaussians between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import scipy
+
+# Points that a Gaussian between them listens to.
+_NEAREST = 4
+
+
+@dataclass(frozen=True)
+class ControlPoints:
+    """M points and N Gaussians that move with them.
+
+    Attributes:
+        points_m: (M, 3) float64 places in the rest pose, metres.
+        near: (N, 4) int32 the points that each Gaussian is nearest to.
+        shares: (N, 4) float32 how much it listens to each; rows sum to 1.
+    """
+
+    points_m: np.ndarray
+    near: np.ndarray
+    shares: np.ndarray
+
+    @classmethod
+    def on(cls, means_m: np.ndarray, count: int) -> ControlPoints:
+        """``count`` of the places ``means_m`` (N, 3), as far apart as may be, and the shares of all N in them.
+
+        A share falls to 0 where the next point takes over, so that nothing jumps from one Gaussian to its neighbour.
+        The same places give the same points; where there are fewer, all of them are points.
+        """
+        means = np.asarray(means_m, np.float64)
+        points = means[spread_out(means, count)]
+        asked = min(_NEAREST + 1, len(points))
+        distance, near = scipy.spatial.cKDTree(points).query(means, k=asked)
+        distance, near = distance.reshape(len(means), asked), near.reshape(len(means), asked)
+        if asked > _NEAREST:
+            shares = np.square(1 - distance / np.maximum(distance[:, -1:], 1e-9))[:, :_NEAREST]
+        else:
+            # Too few points for one to take over from: the nearest counts most. Padding keeps rows of one length.
+            padding = ((0, 0), (0, _NEAREST - asked))
+            shares, near = np.pad(1 / np.maximum(distance, 1e-9), padding), np.pad(near, padding)
+        total = shares.sum(axis=1, keepdims=True)
+        shares = np.where(total > 1e-12, shares / np.maximum(total, 1e-12), np.eye(_NEAREST)[0])
+        return cls(points, near[:, :_NEAREST].astype(np.int32), shares.astype(np.float32))
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """(N, C) float32 of the Gaussians from (M, C) of the points."""
+        out = np.empty((len(self.near), values.shape[1]), np.float32)
+        _spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
+        return out
+
+    def gathered(self, gradient: np.ndarray) -> np.ndarray:
+        """(M, C) float32: the gradient by the points' values from that by the Gaussians' (N, C); NaN and inf count
+        0."""
+        out = np.zeros((len(self.points_m), gradient.shape[1]), np.float32)
+        _gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
+        return out
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """What a file needs to hold."""
+        return {"points_m": self.points_m, "near": self.near, "shares": self.shares}
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, np.ndarray]) -> ControlPoints | None:
+        """The inverse of ``to_arrays``; None when nothing of it is held."""
+        return cls(held["points_m"], held["near"], held["shares"]) if "points_m" in held else None
+
+
+def spread_out(points_m: np.ndarray, count: int) -> np.ndarray:
+    """(min(count, N),) indices of points (N, 3) of which each is the one furthest from all before it; the first is the
+    one nearest to their mean."""
+    chosen = np.empty(min(count, len(points_m)), np.int64)
+    chosen[0] = np.square(points_m - points_m.mean(axis=0)).sum(axis=1).argmin()
+    gap = np.full(len(points_m), np.inf)
+    for k in range(1, len(chosen)):
+        gap = np.minimum(gap, np.square(points_m - points_m[chosen[k - 1]]).sum(axis=1))
+        chosen[k] = gap.argmax()
+    return chosen
+
+
+@numba.njit(cache=True)
+def _spread(near, shares, values, out):
+    for i in range(near.shape[0]):
+        for c in range(values.shape[1]):
+            total = np.float32(0)
+            for k in range(near.shape[1]):
+                total += shares[i, k] * values[near[i, k], c]
+            out[i, c] = total
+
+
+@numba.njit(cache=True)
+def _gather(near, shares, gradient, out):
+    for i in range(near.shape[0]):
+        for c in range(gradient.shape[1]):
+            value = gradient[i, c]
+            if np.isfinite(value):
+                for k in range(near.shape[1]):
+                    out[near[i, k], c] += shares[i, k] * value

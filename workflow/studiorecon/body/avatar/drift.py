@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a temporal network adds to a person at any moment of a film: asked once a frame, read between frames.
+
+The network was taught at whole frames. Between two of them its answer is read on the straight line, as places on the
+body are, and films that show a frame several times, or from several cameras, ask for it once.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from studiorecon.body.avatar.temporal import TemporalNetwork
+
+# Answers that are kept, bytes: a thousand frames of some hundred points, a hundred of ten thousand Gaussians.
+_KEPT = 1 << 26
+
+
+class Drift:
+    """A network at the Gaussians it was made for."""
+
+    def __init__(self, network: TemporalNetwork, means_m: np.ndarray) -> None:
+        """``means_m`` (N, 3): the places of the Gaussians that the network speaks of, in the rest pose."""
+        self._network, self._means_m = network, means_m
+        rows = len(means_m) if network.control is None else len(network.control.points_m)
+        self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._asked)
+
+    def residuals(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
+        """What to add to the constant harmonic (N, 3) and to the logit opacity (N,), float32, at a 0-based, possibly
+        fractional frame; before the first and after the last, theirs."""
+        at = float(np.clip(frame, 0, self._network.frames - 1))
+        low = int(at)
+        found, share = self._answers(low), np.float32(at - low)
+        if share:
+            found = (1 - share) * found + share * self._answers(low + 1)
+        if self._network.control is not None:
+            found = self._network.control.spread(found)
+        return found[:, :3], found[:, 3]
+
+    def _asked(self, frame: int) -> np.ndarray:
+        if self._network.control is not None:
+            return self._network.at_points(frame)
+        colour, logit = self._network.residuals(self._means_m, frame)
+        return np.concatenate([colour, logit[:, None]], axis=1)

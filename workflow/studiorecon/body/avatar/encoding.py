@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the temporal network is told: position and time as sines of rising frequency (paper, appendix: multires 10, 63 +
+21 inputs).
+
+The identity is part of the code (3 + 3·2·10 = 63, 1 + 2·10 = 21). Frequencies are 2^k without π, as the predecessor's
+code has them (U47); ``half_turns`` puts the π of the formula back.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
+BANDS = 10
+
+
+def in_body_box(points_m: np.ndarray, low_m: np.ndarray, high_m: Num[np.ndarray, " 3"]) -> Float[np.ndarray, "N 3"]:
+    """(N, 3) float64 points with the box from ``low_m`` to ``high_m`` (3,) as [−1, 1]; a box without extent counts as a
+    metre wide.
+
+    Sines of 2⁹ x lose all digits in metres far from the origin (O01), never inside the box.
+    """
+    low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
+    half = np.where(high > low, (high - low) / 2, 0.5)
+    return (np.asarray(points_m, np.float64) - (low + high) / 2) / half
+
+
+def encode_position(normalised: np.ndarray, half_turns: bool = False) -> np.ndarray:
+    """(N, 3) normalised points → (N, 63) float32: the point, then sine and cosine of every band. No float16 anywhere
+    (O01)."""
+    return _encoded(np.asarray(normalised, np.float64), BANDS, half_turns)
+
+
+def encode_time(frame: float, frames: int, half_turns: bool = False) -> Float[np.ndarray, " 21"]:
+    """(21,) float32 code of 0-based ``frame``, which may lie between two, of ``frames``; time runs from 0 to 1.
+
+    Where there is one frame only it is 0 (O03).
+
+    Bands above half a cycle per frame are 0: they would be aliased, a noise of the frame's number (O02). The inputs
+    stay 21.
+    """
+    code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS, half_turns)[0]
+    code[1:].reshape(BANDS, 2)[time_bands(frames, half_turns) :] = 0
+    return code
+
+
+def time_bands(frames: int, half_turns: bool = False) -> int:
+    """How many bands, from the slowest on, turn by at most half a cycle between two of ``frames`` frames."""
+    per_frame = 2.0 ** np.arange(BANDS) * (np.pi if half_turns else 1.0) / max(frames - 1, 1) / (2 * np.pi)
+    return int(np.count_nonzero(per_frame <= 0.5))
+
+
+def _encoded(values: np.ndarray, bands: int, half_turns: bool) -> np.ndarray:
+    """(N, D) float64 → (N, D (1 + 2 bands)) float32; the argument of the sines is float64, or its rounding would be
+    theirs.
+
+    Each band is twice the one before it, by the formulas of the double angle: sines are dear, and nine doublings lose
+    three digits of sixteen. Points run along the last axis meanwhile: three at a time would cost five times as much.
+    """
+    waves = np.empty((bands, 2, values.shape[1], len(values)))
+    angle = np.ascontiguousarray(values.T) * (np.pi if half_turns else 1.0)
+    np.sin(angle, out=waves[0, 0])
+    np.cos(angle, out=waves[0, 1])
+    for k in range(1, bands):
+        sine, cosine = waves[k - 1]
+        waves[k] = 2 * sine * cosine, (cosine - sine) * (cosine + sine)
+    code = np.empty((len(values), values.shape[1] * (1 + 2 * bands)), np.float32)
+    code[:, : values.shape[1]] = values
+    code[:, values.shape[1] :] = waves.reshape(-1, len(values)).T
+    return code

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person as Gaussians in the body's rest pose, with everything that moves them: ``humans/<person>.{ply,npz}``."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.body.avatar.drift import Drift
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.body.avatar.temporal import TemporalNetwork
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import UserError
+from studiorecon.geometry import rotations
+from studiorecon.progress import say
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.provenance import MEASURED
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+# Moments whose pose is kept: films ask for the same ones picture after picture, and camera after camera.
+_MOMENTS_KEPT = 4096
+_ARRAYS = ("bones", "weights", "provenance", "poses", "trans", "betas", "valid")
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """One person's Gaussians and motion.
+
+    Attributes:
+        person: ``p0``, ``p1``, …
+        model: the body model whose skeleton carries the Gaussians.
+        gaussians: N canonical Gaussians in the shaped rest pose, metres, SH degree at most 2.
+        bones: (N, K) uint8 joints that carry each Gaussian.
+        weights: (N, K) float32 skinning weights, rows sum to 1.
+        provenance: (N,) uint8, see ``scene/provenance.py``: measured, or inferred from its surroundings on the body.
+        poses: (T, 72) refined axis-angle poses, radians.
+        trans: (T, 3) world position of the pelvis joint, metres.
+        betas: (10,) shape.
+        valid: (T,) bool: frames in which the body was measured.
+        fps: frames per second.
+        metric: True when lengths are metres.
+        network: what colour and opacity of the measured Gaussians add over time; None when nothing.
+        decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when nobody asked.
+    """
+
+    person: str
+    model: BodyModel
+    gaussians: Gaussians
+    bones: Integer[np.ndarray, "N K"]
+    weights: Float[np.ndarray, "N K"]
+    provenance: Integer[np.ndarray, " N"]
+    poses: Num[np.ndarray, "T 72"]
+    trans: Num[np.ndarray, "T 3"]
+    betas: Num[np.ndarray, " 10"]
+    valid: Bool[np.ndarray, " T"]
+    fps: float
+    metric: bool
+    network: TemporalNetwork | None = None
+    decision: str = ""
+
+    @property
+    def frames(self) -> int:
+        return len(self.poses)
+
+    @property
+    def seen_share(self) -> float:
+        """Share of the Gaussians that a training camera saw."""
+        return float((self.provenance == MEASURED).mean()) if len(self.provenance) else 0.0
+
+    def pose_at(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
+        """Axis-angle pose (72,) and pelvis position (3,) at a 0-based frame, between frames on the sphere of rotations.
+
+        Frames outside the clip show its first or last pose: a film may hold the end.
+        """
+        at = float(np.clip(frame, 0, self.frames - 1))
+        low = min(int(at), max(self.frames - 2, 0))
+        share = at - low
+        if share == 0.0 or self.frames == 1:
+            return self.poses[low], self.trans[low]
+        if share == 1.0:
+            return self.poses[low + 1], self.trans[low + 1]
+        first, second = (rotations.exp(self.poses[t].reshape(-1, 3)) for t in (low, low + 1))
+        return rotations.log(rotations.slerp(first, second, share)).reshape(-1), (1 - share) * self.trans[
+            low
+        ] + share * self.trans[low + 1]
+
+    def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
+        """(24, 3) world joints at a 0-based, possibly fractional frame, metres."""
+        return self._moved(frame)[1]
+
+    def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
+        """(24, 4, 4) transforms of the joints at a 0-based, possibly fractional frame; not to be written to."""
+        return self._moved(frame)[0]
+
+    @cached_property
+    def _moved(self) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+        def moved(frame: float) -> tuple[np.ndarray, np.ndarray]:
+            pose, trans = self.pose_at(frame)
+            transforms = self.model.joint_transforms(pose[None], self.betas, trans[None])[0]
+            joints = self.model.joints(pose[None], self.betas, trans[None])[0]
+            for array in (transforms, joints):
+                array.setflags(write=False)
+            return transforms, joints
+
+        return lru_cache(_MOMENTS_KEPT)(moved)
+
+    @cached_property
+    def _posing(self) -> Posing:
+        return Posing(self.bones, self.weights)
+
+    @cached_property
+    def _drift(self) -> Drift | None:
+        return Drift(self.network, self.gaussians.means_m[self.provenance == MEASURED]) if self.network else None
+
+    def looks_at(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
+        """Harmonics (N, K, 3) and logit opacities (N,) of the canonical Gaussians at a 0-based, possibly fractional
+        frame: what the network adds over time, on the measured ones alone."""
+        own, seen = self.gaussians, self.provenance == MEASURED
+        if self._drift is None or not seen.any():
+            return own.sh, own.logit_opacities
+        colour, logit = self._drift.residuals(frame)
+        sh, logits = own.sh.copy(), own.logit_opacities.copy()
+        sh[seen, 0] += colour
+        logits[seen] += logit
+        return sh, logits
+
+    def facing(self) -> Num[np.ndarray, "T 2"]:
+        """(T, 2) horizontal unit vectors in which the pelvis faces; x where it faces straight up or down."""
+        forward = rotations.exp(np.asarray(self.poses[:, :3], np.float64))[:, :2, 2]
+        length = np.linalg.norm(forward, axis=1, keepdims=True)
+        return np.where(length > 1e-6, forward / np.maximum(length, 1e-6), [1.0, 0.0])
+
+    def posed(self, frame: float) -> Gaussians:
+        """The person's Gaussians in the world at a 0-based, possibly fractional frame."""
+        own = self.gaussians
+        sh, logits = self.looks_at(frame)
+        means, quaternions, sh = self._posing.out(own.means_m, own.quaternions, sh, self.world_from_rest(frame))
+        return Gaussians(means, quaternions, own.log_scales, logits, sh)
+
+
+def write_avatar(ply: Path, npz: Path, avatar: Avatar, mark: str = "") -> None:
+    """Write the canonical Gaussians and, beside them, what moves them (AMASS-style names) and ``mark``, what they were
+    trained from."""
+    write_ply(ply, avatar.gaussians)
+    arrays = {name: getattr(avatar, name) for name in _ARRAYS}
+    arrays |= {
+        "person": avatar.person,
+        "body": avatar.model.identity,
+        "mocap_framerate": avatar.fps,
+        "metric": avatar.metric,
+    }
+    arrays |= {f"network.{name}": value for name, value in avatar.network.to_arrays().items()} if avatar.network else {}
+    arrays["decision"] = avatar.decision
+    write_npz(npz, arrays | {"seen_share": avatar.seen_share, "mark": mark, "gaussians_sha256": _sha256(ply)})
+
+
+def written_from(ply: Path, npz: Path) -> str:
+    """The mark that ``write_avatar`` was given; "" when a file is missing, cannot be read, or the two were not written
+    together."""
+    if not (ply.is_file() and npz.is_file()):
+        return ""
+    try:
+        with open(npz, "rb") as file, np.load(file, allow_pickle=False) as data:
+            return str(data["mark"]) if str(data["gaussians_sha256"]) == _sha256(ply) else ""
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        say(f"{npz} cannot be read ({error}); it is made again")
+        return ""
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
+    """Read what ``write_avatar`` wrote; raises UserError when a file is missing, the two disagree or the body model is
+    another one."""
+    if not npz.is_file():
+        raise UserError(f"{npz} is missing")
+    gaussians = read_ply(ply)
+    with np.load(npz, allow_pickle=False) as data:
+        if str(data["body"]) != model.identity:
+            raise UserError(
+                f"{npz} was trained on the body model {data['body']}, but "
+                f"{model.identity} was given; use the same body file"
+            )
+        arrays = {name: data[name] for name in _ARRAYS}
+        person, fps, metric = str(data["person"]), float(data["mocap_framerate"]), bool(data["metric"])
+        held = {name.removeprefix("network."): data[name] for name in data.files if name.startswith("network.")}
+        network, decision = TemporalNetwork.from_arrays(held) if held else None, str(data["decision"])
+    if len(arrays["bones"]) != gaussians.count:
+        raise UserError(
+            f"{ply} holds {gaussians.count} Gaussians and {npz} weights for {len(arrays['bones'])}; make both again"
+        )
+    return Avatar(
+        person=person,
+        model=model,
+        gaussians=gaussians,
+        fps=fps,
+        metric=metric,
+        network=network,
+        decision=decision,
+        **arrays,
+    )

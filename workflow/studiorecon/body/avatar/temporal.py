@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What changes on a person over time beside the pose: a small network adds to colour and opacity of every Gaussian
+(paper, appendix D).
+
+(Δc, Δα) = f(γ(μ), γ(t)): 8 layers of 256, the input joined again after layer 4, 63 + 21 inputs (``encoding``). The
+residuals are added to the raw values, the constant harmonic and the logit opacity, and the last layer starts at zero,
+so the network enters without a jump (U48). The paper asks it at every Gaussian; with ``control`` it is asked
+at some hundred points, whose answers are spread over the Gaussians between them. Matrices and gradients are written
+out: that is fifty lines, and no step needs torch to draw a person.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.body.avatar.control_points import ControlPoints
+from studiorecon.body.avatar.encoding import encode_position, encode_time, in_body_box
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+WIDTH, LAYERS, SKIP = 256, 8, 4
+_POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
+_INPUTS = _POSITION_INPUTS + _TIME_INPUTS
+
+
+@dataclass
+class TemporalNetwork:
+    """One person's network (U49: one each, so that people can be trained alone).
+
+    Attributes:
+        flat: all parameters as one float32 vector, so that an optimiser has one array to move.
+        width: units of a hidden layer.
+        layers: hidden layers.
+        low_m: (3,) corner of the box that positions are normalised to (O01).
+        high_m: (3,) the opposite corner.
+        frames: number of frames that time runs over.
+        control: the points it is asked at; None asks it at every Gaussian (paper).
+    """
+
+    flat: np.ndarray
+    width: int
+    layers: int
+    low_m: Num[np.ndarray, " 3"]
+    high_m: Num[np.ndarray, " 3"]
+    frames: int
+    control: ControlPoints | None = None
+    _kept: list[np.ndarray] = field(default_factory=list, repr=False)
+    _place: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def start(
+        cls,
+        low_m: np.ndarray,
+        high_m: np.ndarray,
+        frames: int,
+        rng: np.random.Generator,
+        width: int = WIDTH,
+        layers: int = LAYERS,
+        control: ControlPoints | None = None,
+    ) -> TemporalNetwork:
+        """Random hidden layers (He), a last layer of zeros: all residuals are 0."""
+        size = sum(rows * columns + columns for rows, columns in _shapes(width, layers))
+        made = cls(
+            np.zeros(size, np.float32),
+            width,
+            layers,
+            np.asarray(low_m, np.float64),
+            np.asarray(high_m, np.float64),
+            frames,
+            control,
+        )
+        for weights, _ in made.matrices()[:-1]:
+            weights[...] = rng.standard_normal(weights.shape) * np.sqrt(2 / len(weights))
+        return made
+
+    def matrices(self, flat: np.ndarray | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights (in, out) and biases (out,) of every layer as views of the parameters, or of ``flat``, a vector of
+        the same size."""
+        source, at, views = self.flat if flat is None else flat, 0, []
+        for rows, columns in _shapes(self.width, self.layers):
+            middle = at + rows * columns
+            views.append((source[at:middle].reshape(rows, columns), source[middle : middle + columns]))
+            at = middle + columns
+        return views
+
+    def residuals(self, means_m: Num[np.ndarray, "N 3"], frame: float) -> tuple[np.ndarray, np.ndarray]:
+        """What to add to the constant harmonic (N, 3) and to the logit opacity (N,), float32, at a 0-based, possibly
+        fractional frame.
+
+        With control points the answer is theirs, for the Gaussians they were made for, wherever those are now.
+
+        Raises:
+            ValueError: ``means_m`` is not (N, 3), or not of as many as the control points carry.
+        """
+        require("means_m", means_m, ("N", 3), finite=False)
+        if self.control is None:
+            out = self._asked(self._place_code(means_m), frame)
+        else:
+            require("means_m", means_m, (len(self.control.near), 3), finite=False)
+            out = self.control.spread(self.at_points(frame))
+        return out[:, :3], out[:, 3]
+
+    def at_points(self, frame: float) -> Num[np.ndarray, "M 4"]:
+        """(M, 4) colour and logit residuals of the control points at a frame; ValueError without any."""
+        if self.control is None:
+            raise ValueError("this network has no control points: it is asked at every Gaussian")
+        if self._place is None:
+            self._place = self._place_code(self.control.points_m)
+        return self._asked(self._place, frame)
+
+    def _place_code(self, points_m: np.ndarray) -> np.ndarray:
+        return encode_position(in_body_box(points_m, self.low_m, self.high_m))
+
+    def _asked(self, place: np.ndarray, frame: float) -> np.ndarray:
+        """(M, 4) colour and opacity residuals at places of code (M, 63)."""
+        code = np.empty((len(place), _INPUTS), np.float32)
+        code[:, :_POSITION_INPUTS] = place
+        code[:, _POSITION_INPUTS:] = encode_time(float(np.clip(frame, 0, self.frames - 1)), self.frames)
+        # A poisoned Gaussian must not poison what all share through the gradient.
+        code[~np.isfinite(code).all(axis=1)] = 0
+        self._kept, hidden = [code], code
+        *inner, (weights, biases) = self.matrices()
+        for k, (matrix, bias) in enumerate(inner):
+            if k == SKIP + 1:
+                hidden = self._kept[-1] = np.concatenate([code, hidden], axis=1)
+            hidden = hidden @ matrix
+            hidden += bias
+            np.maximum(hidden, 0, out=hidden)
+            self._kept.append(hidden)
+        return hidden @ weights + biases
+
+    def gradient(self, by_colour: np.ndarray, by_logit: np.ndarray) -> np.ndarray:
+        """Gradient of ``flat`` from those of the last ``residuals`` (N, 3) and (N,); positions are held, as the
+        predecessor does."""
+        found = np.empty_like(self.flat)
+        back = np.empty((len(by_colour), _OUTPUTS), self.flat.dtype)
+        back[:, :3], back[:, 3] = by_colour, by_logit
+        if self.control is not None:
+            back = self.control.gathered(back).astype(self.flat.dtype, copy=False)
+        back[~np.isfinite(back)] = 0
+        # The half of a body that a camera does not see teaches nothing.
+        taught = np.flatnonzero(back.any(axis=1))
+        back = back[taught]
+        layers = list(zip(self.matrices(), self.matrices(found), self._kept))
+        for index, ((matrix, _), (by_matrix, by_bias), kept) in reversed(list(enumerate(layers))):
+            fed = kept[taught]
+            by_matrix[...], by_bias[...] = fed.T @ back, back.sum(axis=0)
+            if index > 0:
+                # What the layer was fed ends with the one before it, whose rectifier passes nothing where it gave 0.
+                back = (back @ matrix[-self.width :].T) * (fed[:, -self.width :] > 0)
+        return found
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Everything a file needs to hold."""
+        shape = np.array([self.width, self.layers, self.frames])
+        own = {"flat": self.flat, "shape": shape, "low_m": self.low_m, "high_m": self.high_m}
+        return own | (self.control.to_arrays() if self.control else {})
+
+    @classmethod
+    def from_arrays(cls, held: Mapping[str, np.ndarray]) -> TemporalNetwork:
+        """The inverse of ``to_arrays``."""
+        width, layers, frames = (int(n) for n in held["shape"])
+        control = ControlPoints.from_arrays(held)
+        return cls(np.ascontiguousarray(held["flat"]), width, layers, held["low_m"], held["high_m"], frames, control)
+
+
+def with_residuals(
+    network: TemporalNetwork | None,
+    seen: np.ndarray,
+    means_m: np.ndarray,
+    colour: np.ndarray,
+    logits: np.ndarray,
+    frame: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Constant harmonics (N, 1, 3) and logits (N,) with what ``network`` adds to the ``seen`` Gaussians; unchanged
+    without a network."""
+    if network is None or not seen.any():
+        return colour, logits
+    more_colour, more_logit = network.residuals(means_m[seen], frame)
+    colour, logits = colour.copy(), logits.copy()
+    _add_to_rows(seen, more_colour, more_logit, colour, logits)
+    return colour, logits
+
+
+@numba.njit(cache=True)
+def _add_to_rows(seen, more_colour, more_logit, colour, logits):
+    row = 0
+    for i in range(len(seen)):
+        if seen[i]:
+            for channel in range(3):
+                colour[i, 0, channel] += more_colour[row, channel]
+            logits[i] += more_logit[row]
+            row += 1
+
+
+def _shapes(width: int, layers: int) -> list[tuple[int, int]]:
+    inner = [(_INPUTS if k == 0 else width + (_INPUTS if k == SKIP + 1 else 0), width) for k in range(layers)]
+    return [*inner, (width, _OUTPUTS)]

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A body as two dozen capsules, one per joint: enough to say what light it keeps from the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# A joint that moves fewer vertices than this is part of its neighbours.
+_LEAST_VERTICES = 6
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """Capsules in the shaped rest pose.
+
+    Attributes:
+        joint: (C,) the joint that moves each.
+        ends_m: (C, 2, 3) ends of their axes in the rest pose.
+        radius_m: (C,).
+    """
+
+    joint: Num[np.ndarray, " C"]
+    ends_m: Num[np.ndarray, "C 2 3"]
+    radius_m: Num[np.ndarray, " C"]
+
+    def posed(self, world_from_rest: np.ndarray) -> Num[np.ndarray, "C 7"]:
+        """(C, 7) capsules in the world, two ends and a radius, from joint transforms (24, 4, 4); none when those are
+        not finite.
+
+        Raises ValueError for another shape.
+        """
+        if world_from_rest.shape != (24, 4, 4):
+            raise ValueError(f"joint transforms have shape {world_from_rest.shape}, expected (24, 4, 4)")
+        if not np.isfinite(world_from_rest).all():
+            return np.zeros((0, 7))
+        own = world_from_rest[self.joint]
+        ends = np.einsum("cxy,cky->ckx", own[:, :3, :3], self.ends_m) + own[:, None, :3, 3]
+        return np.concatenate([ends.reshape(-1, 6), self.radius_m[:, None]], axis=1)
+
+
+def occluder(model: BodyModel, betas: np.ndarray) -> Occluder:
+    """Every joint's vertices, those that it moves most, as a capsule along their longest direction.
+
+    The radius is their mean distance from the axis, and the axis ends that much before they do.
+    """
+    vertices, strongest = model.rest_vertices(betas), model.weights.argmax(axis=1)
+    joints, ends, radii = [], [], []
+    for joint in range(24):
+        own = vertices[strongest == joint]
+        if len(own) < _LEAST_VERTICES:
+            continue
+        # The middle of the box, not of the vertices: these are dense in hands and faces.
+        axis = np.linalg.eigh(np.cov(own.T))[1][:, 2]
+        along = (own - own[0]) @ axis
+        across = own - own[0] - along[:, None] * axis
+        centre = own[0] + (across.min(axis=0) + across.max(axis=0)) / 2
+        radius = float(np.linalg.norm(across + own[0] - centre, axis=1).mean())
+        low, high = along.min() + radius, along.max() - radius
+        low, high = (low, high) if high > low else ((low + high) / 2,) * 2
+        joints.append(joint)
+        radii.append(radius)
+        ends.append([centre + low * axis, centre + high * axis])
+    return Occluder(np.array(joints), np.array(ends), np.array(radii))

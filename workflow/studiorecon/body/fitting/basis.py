@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keypoints, joints and surface points as functions of pose, position, shape and scale, with their derivatives, without
+the mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.body.skinning import forward_kinematics
+from studiorecon.geometry import rotations
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+@dataclass(frozen=True)
+class State:
+    local: np.ndarray  # (F, 24, 3, 3)
+    trans: np.ndarray  # (F, 3)
+    betas: np.ndarray  # (B,)
+    log_scale: float
+    corrections: (
+        np.ndarray
+    )  # (C, 3) metres, detector's point minus the body's, in the axes of the joint that carries it most
+
+    @property
+    def shared(self) -> Num[np.ndarray, " S"]:
+        """(S,) what all frames share: betas, log scale, corrections."""
+        return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
+
+    def at(self, frames: np.ndarray) -> State:
+        """Some frames (F,) bool."""
+        return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
+
+    def put(self, frames: np.ndarray, part: State) -> State:
+        """The state whose ``frames`` are those of ``part``; what is shared stays."""
+        local, trans = self.local.copy(), self.trans.copy()
+        local[frames], trans[frames] = part.local, part.trans
+        return State(local, trans, self.betas, self.log_scale, self.corrections)
+
+    def moved(self, local_turn: np.ndarray, shift: np.ndarray, shared: np.ndarray) -> State:
+        """The state after small turns (F, 24, 3) about the joints' own axes, shifts (F, 3) and a change (S,) of what is
+        shared."""
+        count = len(self.betas)
+        return State(
+            self.local @ rotations.exp(local_turn),
+            self.trans + shift,
+            self.betas + shared[:count],
+            self.log_scale + float(shared[count]),
+            self.corrections + shared[count + 1 :].reshape(-1, 3),
+        )
+
+
+@dataclass(frozen=True)
+class BodyPoints:
+    """Points in a pose and what their derivatives are made of."""
+
+    points: np.ndarray  # (F, K, 3)
+    parts: np.ndarray  # (F, 24, K, 3) what each joint contributes, about the pelvis and unscaled
+    world: np.ndarray  # (F, 24, 3, 3)
+    joints: np.ndarray  # (F, 24, 3) about the pelvis and unscaled
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Posed points and their derivatives."""
+
+    points: np.ndarray  # (F, K, 3)
+    turned: np.ndarray  # (F, K, 24, 3): D; the memory's order is (F, K, 3, 24)
+    shaped: np.ndarray  # (F, K, 3, B + 1): by betas and log scale
+    world: np.ndarray  # (F, 24, 3, 3)
+
+
+class Basis:
+    """K points as a function of the state, with derivatives; see ``BodyModel.keypoint_basis``.
+
+    The state's corrections belong to the first ``corrected`` points. ``carrier`` (K,) is the joint that carries a point
+    most.
+    """
+
+    def __init__(
+        self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray, corrected: int
+    ) -> None:
+        self.corrected = corrected
+        self.carrier = share.argmax(1)
+        self.body, self.share, self.ancestors = body, share, ancestors
+        skeleton = np.concatenate([body.joint_template_m[..., None], body.joint_directions], axis=-1)
+        # (24, K, 3, 1 + B): what each joint's rotation acts on, as a function of (1, betas).
+        self.offsets = np.moveaxis(anchors - share[:, :, None, None] * skeleton, 0, 1)
+        # (72, K · B): the same by the betas alone, laid out for one product with all joints' rotations.
+        self.shape_offsets = np.ascontiguousarray(np.swapaxes(self.offsets[..., 1:], 1, 2)).reshape(72, -1)
+        self.subtree_share = np.ascontiguousarray((ancestors @ share.T).T)  # (K, 24)
+        self.bone_directions = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
+        carried = (share != 0) | (self.offsets != 0).any((2, 3)).T
+        parents = np.asarray(body.parents, dtype=np.int64)
+        # What ``assembly.add_points`` reads.
+        self.skeleton = parents, np.ascontiguousarray(self.bone_directions)
+        self.compiled = (
+            np.ascontiguousarray(share),
+            self.subtree_share,
+            _listed(carried),
+            _listed((carried @ ancestors.T) > 0),
+            np.ascontiguousarray(self.offsets[..., 1:]),
+            self.carrier,
+            corrected,
+        )
+
+    def points(self, state: State) -> Num[np.ndarray, "F K 3"]:
+        """(F, K, 3) the points in the state's pose."""
+        return self.placed(state)[0]
+
+    def placed(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The points, world rotations (F, 24, 3, 3) and joints (F, 24, 3) as in ``BodyPoints``, and offsets (24, K,
+        3)."""
+        world, joints = forward_kinematics(
+            np.ascontiguousarray(state.local), self.body.rest_joints(state.betas), self.body.parents
+        )
+        offsets = self._offsets(state)
+        rows = np.swapaxes(world, 1, 2).reshape(-1, 72)  # (3 F, 24 · 3): row x of all joints' rotations
+        points = (rows @ np.swapaxes(offsets, 1, 2).reshape(72, -1)).reshape(len(world), 3, -1)
+        return (
+            np.exp(state.log_scale) * (np.swapaxes(points, 1, 2) + self.share @ joints) + state.trans[:, None],
+            world,
+            joints,
+            offsets,
+        )
+
+    def posed(self, state: State) -> BodyPoints:
+        """The points in the state's pose."""
+        world, joints = forward_kinematics(state.local, self.body.rest_joints(state.betas), self.body.parents)
+        parts = self._offsets(state) @ np.swapaxes(world, -1, -2)
+        parts += self.share.T[..., None] * joints[:, :, None]
+        points = np.exp(state.log_scale) * parts.sum(1) + state.trans[:, None]
+        return BodyPoints(points, parts, world, joints)
+
+    def _offsets(self, state: State) -> np.ndarray:
+        """(24, K, 3) what each joint's rotation acts on."""
+        offsets = self.offsets @ np.append(1.0, state.betas)
+        own = self.carrier[: self.corrected]
+        offsets[own, range(len(own))] += state.corrections[: len(own)]
+        return offsets
+
+    def linear(self, state: State) -> Linear:
+        """Points and derivatives."""
+        posed = self.posed(state)
+        return Linear(posed.points, self.turned(state, posed), self.shaped(state, posed), posed.world)
+
+    def turned(self, state: State, posed: BodyPoints) -> Num[np.ndarray, "F K 24 3"]:
+        """(F, K, 24, 3) derivatives by turns, see ``Linear``."""
+        frames = len(posed.world)
+        turned = (
+            np.swapaxes(posed.parts.reshape(frames, 24, -1), 1, 2) @ self.ancestors.T
+        )  # (F, 3K, 24), sums over each subtree
+        turned = turned.reshape(frames, len(self.share), 3, 24)
+        turned -= self.subtree_share[:, None] * np.swapaxes(posed.joints, 1, 2)[:, None]
+        turned *= np.exp(state.log_scale)
+        return np.swapaxes(turned, 2, 3)
+
+    def shaped(self, state: State, posed: BodyPoints) -> Num[np.ndarray, "F K 3 B+1"]:
+        """(F, K, 3, B + 1) derivatives by betas and log scale."""
+        world, count, shapes = posed.world, len(self.share), self.body.shapes
+        frames = len(world)
+        moved = np.zeros((frames, 24, 3, shapes))
+        for j, parent in enumerate(self.body.parents):
+            if parent >= 0:
+                moved[:, j] = moved[:, parent] + world[:, parent] @ self.bone_directions[j]
+        by_turn = np.swapaxes(world, 1, 2).reshape(frames * 3, 72) @ self.shape_offsets
+        shaped = np.empty((frames, count, 3, shapes + 1))
+        shaped[..., :-1] = np.swapaxes(by_turn.reshape(frames, 3, count, shapes), 1, 2)
+        shaped[..., :-1] += (self.share @ moved.reshape(frames, 24, -1)).reshape(frames, count, 3, shapes)
+        shaped[..., :-1] *= np.exp(state.log_scale)
+        shaped[..., -1] = posed.points - state.trans[:, None]
+        return shaped
+
+
+def _listed(chosen: np.ndarray) -> np.ndarray:
+    """(K, 25) the numbers of the joints ``chosen`` (K, 24), ascending, then −1."""
+    ordered = np.sort(np.where(chosen, np.arange(24), 24), axis=1)
+    return np.append(np.where(ordered < 24, ordered, -1), np.full((len(chosen), 1), -1), axis=1)

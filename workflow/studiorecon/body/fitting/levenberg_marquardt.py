@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Levenberg-Marquardt over many frames that share a shape, each damped by itself.
+
+Wild points keep single frames busy long after shape and corrections stand. One damping for all would make everybody
+wait for them: 30 steps of everything where 5 do. So a frame that a step makes worse keeps its pose and is damped more,
+and the few frames that are not done go on alone, with the shape held fixed, before everything moves again. No step
+raises the cost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.body.fitting.basis import State
+from studiorecon.body.fitting.problem import Normal, Problem
+
+# First, least and most damping, its factors after a refused and a taken step, and trials of one step.
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8.0, 5.0, 8
+# A frame that gains more than this share in a step is not done; at most that share of the frames is worked on alone.
+_BUSY, _FEW = 0.01, 0.3
+
+
+def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Normal, int, bool]:
+    """The state at the least cost that ``iterations`` steps reach, its last normal equations, the steps taken and
+    whether they converged.
+
+    Converged = a step of everything gains less than ``tolerance`` of the cost, or none gains anything.
+    """
+    costs, damping = problem.costs(state), np.full(len(state.trans), _DAMPING)
+    for step in range(1, iterations + 1):
+        normal = problem.normal(state)
+        whole = costs.sum() + problem.shared_cost(state)
+        for _ in range(_TRIALS):
+            moved = problem.step(state, normal, damping)
+            if moved is not None:
+                moved, new_costs, refused = _held_where_worse(problem, state, moved, costs)
+                gain = whole - new_costs.sum() - problem.shared_cost(moved)
+                if gain > 0:
+                    break
+            damping = damping * _MORE
+        else:
+            return state, normal, step, True  # no direction gains: a minimum to rounding
+        busy = refused | (costs - new_costs > _BUSY * costs)
+        state, costs = moved, new_costs
+        damping = np.where(refused, damping * _MORE, np.maximum(damping / _LESS, _LEAST_DAMPING))
+        if gain < tolerance * whole:
+            return state, normal, step, True
+        if 0 < busy.sum() <= _FEW * len(busy):
+            part, costs[busy], damping[busy] = alone(
+                problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
+            )
+            state = state.put(busy, part)
+    return state, normal, iterations, False
+
+
+def _held_where_worse(
+    problem: Problem, state: State, moved: State, costs: np.ndarray
+) -> tuple[State, np.ndarray, np.ndarray]:
+    """``moved``, but with their own old pose where that is better with the new shape; costs (F,), and the frames (F,)
+    held."""
+    new_costs = problem.costs(moved)
+    worse = new_costs > costs
+    if worse.any():
+        old = State(state.local[worse], state.trans[worse], moved.betas, moved.log_scale, moved.corrections)
+        held_costs = problem.only(worse).costs(old)
+        better = held_costs < new_costs[worse]
+        worse[worse] = better
+        new_costs[worse] = held_costs[better]
+        moved = moved.put(
+            worse, State(old.local[better], old.trans[better], moved.betas, moved.log_scale, moved.corrections)
+        )
+    return moved, new_costs, worse
+
+
+def alone(
+    problem: Problem,
+    state: State,
+    costs: np.ndarray,
+    iterations: int,
+    tolerance: float,
+    damping: np.ndarray | None = None,
+) -> tuple[State, np.ndarray, np.ndarray]:
+    """Every frame by itself with all that is shared held fixed, until none gains: state, costs (F,), damping (F,).
+
+    ``costs`` are those of ``state``; ``damping`` (F,) is where to start, by default where ``descend`` does.
+    """
+    busy = np.ones(len(costs), dtype=bool)
+    costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
+    for _ in range(iterations):
+        part, old = problem.only(busy), state.at(busy)
+        moved = part.own_step(old, part.own(old), damping[busy])
+        new_costs = part.costs(moved)
+        before = costs[busy]
+        better = new_costs < before
+        at = np.flatnonzero(busy)
+        state = state.put(at[better], moved.at(better))
+        costs[at[better]] = new_costs[better]
+        damping[at] = np.where(better, np.maximum(damping[at] / _LESS, _LEAST_DAMPING), damping[at] * _MORE)
+        # A frame is done when a step gains little, or none does however short.
+        busy[at] = np.where(better, before - new_costs > tolerance * before, damping[at] < _MOST_DAMPING)
+        if not busy.any():
+            break
+    return state, costs, damping

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where fitted bodies are in a picture, with room for clothes, hair and what the fit is off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
+
+def grown_outlines(
+    people: Sequence[Person], body: BodyModel, camera: Camera, frame: int, margin_m: float, filled_margin: float = 1.0
+) -> Bool[np.ndarray, "H W"]:
+    """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance.
+
+    Bodies that were only filled in there are grown ``filled_margin`` times as much: they may stand further off.
+    """
+    covered = np.zeros(camera.hw, np.uint8)
+    for person in people:
+        pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
+        depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
+        if (depth_m > 0).any():
+            margin = margin_m * (1.0 if person.valid[frame] else filled_margin)
+            radius = max(1, round(margin * camera.focal_px[0] / float(np.median(depth_m[depth_m > 0]))))
+            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+            covered |= np.asarray(cv2.dilate((depth_m > 0).astype(np.uint8), disc), np.uint8)
+    return covered > 0

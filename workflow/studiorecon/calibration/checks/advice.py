@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor's verdict, and what to check, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+CLEAR_MARGIN = 1.5
+_LEAST_AGREEMENT = 0.3
+_UNEVEN_LIGHT = 1.5
+_BURNT = 0.1
+# From this level on in all channels a pixel counts as white.
+_WHITE = 250
+# What detectors err on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
+_NOISE_SHARE = 0.004
+_WORTH_REFINING = 0.1
+
+# What each verdict means, as the page's headline.
+HEADLINES = {
+    "good": "This capture is ready: calibration, clocks and footage agree.",
+    "usable": "The calibration is roughly right: refinement will move the cameras on the "
+    "people. How far it is off is said below.",
+    "check": "The calibration fits the people. Some things are worth a look before the long run.",
+    "cannot tell": "Nobody can tell whether this calibration is right: what was found also fits a "
+    "wrong one, or nothing could be compared.",
+    "wrong": "This calibration does not fit the people as it was read. The long run would refuse it.",
+}
+
+
+def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
+    """("good", "usable", "check", "cannot tell" or "wrong", sentences what to check, the gravest first).
+
+    ``report`` as ``doctor.examined`` makes it; ``limit_px`` is the median reprojection error that ``cameras.refine``
+    refuses.
+    """
+    refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
+    wrong, unclear, rest = (
+        _wrong(report, limit_px),
+        _unclear(report),
+        list(report["oddities"]) + _clocks(report) + _footage(report),
+    )
+    if not report["people"]:
+        unclear = [
+            "there are no keypoints of people, so poses, clocks and unit could not be compared "
+            "with anything; only the calibration itself "
+            "and the footage were looked at. Bring keypoints/<camera>/*.json, or look at the "
+            "picture: does every camera point where it "
+            "really does?"
+        ]
+    elif report["median_px"] is None and not wrong:
+        unclear = [
+            "no person of any two cameras fits: are the calibration, the videos and the "
+            "keypoints of the same take, and synchronised? "
+            "Or does nobody ever stand in two pictures at once?"
+        ]
+    off = _off(report)
+    if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
+        # Cameras that were moved since: nothing fits as read, another reading may seem to, and refinement mends it.
+        wrong, unclear = [], []
+    name = (
+        "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
+    )
+    # Held-out cameras need no keypoints: that alone is no reason to look again.
+    silent = report["without_keypoints"] if report["people"] else []
+    remarks = [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
+    return name, refused + wrong + unclear + off + rest + remarks
+
+
+def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
+    rows = {row["hypothesis"]: row for row in report["hypotheses"]}
+    best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
+    as_read = rows["as read"]
+    found = []
+    if best["score"] > _LEAST_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
+        found.append(
+            f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, "
+            f"{as_read['score']:.2f} as read): {best['remedy']}, or "
+            "export the calibration again"
+        )
+    for row in report["hypotheses"]:
+        px, now = row.get("median_px"), report["median_px"]
+        if px is not None and now is not None and CLEAR_MARGIN * px < now and row["score"] >= as_read["score"]:
+            found.append(
+                f"people fit better if {row['hypothesis']} ({px:.1f} px off in the median, "
+                f"{now:.1f} px as read): {row['remedy']}"
+            )
+    if report["median_px"] is not None and report["median_px"] > limit_px:
+        worst = max((px, c) for c, px in report["px_per_camera"].items() if px is not None)
+        found.append(
+            f"people are {report['median_px']:.0f} px off in the median where {limit_px:.0f} px "
+            f"are allowed, worst in camera {worst[1]} "
+            f"({worst[0]:.0f} px): the calibration is of other cameras or another zoom, "
+            "or the keypoints of another picture size"
+        )
+    return found
+
+
+def _off(report: dict[str, Any]) -> list[str]:
+    """How far people are off, where that is more than a detector's noise: other poses explain them better, or it is
+    much of a picture."""
+    px, refined = report["median_px"], report["refined"]
+    if px is None and refined is None:
+        return []
+    width = max(max(a["wh"]) for a in report["footage"].values())
+    better = refined is not None and (px is None or refined["px"] < (1 - _WORTH_REFINING) * px)
+    if px is None:
+        size = "no three cameras agree on anybody as the calibration was read"
+    elif not better and px <= _NOISE_SHARE * width:
+        return []
+    else:
+        size = (
+            f"people are {px:.1f} px off in the median ({px / width:.2%} of the picture, "
+            f"{report['median_mm']:.0f} mm where they are)"
+        )
+    if not better:
+        return [
+            f"{size}, and no other poses of the cameras make that less: a coarse "
+            "detector, clocks that differ, or moving cameras"
+        ]
+    turned = ", ".join(
+        f"{c} by {m['turned_deg']:.1f}° and {100 * m['moved_m']:.0f} cm" for c, m in refined["moves"].items()
+    )
+    return [
+        f"{size}, {refined['px']:.1f} px once refinement has moved the cameras "
+        f"({turned}); usable, with cameras.refine on"
+    ]
+
+
+def _better_read(report: dict[str, Any]) -> bool:
+    """Whether another reading of the files fits clearly better than cameras that were moved."""
+    moved_px = report["refined"]["px"]
+    return any(
+        row.get("median_px") is not None and CLEAR_MARGIN * row["median_px"] < moved_px for row in report["hypotheses"]
+    )
+
+
+def _unclear(report: dict[str, Any]) -> list[str]:
+    found = []
+    for camera, margin in report["margin"].items():
+        if camera in report["without_keypoints"]:
+            continue
+        if margin is None:
+            found.append(
+                f"camera {camera} shares nobody with the others, however its pose is "
+                "read; check its pose, keypoints and clock"
+            )
+        elif margin < CLEAR_MARGIN:
+            found.append(
+                f"camera {camera}: another reading of its pose fits the people "
+                f"{'better' if margin < 1 else 'nearly as well'} (margin "
+                f"{margin:.2f}, {CLEAR_MARGIN} would be clear); check its pose, or bring "
+                "more frames of people who walk about"
+            )
+    # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
+    rows = {row["hypothesis"]: row["score"] for row in report["hypotheses"] if "median_px" not in row}
+    as_read = rows.pop("as read")
+    close = [
+        f"{name} ({score:.2f})"
+        for name, score in rows.items()
+        if score > 0 and CLEAR_MARGIN * score > as_read >= score / CLEAR_MARGIN
+    ]
+    if close:
+        found.append(
+            f"people agree about as well ({as_read:.2f} as read) if {' or '.join(close)}; "
+            "more frames of people would decide it"
+        )
+    return found
+
+
+def _clocks(report: dict[str, Any]) -> list[str]:
+    late = {c: lag for c, lag in report["lags_frames"].items() if lag["valid"] and not lag["low"] <= 0 <= lag["high"]}
+    if not late:
+        return []
+    starts = {
+        c: about["first_frame"] + (late[c]["frames"] if c in late else 0.0) for c, about in report["footage"].items()
+    }
+    least = min(starts.values())
+    listed = ", ".join(f'"{c}": {start - least:.4g}' for c, start in starts.items())
+    told = [
+        f"camera {c} is {lag['frames']:+.1f} frames late ({lag['low']:+.1f} to {lag['high']:+.1f})"
+        for c, lag in late.items()
+    ]
+    return [f"by people's rays {'; '.join(told)}; if so, write starts: {{{listed}}} into capture.yaml"]
+
+
+def _footage(report: dict[str, Any]) -> list[str]:
+    found = of_footage(list(report["footage"].values()))
+    if report["coverage"]["2"] < 0.5:
+        found.append(
+            f"only {report['coverage']['2']:.0%} of the volume is seen by two "
+            "cameras: people elsewhere cannot be measured"
+        )
+    return found
+
+
+def light_of(pictures: Sequence[np.ndarray]) -> dict[str, float]:
+    """Mean grey 0..1 (``brightness``) and the share of white pixels (``burnt``) of some (H, W, 3) uint8 pictures of a
+    camera, every fourth pixel of them."""
+    grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)
+    return {
+        "brightness": grey,
+        "burnt": float(np.mean([(p[::4, ::4].min(-1) >= _WHITE).mean() for p in pictures])),
+    }
+
+
+def of_footage(footage: list[dict[str, Any]]) -> list[str]:
+    """What is odd about the videos by themselves, in sentences; ``footage`` as ``doctor.examined`` is told about every
+    camera."""
+    found = []
+    for key, what, remedy in (
+        (
+            "fps",
+            "frame rates",
+            "every frame is taken at its own time, and a slower camera shows a fast motion less often",
+        ),
+        ("rotation_deg", "rotation tags", "harmless when the pictures below stand upright"),
+    ):
+        values = {a["camera"]: a[key] for a in footage}
+        if len(set(values.values())) > 1:
+            listed = ", ".join(f"{c} {v:g}" for c, v in values.items())
+            found.append(f"the {what} differ ({listed}): {remedy}")
+    light = {a["camera"]: a["brightness"] for a in footage}
+    if max(light.values()) > _UNEVEN_LIGHT * max(min(light.values()), 1e-3):
+        found.append(
+            "the exposures differ (mean grey "
+            + ", ".join(f"{c} {v:.2f}" for c, v in light.items())
+            + "): views of one thing will differ too"
+        )
+    found += [
+        f"camera {a['camera']}: {a['burnt']:.0%} of its pictures are burnt out" for a in footage if a["burnt"] > _BURNT
+    ]
+    return found

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The doctor's page: one self-contained HTML file, verdict first."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES
+from studiorecon.pages import skeleton
+from studiorecon.rig.hypotheses import MOST_MARGIN
+
+_COLOURS = {"good": "#1a7f37", "usable": "#9a6700", "check": "#9a6700", "cannot tell": "#9a6700", "wrong": "#cf222e"}
+_STYLE = """
+main { max-width: 1250px; }
+.verdict { border-left: .5rem solid var(--c); padding: .5rem 1rem; background: var(--wash); }
+.verdict b { color: var(--c); }
+.bad { color: #cf222e; font-weight: 600; }
+"""
+_BODY = """
+<h1>Cameras of {{ scene }}</h1>
+<div class="verdict" style="--c:{{ colour }}"><b>{{ report.verdict.capitalize() }}.</b> {{ headline }}</div>
+{% if report.sync.sentences %}
+<h2>Clocks</h2><ul>{% for told in report.sync.sentences %}<li>{{ told }}</li>{% endfor %}</ul>
+{% endif %}
+<h2>What to check</h2><ul>{% for a in report.advice %}<li>{{ a }}</li>{% else %}<li>Nothing.</li>{% endfor %}</ul>
+<p><img alt="every camera with people's joints projected back into it, and all cameras from above"
+src="{{ sheet }}"></p>
+<p class="soft">{{ caption }}</p>
+<h2>Cameras</h2>
+<div class="scroll"><table><tr>{% for h in head %}<th>{{ h }}</th>{% endfor %}</tr>
+{% for row in cameras %}
+<tr>{% for cell, bad in row %}
+<td>{% if bad %}<span class="bad">{{ cell }}</span>{% else %}{{ cell }}{% endif %}</td>{% endfor %}</tr>
+{% endfor %}
+</table></div>
+<p class="soft">Margin: how many times better this camera fits the people as read than under the best other reading of
+its pose; from {{ clear }} on it is clear. Lag: how much later than the others its people still come with these clocks,
+with the interval that fits as well.</p>
+<h2>How the calibration could be read</h2>
+<div class="scroll"><table>
+<tr><th>reading</th><th>agreement of people's rays, 0 to 1</th><th>px off</th><th>if this is the right one</th></tr>
+{% for r in readings %}
+<tr><td>{% if r.best %}<b>{{ r.name }}</b>{% else %}{{ r.name }}{% endif %}</td><td>{{ r.score }}</td>
+<td>{{ r.px }}</td><td>{{ r.remedy }}</td></tr>
+{% endfor %}
+</table></div>
+<h2>Coverage</h2>
+<p>Share of the volume around the {{ "people" if report.people else "place the cameras look at" }}
+(radius {{ "%.1f" % report.reach_m }} m, 2.2 m high) that so many cameras see: {{ covered }}.</p>
+<p>Sectors wider than 90° without a camera (counter-clockwise from x): {{ blind }}.</p>
+"""
+_HEAD = (
+    *("camera", "px off", "margin", "lag, frames", "view", "height", "size", "fps", "frames", "rotation tag"),
+    *("mean grey", "burnt out"),
+)
+
+
+def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
+    """The page of ``report`` (see ``doctor.examined``) with the contact sheet (PNG)."""
+    body = skeleton.filled(
+        _BODY,
+        scene=scene,
+        report=report,
+        colour=_COLOURS[report["verdict"]],
+        headline=HEADLINES[report["verdict"]],
+        sheet="data:image/png;base64," + base64.b64encode(sheet_png).decode("ascii"),
+        caption=_caption(report),
+        head=_HEAD,
+        cameras=[_camera(report, name) for name in report["footage"]],
+        clear=f"{CLEAR_MARGIN:g}",
+        readings=_readings(report),
+        covered=", ".join(f"{n} or more: {v:.0%}" for n, v in report["coverage"].items()),
+        blind=", ".join(f"{a:.0f}° to {b % 360:.0f}°" for a, b in report["blind_sectors_deg"]) or "none",
+    )
+    return skeleton.page(f"Doctor: {scene}", [body], _STYLE)
+
+
+def _caption(report: dict[str, Any]) -> str:
+    if report["shown_frame"] is None:
+        return "No joints could be measured. From above: where the calibration says the cameras stand and look."
+    return (
+        f"Frame {report['shown_frame']} without lens distortion. Rings: the keypoints that were "
+        "given. Green dots: joints measured by all "
+        "cameras together and projected back. Rings off the joints: keypoints of another "
+        "size, frame or camera. Dots off the rings: "
+        "the calibration or a clock is off. From above: where the calibration says the "
+        "cameras stand and look, and the measured joints."
+    )
+
+
+def _camera(report: dict[str, Any], camera: str) -> list[tuple[str, bool]]:
+    """A camera's cells, and whether each says that something is wrong."""
+    a, facts, margin = report["footage"][camera], report["facts"][camera], report["margin"][camera]
+    clear = margin is not None and margin >= CLEAR_MARGIN
+    unclear = not clear and bool(report["people"]) and camera not in report["without_keypoints"]
+    shown = "–" if margin is None else f"≥ {MOST_MARGIN:g}" if margin >= MOST_MARGIN else f"{margin:.1f}"
+    plain = (
+        f"{facts['field_deg']:.0f}°",
+        f"{facts['height_m']:.2f} m",
+        f"{a['wh'][0]}×{a['wh'][1]}",
+        f"{a['fps']:g}",
+        str(a["video_frames"]),
+        f"{a['rotation_deg']}°",
+        f"{a['brightness']:.2f}",
+        f"{a['burnt']:.1%}",
+    )
+    px = _number(report["px_per_camera"][camera], ".1f")
+    lag = _lag(report["lags_frames"].get(camera))
+    return [(camera, False), (px, False), (shown, unclear), lag, *((cell, False) for cell in plain)]
+
+
+def _readings(report: dict[str, Any]) -> list[dict[str, Any]]:
+    best = max(row["score"] for row in report["hypotheses"])
+    px = {
+        "as read": report["median_px"],
+        **{h["hypothesis"]: h["median_px"] for h in report["hypotheses"] if "median_px" in h},
+    }
+    return [
+        {
+            "name": h["hypothesis"],
+            "best": h["score"] == best > 0,
+            "score": f"{h['score']:.3f}",
+            "px": _number(px.get(h["hypothesis"]), ".1f"),
+            "remedy": h["remedy"],
+        }
+        for h in report["hypotheses"]
+    ]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
+
+
+def _lag(lag: dict[str, Any] | None) -> tuple[str, bool]:
+    """A camera's lag in words, and whether it is off."""
+    if lag is None or not lag["valid"]:
+        return "undetermined", False
+    return f"{lag['frames']:+.1f} ({lag['low']:+.1f} to {lag['high']:+.1f})", not lag["low"] <= 0 <= lag["high"]

@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibration.doctor``: before anything expensive, does the calibration fit the people, and what does the capture
+lack?
+
+It always ends with a page: a calibration that does not fit is a finding, not a failure. ``cameras.refine`` is what
+refuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.calibration.checks import clocks, sanity
+from studiorecon.calibration.checks import coverage as health
+from studiorecon.calibration.checks.advice import light_of, of_footage, verdict
+from studiorecon.calibration.checks.page import page
+from studiorecon.camera_files.calibration import read_lenses
+from studiorecon.errors import UserError
+from studiorecon.footage.source import glimpses, open_source
+from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.progress import say
+from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
+from studiorecon.rig.lens_model import LensReading, as_model
+from studiorecon.rig.sheet import contact_sheet
+from studiorecon.rig.stale import moves, where_they_stand_now
+from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import Clocks, read_clocks
+from studiorecon.scene.files import read_json, write_json, write_text
+from studiorecon.scene.people import Detections, read_detections
+from studiorecon.signature import Written
+
+_FRAMES = 24
+_LAG_FRAMES = 6
+# Frames of a long take that the clocks are compared on: enough for any lag, and a second of work.
+_CLOCK_FRAMES = 200
+_NOBODY_REACH_M = 2.0
+_PICTURE_ROWS = 480
+Readings = Mapping[str, tuple[Sequence[Camera], Sequence[Detections]]]
+
+
+@dataclass(frozen=True)
+class Settings(Agreement, Trust):
+    """When cameras agree with people, and how far those given are trusted."""
+
+
+def examined(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    about: Sequence[dict[str, Any]],
+    settings: Settings,
+    lens_readings: Readings | None = None,
+    sync: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], np.ndarray]:
+    """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
+
+    ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
+    another model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before
+    (``sentences``, and the ``refusal`` that awaits the footage, or "").
+    """
+    names = [c.name for c in cameras]
+    frames = min(int(a["frames"]) for a in about)
+    chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
+    few = chosen[:: max(1, len(chosen) // 6)]
+    table, margins = verdicts(cameras, detections, few, settings.gate_m)
+    seen, _ = observe(detections, cameras, chosen, settings.gate_m)
+    median, each, points = None, [None] * len(cameras), np.zeros((0, 3))
+    if len(seen.frame):
+        median, each, points = error_medians(cameras, seen, settings.limits)
+    median = median if len(points) else None
+    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    if people and (median is None or median > 0.5 * limit_px):
+        swap = best_swap(cameras, detections, few, settings.gate_m)
+        if swap is not None:
+            # On a regular ring a swap is nearly a mirror image: rays agree about as well, pixels tell.
+            px = None if median is None else _median_px(swap[1], detections, chosen, settings)
+            table.append({**swap[0], **({} if px is None else {"median_px": px})})
+    for name, (cams, found) in (lens_readings or {}).items():
+        row = lens_row(name, cams, found, few, settings.gate_m)
+        table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
+    shown, shown_points = _best_frame(cameras, seen, settings.limits)
+    middle, reach = _volume(cameras, points)
+    half = min(frames, _CLOCK_FRAMES) // 2
+    window = [replace_frames(d, frames // 2 - half, frames // 2 + half + 1) for d in detections]
+    found_lags = clocks.lags(window, cameras, _LAG_FRAMES, settings.gate_m) if people else []
+    report: dict[str, Any] = {
+        "cameras": names,
+        "people": people,
+        "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
+        "hypotheses": table,
+        "margin": dict(zip(names, margins)),
+        "median_px": median,
+        "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
+        "refined": _refined(cameras, detections, frames, median, settings) if people else None,
+        "px_per_camera": dict(zip(names, each)),
+        "shown_frame": shown,
+        "lags_frames": {
+            lag.camera: {"frames": lag.frames, "low": lag.low, "high": lag.high, "valid": lag.valid}
+            for lag in found_lags
+        },
+        "sync": dict(sync or {"sentences": [], "refusal": ""}),
+        "footage": {a["camera"]: dict(a) for a in about},
+        "facts": sanity.facts(cameras),
+        "oddities": sanity.oddities(cameras),
+        "coverage": dict(zip(("1", "2", "3", "4"), health.coverage(cameras, middle, reach))),
+        "reach_m": reach,
+        "blind_sectors_deg": health.blind_sectors(cameras, middle),
+    }
+    report["verdict"], report["advice"] = verdict(report, limit_px)
+    return report, shown_points
+
+
+def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
+    """What a pixel of every camera is at the points, metres."""
+    return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
+
+
+def _refined(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: int,
+    median_px: float | None,
+    settings: Settings,
+) -> dict[str, Any] | None:
+    """What refinement would make of the cameras: the median error then, and every camera's move; None where it could do
+    nothing."""
+    if len(cameras) < 3 or sum(len(d.frame) > 0 for d in detections) < len(cameras):
+        return None
+    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
+    chosen = evenly_spread(frames, 2 * _FRAMES)
+    gate_m, limits = settings.gate_m, settings.limits
+    anew = where_they_stand_now(
+        cameras, detections, chosen, gate_m, 0.0, limits, settings.bundle, median_px or np.nan, 0.5 * limit_px
+    )
+    seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
+    held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, settings.bundle)
+    if held is None:
+        return None
+    moved = {
+        c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(cameras, *moves(held.cameras, cameras))
+    }
+    return {"px": error_medians(held.cameras, seen, limits)[0], "elsewhere": anew is not None, "moves": moved}
+
+
+def _median_px(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, settings: Settings
+) -> float | None:
+    seen, _ = observe(detections, cameras, frames, settings.gate_m)
+    px = error_medians(cameras, seen, settings.limits)[0] if len(seen.frame) else float("nan")
+    return px if np.isfinite(px) else None
+
+
+def replace_frames(seen: Detections, first: int, stop: int) -> Detections:
+    """The detections in frames ``first`` … ``stop`` - 1."""
+    inside = (seen.frame >= first) & (seen.frame < stop)
+    return replace(seen, frame=seen.frame[inside], track=seen.track[inside], keypoints=seen.keypoints[inside])
+
+
+def _best_frame(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[int | None, np.ndarray]:
+    """The frame with most triangulated joints, and those joints (N, 3)."""
+    best: tuple[int | None, np.ndarray] = (None, np.zeros((0, 3)))
+    for frame in np.unique(seen.frame):
+        of_frame = seen.of(seen.frame == frame)
+        _, _, points = error_medians(cameras, of_frame, limits)
+        if len(points) > len(best[1]):
+            best = int(frame), points
+    return best
+
+
+def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Middle (2,) and radius in metres of where people are, or of what the cameras look at."""
+    if len(points):
+        middle = np.median(points[:, :2], axis=0)
+        return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
+    looked_at = sanity.common_point(cameras)
+    return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
+
+
+def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
+    """The pinhole camera of the video's size, and the sightings in its pixels; points that the lens cannot have seen
+    are dropped."""
+    affine = calibration_from_video_pixels(lens, wh)
+    intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
+    intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)
+    present = seen.keypoints[..., 2] > 0
+    pixels, valid = working_from_video(np.where(present[..., None], seen.keypoints[..., :2], 1.0), lens, wh, intrinsics)
+    points = np.concatenate(
+        [
+            np.where((present & valid)[..., None], pixels, np.nan),
+            np.where(present & valid, seen.keypoints[..., 2], 0.0)[..., None],
+        ],
+        -1,
+    )
+    return Camera(lens.name, wh, intrinsics, lens.camera_from_world), Detections(
+        lens.name, seen.layout, seen.frame, seen.track, points
+    )
+
+
+def straightened(picture: np.ndarray, lens: Lens, camera: Camera) -> np.ndarray:
+    """The picture (H, W, 3) of a video as the pinhole ``camera`` of ``undistorted`` sees it, 480 rows high."""
+    small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
+    place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
+    return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
+
+
+def marks(seen: Detections, frame: int | None) -> np.ndarray:
+    """(N, 2) pixels of all keypoints of a frame."""
+    points = seen.keypoints[seen.frame == (-1 if frame is None else frame)].reshape(-1, 3)
+    return points[points[:, 2] > 0, :2]
+
+
+def usable(common: Clocks) -> Clocks:
+    """``common``, or the footage as it was filmed where the videos share no moment: there is still something to look
+    at."""
+    if common.frames:
+        return common
+    as_filmed = tuple(replace(c, offset_s=0.0, drift_ppm=0.0) for c in common.cameras)
+    return replace(common, start_s=0.0, frames=min(c.frames for c in as_filmed), cameras=as_filmed)
+
+
+def first_frame(common: Clocks, camera: str) -> float:
+    """Where between the frames of a camera's footage the scene's first moment lies."""
+    position = common.positions(camera)
+    return float(np.interp(0.0, position, np.arange(len(position))))
+
+
+def nobody(camera: str) -> Detections:
+    """The sightings of a camera without keypoints."""
+    return Detections(camera, "coco17", np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros((0, 17, 3)))
+
+
+def run(
+    settings: Settings,
+    scene: str,
+    calibration: Path,
+    cameras: list[str],
+    sources: list[Path],
+    sightings: list[Path],
+    sizes: list[Path],
+    clocks: Path,
+    sync: Path,
+    report: Written,
+    doctor: Written,
+) -> None:
+    """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
+
+    ``clocks`` say which of their frames are used, ``sync`` how that was found. ``sightings`` and ``sizes`` are there
+    for the cameras with keypoints, in any order.
+    """
+    lenses = read_lenses(calibration)
+    if unknown := [c for c in cameras if c not in lenses]:
+        raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
+    found, common = read_json(sync), usable(read_clocks(clocks))
+    heights = {v["camera"]: int(v["wh"][1]) for v in map(read_json, sizes)}
+    seen = {d.camera: on_common_clock(d, common, heights[d.camera]) for d in map(read_detections, sightings)}
+    raw = [seen.get(c, nobody(c)) for c in cameras]
+    moments = [common.source_frames(c) for c in cameras]
+    films = [open_source(source, 0.0) for source in sources]
+    looks = [glimpses(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
+    about = [
+        {
+            "camera": c,
+            "wh": list(film.wh),
+            "frames": common.frames,
+            "first_frame": first_frame(common, c),
+            **light_of(pictures),
+            "fps": film.fps,
+            "video_frames": film.declared_frames or 0,
+            "rotation_deg": film.rotation_deg,
+            "keypoints": c in seen,
+        }
+        for c, film, pictures in zip(cameras, films, looks, strict=True)
+    ]
+
+    # Before anything slow: what the files alone say.
+    for a in about:
+        say(
+            f"camera {a['camera']}: {a['wh'][0]}×{a['wh'][1]}, {a['fps']:g} fps, "
+            f"{a['video_frames']} frames from {a['first_frame']:g} on, "
+            f"mean grey {a['brightness']:.2f}, {'keypoints' if a['keypoints'] else 'no keypoints'}"
+        )
+    for sentence in of_footage(about):
+        say(sentence)
+
+    def read(model: LensReading) -> tuple[list[Camera], list[Detections]]:
+        both = [undistorted(d, as_model(lenses[c], model), film.wh) for c, d, film in zip(cameras, raw, films)]
+        return [camera for camera, _ in both], [d for _, d in both]
+
+    pinholes, detections = read("as_read")
+    readings = {
+        name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
+    }
+    told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
+    result, points = examined(pinholes, detections, about, settings, readings, told)
+    pictures = [both[-1] for both in looks]
+    if result["shown_frame"] is not None:
+        pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]
+    shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
+    straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
+    sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
+    png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes()
+    write_json(report, result)
+    write_text(doctor, page(scene, result, png))
+    for sentence in told["sentences"]:
+        say(sentence)
+    say(f"verdict: {result['verdict']}")
+    for sentence in result["advice"]:
+        say(sentence)
+    say(f"the page is {doctor}")

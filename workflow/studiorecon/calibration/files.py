@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibration.files``: the user's calibration files → lenses in the metric world, z up, pixel centres at +0.5."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from studiorecon.calibration.formats import FORMATS, accepted
+from studiorecon.calibration.formats.reading import Reading
+from studiorecon.calibration.names import match_in_order, match_names
+from studiorecon.calibration.world import metres_per_unit, settled, z_up_from_world
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.geometry.lens import calibration_from_video
+from studiorecon.progress import say
+from studiorecon.rig.lens_model import LensReading, as_model, with_radial
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.files import write_json
+from studiorecon.signature import Written
+
+_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+if TYPE_CHECKING:
+    FormatName = str
+else:
+    FormatName = Literal[("auto", *FORMATS)]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the file cannot say."""
+
+    format: FormatName = setting("auto", "Format of the calibration files; auto = the first that recognises them.")
+    poses: Literal["as_read", "world_from_camera", "opengl", "world_from_camera_opengl"] = setting(
+        "as_read",
+        "What the poses in the files really are, where they break their format's convention; the doctor says "
+        "which one the people call for.",
+    )
+    lens: LensReading = setting(
+        "as_read", "The lens model that the distortion numbers really belong to, where the files do not say."
+    )
+    radial: dict[str, float] = setting(
+        {},
+        "Added to the k1 of these cameras, {camera: number}: what refinement answers when people call for "
+        "other distortion.",
+    )
+    unit: Literal["auto", "m", "cm", "mm"] = setting(
+        "auto", "Unit of the calibration's lengths; auto believes the format, else reads spreads above 100 as mm."
+    )
+    up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = setting(
+        "auto", "Axis of the calibration's world that points up; auto asks the cameras."
+    )
+    scale: float = setting(1.0, "Factor on all lengths after that, for models of arbitrary scale.", above=0)
+
+
+def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
+    """The calibration in the format ``wanted``, or whatever format it is; raises UserError when there is none or nobody
+    can read it."""
+    if not files:
+        raise UserError(
+            "the dataset has no calibration, and cameras this far apart cannot be "
+            f"calibrated from their pictures; bring {accepted()}"
+        )
+    for file in files:
+        if not file.is_file():
+            raise UserError(f"calibration {file} is missing")
+    for name, form in FORMATS.items():
+        if name == wanted or (wanted == "auto" and form.recognises(list(files))):
+            reading = form.read(list(files))
+            if not reading.cameras:
+                raise UserError(f"{files[0]} holds no cameras; it was read as {reading.format}")
+            return reading
+    raise UserError(f"{', '.join(f.name for f in files)} is not a calibration of a known format; bring {accepted()}")
+
+
+def lenses_of(
+    reading: Reading, source: str, cameras: Sequence[str], pixel_maps: Mapping[str, Sequence[float]], settings: Settings
+) -> tuple[list[Lens], list[str], bool]:
+    """Lenses in the order of ``cameras``, the sentences about every change, and whether z = 0 is known to be the
+    floor."""
+    names = [c.name for c in reading.cameras]
+    matched, note = (
+        match_names(cameras, names, source) if reading.named else match_in_order(cameras, len(names), source)
+    )
+    by_name = {c.name: c for c in reading.cameras}
+    chosen = [by_name[matched[c]] for c in cameras]
+    notes = [*reading.notes, *([note] if note else [])]
+    left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
+    if left_out:
+        notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
+    poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
+    if settings.poses != "as_read":
+        notes.append(f"the poses were read as {settings.poses}, as the setting calibration.poses says")
+    if settings.lens != "as_read":
+        notes.append(
+            f"the distortion numbers were read as those of the model {settings.lens}, "
+            "as the setting calibration.lens says"
+        )
+    if unknown := [c for c in settings.radial if c not in cameras]:
+        raise UserError(f"calibration.radial names camera {unknown[0]}, but the footage has {', '.join(cameras)}")
+    notes += [
+        f"the k1 of camera {c} was changed by {k1:+g}, as the setting calibration.radial says"
+        for c, k1 in settings.radial.items()
+    ]
+    centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in poses])
+    factor, unit_note = metres_per_unit(centres, reading.unit, settings.unit)
+    z_up, up_note = z_up_from_world(np.array([p[:3, :3] for p in poses]), settings.up)
+    if settings.scale != 1.0:
+        notes.append(f"all lengths were multiplied by {settings.scale:g}, as the setting calibration.scale says")
+    floor_known = bool(np.array_equal(z_up, np.eye(3))) and reading.format != "COLMAP"
+    poses, moves = settled(poses, z_up, factor * settings.scale, floor_known)
+    notes += [n for n in (unit_note, up_note) if n] + moves
+    lenses = []
+    for name, raw, pose in zip(cameras, chosen, poses):
+        intrinsics = raw.intrinsics
+        if not (intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0 and np.isfinite(intrinsics).all()):
+            raise UserError(
+                f"camera {name} in {source}: its focal length is {intrinsics[0, 0]:g}; calibrate this camera again"
+            )
+        lens = Lens(
+            name, raw.wh, intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))
+        )
+        lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
+    return lenses, notes, floor_known
+
+
+def meant(pose: np.ndarray, poses: str) -> np.ndarray:
+    """(4, 4) ``camera_from_world`` with OpenCV axes of a pose that is really ``poses`` (see ``Settings``)."""
+    turned = _OPENGL @ pose if poses == "opengl" else pose
+    if poses.startswith("world_from_camera"):
+        turned = np.linalg.inv(pose @ _OPENGL if poses.endswith("opengl") else pose)
+    return turned
+
+
+def run(settings: Settings, files: list[Path], cameras: list[str], pixel_maps: str, calibration: Written) -> None:
+    """Read the calibration ``files`` for the footage names ``cameras``; write ``calibration`` (JSON)."""
+    reading = read_calibration(files, settings.format)
+    lenses, notes, floor_known = lenses_of(reading, files[0].name, cameras, json.loads(pixel_maps or "{}"), settings)
+    say(f"{len(lenses)} cameras from {files[0].name} ({reading.format})")
+    for note in notes:
+        say(note)
+    write_json(
+        calibration,
+        {
+            "source": files[0].name,
+            "format": reading.format,
+            "lenses": [lens.as_json() for lens in lenses],
+            "floor_known": floor_known,
+            "notes": notes,
+        },
+    )

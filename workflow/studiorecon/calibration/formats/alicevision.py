@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""AliceVision's ``cameras.sfm`` (Meshroom): JSON of views, intrinsics and poses, whose numbers may stand as text.
+
+The rotation is camera-from-world, column by column, beside the camera's centre. Lengths of the lens are in millimetres
+of the sensor and the centre counts from the picture's middle; files before version 1.2.2 and 1.2.1 have pixels, and
+count from the corner (``sfmDataIO/jsonIO.cpp`` of AliceVision). The scale is arbitrary unless the scene was aligned.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.errors import UserError
+
+# Where OpenCV's k1 k2 p1 p2 k3 stand among the numbers of a distortion.
+_AS_OPENCV = {
+    "pinhole": (),
+    "radial1": (0,),
+    "radialk1": (0,),
+    "radial3": (0, 1, None, None, 2),
+    "radialk3": (0, 1, None, None, 2),
+    "brown": (0, 1, 3, 4, 2),
+}
+_FISHEYES = ("fisheye", "fisheye4")
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].suffix == ".sfm"
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per picture folder, or per picture where all lie in one; views without a pose are left out and named.
+
+    Raises UserError for a file that is no JSON, a camera in a rig, and a distortion that OpenCV does not have.
+    """
+    path = files[0]
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not valid JSON ({error}); export the scene as .sfm again") from None
+    version = tuple(int(v) for v in content.get("version", (1, 0, 0)))
+    poses = {str(p["poseId"]): p["pose"]["transform"] for p in content.get("poses", ())}
+    intrinsics = {str(i["intrinsicId"]): i for i in content.get("intrinsics", ())}
+    views = content.get("views", ())
+    folders = {PurePosixPath(v["path"]).parent for v in views}
+    cameras, left_out = [], []
+    for view in views:
+        picture = PurePosixPath(view["path"].replace("\\", "/"))
+        name = picture.parent.name if len(folders) > 1 else picture.stem
+        where = f"camera {name} in {path}"
+        if "rigId" in view:
+            raise UserError(
+                f"{where} is part of a rig; reconstruct without rigs, every camera has a pose of its own here"
+            )
+        if str(view.get("poseId")) in poses and str(view.get("intrinsicId")) in intrinsics:
+            cameras.append(
+                _camera(name, poses[str(view["poseId"])], intrinsics[str(view["intrinsicId"])], version, where)
+            )
+        else:
+            left_out.append(name)
+    kept = {camera.name for camera in cameras}
+    missing = sorted(set(left_out) - kept)
+    notes = (f"{path.name} has no pose of {', '.join(missing)}, which was left out",) if missing else ()
+    return Reading(
+        "AliceVision cameras.sfm", tuple(merged_static(cameras, 0.01, 1.0)) if cameras else (), "unknown", notes
+    )
+
+
+def _camera(name: str, pose: dict[str, Any], lens: dict[str, Any], version: tuple[int, ...], where: str) -> RawCamera:
+    width, height = int(lens["width"]), int(lens["height"])
+    centre = np.array(lens["principalPoint"], dtype=np.float64)
+    if version >= (1, 2, 1):
+        centre += np.array([width, height]) / 2
+    fx, fy = _focal_px(lens, width, version)
+    kind = str(lens.get("type", "pinhole")).lower()
+    if kind == "pinhole" and str(lens.get("distortionType", "none")).lower() != "none":
+        kind = str(lens["distortionType"]).lower()
+    numbers = np.array(lens.get("distortionParams") or [], dtype=np.float64)
+    if kind in _FISHEYES:
+        model, distortion = "fisheye", np.pad(numbers[:4], (0, max(0, 4 - len(numbers))))
+    elif kind in _AS_OPENCV:
+        model = "opencv"
+        places = _AS_OPENCV[kind]
+        distortion = opencv_distortion([numbers[i] if i is not None and len(numbers) else 0.0 for i in places], where)
+    else:
+        raise UserError(f"{where} has the lens {kind}; reconstruct with pinhole, radialk1, radialk3, brown or fisheye4")
+    # Eigen writes matrices column by column.
+    rotation = np.array(pose["rotation"], dtype=np.float64).reshape(3, 3).T
+    camera_from_world, _ = rigid_camera_from_world(
+        rotation, -rotation @ np.array(pose["center"], dtype=np.float64), where
+    )
+    return RawCamera(
+        name=name,
+        wh=(width, height),
+        intrinsics=intrinsics_matrix(fx, fy, centre[0], centre[1], integer_centres=True),
+        model=model,
+        distortion=distortion,
+        camera_from_world=camera_from_world,
+    )
+
+
+def _focal_px(lens: dict[str, Any], width: int, version: tuple[int, ...]) -> tuple[float, float]:
+    """Focal lengths along x and y; ``pixelRatio`` meant fx / fy until version 1.2.5 and means height over width of a
+    pixel since."""
+    if version < (1, 2, 2):
+        both = np.broadcast_to(np.array(lens["pxFocalLength"], dtype=np.float64), 2)
+        return float(both[0]), float(both[1])
+    fx = float(lens["focalLength"]) / float(lens["sensorWidth"]) * width
+    ratio = float(lens.get("pixelRatio", 1.0))
+    return fx, fx / ratio if version < (1, 2, 5) else fx * ratio
+
+
+FORMAT = CalibrationFormat(
+    name="alicevision",
+    made_by="Meshroom, AliceVision",
+    files_in_words="`cameras.sfm`",
+    files=(("cameras.sfm",), ("*.sfm",)),
+    recognises=recognises,
+    read=read,
+)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Caliscope's ``camera_array.toml``: tables ``[cameras.N]`` with a rotation matrix, metres, videos named ``cam_N``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.calibration.formats.pose2sim import TOML_FILES, camera_of_table, holds_cameras, tables
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.errors import UserError
+
+
+def recognises(files: list[Path]) -> bool:
+    return (
+        len(files) == 1
+        and files[0].suffix == ".toml"
+        and any("cam_id" in t or "port" in t for t in tables(files[0]).values())
+    )
+
+
+def read(files: list[Path]) -> Reading:
+    """The cameras that the file does not ignore; raises UserError when it says that a video is to be turned."""
+    notes: list[str] = []
+    cameras = []
+    for key, table in tables(files[0]).items():
+        if table.get("ignore", False):
+            notes.append(f"camera {key} is marked as ignored in {files[0].name} and was left out")
+            continue
+        if table.get("rotation_count", 0):
+            raise UserError(
+                f"camera {key} in {files[0]}: rotation_count is {table['rotation_count']}; "
+                "store its video upright and set it to 0"
+            )
+        cameras.append(camera_of_table(f"cam_{key}", table, files[0], notes))
+    return Reading("Caliscope camera_array.toml", tuple(cameras), "m", tuple(notes))
+
+
+FORMAT = CalibrationFormat(
+    name="caliscope",
+    made_by="Caliscope",
+    files_in_words="`camera_array.toml`",
+    files=TOML_FILES,
+    recognises=recognises,
+    read=read,
+    holds_cameras=holds_cameras,
+)

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""COLMAP models of users, text or binary, with distortion: ``cameras`` + ``images``, and ``rigs`` + ``frames`` where
+the model has them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.camera_files.colmap_models import posed_pictures
+
+
+def recognises(files: list[Path]) -> bool:
+    return (
+        len(files) >= 2
+        and {f.stem for f in files} >= {"cameras", "images"}
+        and {f.suffix for f in files} <= {".txt", ".bin"}
+    )
+
+
+def read(files: list[Path]) -> Reading:
+    """One static camera per picture folder (or picture); COLMAP's scale is arbitrary unless the model was aligned."""
+    return Reading("COLMAP", tuple(merged_static(posed_pictures(files), 0.01, 1.0)), "unknown", ())
+
+
+FORMAT = CalibrationFormat(
+    name="colmap",
+    made_by="COLMAP",
+    files_in_words="`sparse/0` (text or binary, rigs too)",
+    files=(
+        ("sparse/0/cameras.txt", "sparse/0/images.txt"),
+        ("sparse/0/cameras.bin", "sparse/0/images.bin"),
+        ("sparse/cameras.txt", "sparse/images.txt"),
+        ("cameras.txt", "images.txt"),
+    ),
+    recognises=recognises,
+    read=read,
+)

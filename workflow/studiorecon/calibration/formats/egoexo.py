@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ego-Exo4D's ``gopro_calibs.csv``: camera-to-world quaternions and translations in metres, OpenCV or fisheye
+intrinsics."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.errors import UserError
+from studiorecon.geometry.rotations import from_quaternion
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].suffix == ".csv"
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per row; further intrinsics than four are the fisheye's k1 to k4."""
+    path = files[0]
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        rows = list(csv.DictReader(file))
+    return Reading("Ego-Exo4D gopro_calibs.csv", tuple(_camera(row, path) for row in rows), "m", ())
+
+
+def _camera(row: dict[str, str], path: Path) -> RawCamera:
+    name = row.get("cam_uid", "?")
+    where = f"camera {name} in {path}"
+    try:
+        translation = np.array([float(row[f"t{a}_world_cam"]) for a in "xyz"])
+        quaternion = np.array([float(row[f"q{a}_world_cam"]) for a in "wxyz"])
+        focal_centre = [float(row[f"intrinsics_{i}"]) for i in range(4)]
+        wh = (int(float(row["image_width"])), int(float(row["image_height"])))
+        terms = [float(row[f"intrinsics_{i}"]) for i in range(4, 8) if row.get(f"intrinsics_{i}")]
+    except (KeyError, ValueError) as error:
+        raise UserError(f"{where}: {error} is missing or not a number; it is not a gopro_calibs.csv") from None
+    if np.linalg.norm(quaternion) < 1e-12:
+        raise UserError(f"{where}: the rotation is a quaternion of length 0; calibrate this camera again")
+    world_from_camera = np.eye(4)
+    world_from_camera[:3, :3], world_from_camera[:3, 3] = from_quaternion(quaternion), translation
+    return RawCamera(
+        name=name,
+        wh=wh,
+        intrinsics=intrinsics_matrix(*focal_centre, integer_centres=True),
+        model="fisheye" if terms else "opencv",
+        distortion=np.pad(np.array(terms), (0, 4 - len(terms))) if terms else np.zeros(8),
+        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
+    )
+
+
+FORMAT = CalibrationFormat(
+    name="egoexo",
+    made_by="Ego-Exo4D",
+    files_in_words="`gopro_calibs.csv`",
+    files=(("gopro_calibs.csv",), ("trajectory/gopro_calibs.csv",)),
+    recognises=recognises,
+    read=read,
+)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LLFF's ``poses_bounds.npy`` (Neural 3D Video): camera-to-world with axes down, right, back; one row per camera, no
+names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.errors import UserError
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].name == "poses_bounds.npy"
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per row, in the order of the sorted videos; focal length f for both axes, centre in the middle."""
+    path = files[0]
+    table = np.load(path, allow_pickle=False)
+    if table.ndim != 2 or table.shape[1] != 17:
+        raise UserError(f"{path} is {table.shape}; LLFF has 17 numbers per camera")
+    cameras = []
+    for index, row in enumerate(np.asarray(table, dtype=np.float64)):
+        block = row[:15].reshape(3, 5)
+        height, width, focal = block[:, 4]
+        down, right, back = block[:, 0], block[:, 1], block[:, 2]
+        world_from_camera = np.eye(4)
+        world_from_camera[:3] = np.stack([right, down, -back, block[:, 3]], axis=1)
+        cameras.append(
+            RawCamera(
+                name=str(index),
+                wh=(round(width), round(height)),
+                intrinsics=intrinsics_matrix(focal, focal, width / 2, height / 2, integer_centres=False),
+                model="opencv",
+                distortion=np.zeros(8),
+                camera_from_world=camera_from_world_of_pose(world_from_camera, f"camera {index} in {path}"),
+            )
+        )
+    return Reading("LLFF poses_bounds.npy", tuple(cameras), "unknown", (), named=False)
+
+
+FORMAT = CalibrationFormat(
+    name="llff",
+    made_by="LLFF, Neural 3D Video",
+    files_in_words="`poses_bounds.npy`",
+    files=(("poses_bounds.npy",),),
+    recognises=recognises,
+    read=read,
+)

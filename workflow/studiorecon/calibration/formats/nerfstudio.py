@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""nerfstudio and instant-ngp ``transforms.json``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.camera_files.transforms_json import read_transforms
+
+
+def recognises(files: list[Path]) -> bool:
+    # Any name may hold transforms, but not that of Dynamic 3D Gaussians' lists.
+    return len(files) == 1 and files[0].suffix == ".json" and not files[0].stem.endswith("train_meta")
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per label, picture folder or picture name; ``applied_transform`` is undone."""
+    found = read_transforms(files[0])
+    return Reading(
+        "nerfstudio transforms.json", tuple(merged_static(list(found.cameras), 0.01, 1.0)), "unknown", found.notes
+    )
+
+
+FORMAT = CalibrationFormat(
+    name="nerfstudio",
+    made_by="nerfstudio, instant-ngp",
+    files_in_words="`transforms.json`",
+    files=(("transforms.json",),),
+    recognises=recognises,
+    read=read,
+)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pose2Sim ``Calib*.toml`` and the aniposelib family (Caliscope, AniPose, FreeMoCap): one table per camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import tomllib
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.errors import UserError
+from studiorecon.geometry.rotations import exp
+
+# Caliscope's cameras lie in such a file too; its cards and volumes, and Pose2Sim's Config.toml, lie beside.
+TOML_FILES = (("*.toml",), ("calibration/*.toml",))
+_OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
+
+
+def tables(path: Path) -> dict[str, dict]:
+    """The camera tables of a TOML calibration by key; also those of Caliscope's ``[cameras.N]``."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not valid TOML ({error})") from None
+    if isinstance(content.get("cameras"), dict):
+        content = content["cameras"]
+    return {k: v for k, v in content.items() if isinstance(v, dict) and k not in _OTHER_TABLES and "matrix" in v}
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].suffix == ".toml" and any("name" in t for t in tables(files[0]).values())
+
+
+def read(files: list[Path]) -> Reading:
+    """The cameras of the file; the unit is metres for Pose2Sim and guessed later for the rest of the family."""
+    cameras = []
+    notes: list[str] = []
+    for key, table in tables(files[0]).items():
+        cameras.append(camera_of_table(str(table.get("name", key)), table, files[0], notes))
+    return Reading("Pose2Sim/aniposelib TOML", tuple(cameras), "unknown", tuple(notes))
+
+
+def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> RawCamera:
+    """One camera from a table with matrix, distortions, rotation (axis-angle or matrix) and translation."""
+    where = f"camera {name} in {path}"
+    missing = [k for k in ("matrix", "rotation", "translation") if k not in table]
+    if missing:
+        raise UserError(
+            f"{where}: {missing[0]} is missing; the file holds intrinsics only, run the extrinsic calibration too"
+        )
+    k = np.asarray(table["matrix"], dtype=np.float64)
+    rotation = np.asarray(table["rotation"], dtype=np.float64)
+    pose, scale = rigid_camera_from_world(
+        rotation if rotation.size == 9 else exp(rotation), table["translation"], where
+    )
+    if abs(scale - 1) > 1e-3:
+        notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
+    width, height = table.get("size", (0, 0))
+    fisheye = bool(table.get("fisheye", False))
+    distortions = np.asarray(table.get("distortions", []), dtype=np.float64).reshape(-1)
+    return RawCamera(
+        name=name,
+        wh=(round(width), round(height)),
+        intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+        model="fisheye" if fisheye else "opencv",
+        distortion=np.pad(distortions[:4], (0, max(0, 4 - len(distortions))))
+        if fisheye
+        else opencv_distortion(distortions, where),
+        camera_from_world=pose,
+    )
+
+
+def holds_cameras(path: Path) -> bool:
+    """Whether a TOML file could be a calibration."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return "matrix" in text and "translation" in text
+
+
+FORMAT = CalibrationFormat(
+    name="pose2sim",
+    made_by="Pose2Sim, aniposelib, AniPose, FreeMoCap",
+    files_in_words="`Calib*.toml`",
+    files=TOML_FILES,
+    recognises=recognises,
+    read=read,
+    holds_cameras=holds_cameras,
+)

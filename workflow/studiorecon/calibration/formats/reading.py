@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration format declares, what its reader returns, and how many pictures of one static camera become one
+entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.raw_camera import RawCamera
+from studiorecon.errors import UserError
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The cameras of one calibration.
+
+    Attributes:
+        format: the format's name.
+        cameras: in the file's order.
+        unit: of length, "m", "mm" or "unknown".
+        notes: what was changed, in sentences.
+        named: False where the format has no names and the cameras stand in the order of the sorted videos.
+    """
+
+    format: str
+    cameras: tuple[RawCamera, ...]
+    unit: str
+    notes: tuple[str, ...]
+    named: bool = True
+
+
+def _always(path: Path) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class CalibrationFormat:
+    """One way in which calibrated cameras are written down.
+
+    Attributes:
+        name: as in the setting ``calibration.format``.
+        made_by: the programs and data sets that write it.
+        files_in_words: what lies in the dataset's folder, in Markdown.
+        files: the alternatives it is found by there, first things first: names relative to the folder that must all be
+            there, or one pattern.
+        recognises: whether files are of this format, by their names or by what they hold.
+        read: the cameras; raises UserError where a file is not what its format says.
+        holds_cameras: whether a file that a pattern finds is a calibration at all.
+    """
+
+    name: str
+    made_by: str
+    files_in_words: str
+    files: tuple[tuple[str, ...], ...]
+    recognises: Callable[[list[Path]], bool]
+    read: Callable[[list[Path]], Reading]
+    holds_cameras: Callable[[Path], bool] = _always
+
+
+def merged_static(cameras: list[RawCamera], centre_tolerance: float, angle_tolerance_deg: float) -> list[RawCamera]:
+    """One entry per name where a file has one per frame; raises UserError when a camera of that name moves.
+
+    ``centre_tolerance`` is in the file's unit, relative to the spread of all centres.
+    """
+    centres = np.array([-c.camera_from_world[:3, :3].T @ c.camera_from_world[:3, 3] for c in cameras])
+    spread = float(np.ptp(centres, axis=0).max()) if len(centres) else 0.0
+    kept: dict[str, tuple[RawCamera, np.ndarray]] = {}
+    for camera, centre in zip(cameras, centres):
+        if camera.name not in kept:
+            kept[camera.name] = (camera, centre)
+            continue
+        first, first_centre = kept[camera.name]
+        turned = first.camera_from_world[:3, :3] @ camera.camera_from_world[:3, :3].T
+        skew = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+        angle = np.degrees(np.arctan2(np.linalg.norm(skew) / 2, (np.trace(turned) - 1) / 2))
+        if np.linalg.norm(centre - first_centre) > centre_tolerance * max(spread, 1e-9) or angle > angle_tolerance_deg:
+            raise UserError(
+                f"camera {camera.name} moves ({angle:.1f}° within its pictures); only static cameras are supported, "
+                "so leave it out with capture.yaml: train: [...]"
+            )
+    return [camera for camera, _ in kept.values()]

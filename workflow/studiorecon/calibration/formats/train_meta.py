@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dynamic 3D Gaussians' ``train_meta.json`` and MonoFusion's ``Dy_train_meta.json``: matrices per time and camera."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
+from studiorecon.errors import UserError
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].suffix == ".json" and files[0].stem.endswith("train_meta")
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per picture folder, or per place in the lists where there are no file names.
+
+    MonoFusion keeps camera-to-world under the name ``w2c`` (its source does); a ``camera_convention`` in the file
+    decides.
+    """
+    path = files[0]
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not readable JSON ({error}); it may have been copied only in part") from None
+    missing = [k for k in ("k", "w2c") if k not in content]
+    if missing or not ("hw" in content or {"w", "h"} <= content.keys()):
+        raise UserError(f"{path} lacks {missing[0] if missing else 'w and h'}; it is not a train_meta.json")
+    inverted, notes = _inverted(content, path.name)
+    cameras = []
+    for t, (matrices, poses) in enumerate(zip(content["k"], content["w2c"], strict=True)):
+        for index, (k, pose) in enumerate(zip(matrices, poses, strict=True)):
+            name = PurePosixPath(content["fn"][t][index]).parent.name if "fn" in content else str(index)
+            block, intrinsics = np.asarray(pose, dtype=np.float64)[:3], np.asarray(k, dtype=np.float64)
+            where = f"camera {name} at time {t} in {path}"
+            if inverted:
+                block = np.linalg.inv(np.vstack([block, [0, 0, 0, 1]]))[:3]
+            height, width = content["hw"][index] if "hw" in content else (content["h"], content["w"])
+            cameras.append(
+                RawCamera(
+                    name=name,
+                    wh=(int(width), int(height)),
+                    intrinsics=intrinsics_matrix(
+                        *intrinsics[[0, 1], [0, 1]], *intrinsics[:2, 2], integer_centres=False
+                    ),
+                    model="opencv",
+                    distortion=np.zeros(8),
+                    camera_from_world=rigid_camera_from_world(block[:, :3], block[:, 3], where)[0],
+                )
+            )
+    kind = "MonoFusion Dy_train_meta.json" if "hw" in content else "Dynamic 3D Gaussians train_meta.json"
+    return Reading(kind, tuple(merged_static(cameras, 0.01, 1.0)), "unknown", tuple(notes), named="fn" in content)
+
+
+def _inverted(content: dict, name: str) -> tuple[bool, list[str]]:
+    """Whether ``w2c`` holds camera-to-world, and the sentence that says how that was decided."""
+    if "hw" not in content:
+        return False, []
+    convention = str(content.get("camera_convention", "")).lower()
+    if convention in ("w2c", "c2w"):
+        return convention == "c2w", [f"{name} says that its poses are {convention}"]
+    return True, [
+        f"{name} does not say its camera_convention: its w2c was read as camera-to-world, as MonoFusion writes it"
+    ]
+
+
+FORMAT = CalibrationFormat(
+    name="train_meta",
+    made_by="Dynamic 3D Gaussians, MonoFusion",
+    files_in_words="`train_meta.json`",
+    files=(("train_meta.json",), ("trajectory/Dy_train_meta.json",), ("Dy_train_meta.json",)),
+    recognises=recognises,
+    read=read,
+)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ZJU-MoCap's ``annots.npy``: lists ``cams`` of K, D, R, T (millimetres, world-to-camera) and ``ims``, whose folders
+name them."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from studiorecon.calibration.formats.pickles import read_pickle
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.errors import UserError
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].name == "annots.npy"
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per entry of ``cams``, in millimetres."""
+    path = files[0]
+    content = read_pickle(path)
+    cams = content.get("cams") if isinstance(content, dict) else None
+    if not isinstance(cams, dict) or not {"K", "R", "T"} <= cams.keys():
+        raise UserError(f"{path} holds no cams with K, R and T; it is not ZJU-MoCap's annots.npy")
+    count = len(cams["K"])
+    folders = (
+        [PurePosixPath(str(p)).parent.name for p in content["ims"][0]["ims"]] if content.get("ims") is not None else []
+    )
+    named = len(folders) == count == len(set(folders)) and "" not in folders
+    cameras = []
+    for index in range(count):
+        name = folders[index] if named else str(index)
+        where = f"camera {name} in {path}"
+        k = np.asarray(cams["K"][index], dtype=np.float64)
+        cameras.append(
+            RawCamera(
+                name=name,
+                wh=(0, 0),
+                intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+                model="opencv",
+                distortion=opencv_distortion(cams["D"][index] if "D" in cams else [], where),
+                camera_from_world=rigid_camera_from_world(cams["R"][index], cams["T"][index], where)[0],
+            )
+        )
+    return Reading("ZJU-MoCap annots.npy", tuple(cameras), "mm", (), named=named)
+
+
+FORMAT = CalibrationFormat(
+    name="zju",
+    made_by="ZJU-MoCap",
+    files_in_words="`annots.npy`",
+    files=(("annots.npy",),),
+    recognises=recognises,
+    read=read,
+)

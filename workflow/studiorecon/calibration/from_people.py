@@ -1,0 +1,358 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``calibration.from_people``: cameras without any calibration, from the people they saw (not in the paper, which asks
+Pi3X)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.body.model import BodyModel
+from studiorecon.errors import UserError
+from studiorecon.footage.told_lens import told_focal_px
+from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.geometry.lens import mapped_lens
+from studiorecon.geometry.rotations import angle
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.progress import say, warn
+from studiorecon.rig.bundle import Agreement
+from studiorecon.rig.certainty import between_deg, sigma_of
+from studiorecon.rig.from_people import Rig, adjusted, bone_factor, rigs, scaled, settled, sightings
+from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
+from studiorecon.rig.gravity import world_from_people
+from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.dataset import PICTURE_SUFFIXES
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.people import Detections, read_detections
+from studiorecon.signature import Written
+
+# Widths of view that are tried when nobody says: phones, action cameras, webcams, tele ends.
+_HFOV_DEG = (65.0, 85.0, 48.0, 105.0, 36.0)
+_SELF_CALIBRATION_ROUNDS = 6
+_SETTLED_SHARE = 0.002
+_SAME_DEG = 5.0
+_WIDER = (1.0, 2.0)
+# So many times the accepted standard deviations, and the bodies are not where the people were.
+_HOPELESS = 6.0
+# Standard deviation of adults' sizes, as a share.
+_OF_A_MEAN_BODY = 0.05
+_NO_LENGTHS = GivenLengths()
+
+
+@dataclass(frozen=True)
+class PeopleRigSettings:
+    """When cameras found from people are believed.
+
+    Attributes:
+        frames: frames that are looked at, spread over the clip.
+        focal_sigma, focal_told_sigma, focal_unknown_sigma: standard deviation of a focal length, as a share: of a given
+            one, of one that the file tells, and of an unknown one, which starts at a guess.
+        max_focal_sigma: share up to which a focal length counts as determined by the people.
+        max_sigma_deg, max_sigma_m: standard deviations of turn and place past which the cameras are marked as
+            uncertain.
+        rival_share: another arrangement of the cameras with this share of the support makes them undetermined.
+    """
+
+    frames: int = 60
+    focal_sigma: float = 0.005
+    focal_told_sigma: float = 0.07
+    focal_unknown_sigma: float = 0.3
+    max_focal_sigma: float = 0.05
+    max_sigma_deg: float = 1.0
+    max_sigma_m: float = 0.06
+    rival_share: float = 0.9
+
+
+@dataclass(frozen=True)
+class Settings(Agreement):
+    """When the cameras that people show are believed."""
+
+    people_rig: PeopleRigSettings = PeopleRigSettings()
+
+
+def pose_cameras(
+    detections: Sequence[Detections],
+    wh: Sequence[tuple[int, int]],
+    focal_px: Mapping[str, float],
+    frames: int,
+    template_m: np.ndarray,
+    settings: Settings,
+    told_px: Mapping[str, float] | None = None,
+    given: GivenLengths = _NO_LENGTHS,
+    stature: float = 1.7,
+) -> tuple[list[Camera], dict[str, Any]]:
+    """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
+    little.
+
+    ``focal_px``: given focal lengths by camera name, ``told_px`` those that the files tell; the others are found along
+    with the poses, or kept as guessed when the people do not determine them. ``given``: lengths that were measured;
+    ``stature``: height of the mean body, metres.
+    """
+    names = [d.camera for d in detections]
+    chosen = evenly_spread(frames, settings.people_rig.frames)
+    known = {**(told_px or {}), **focal_px}
+    guesses = _HFOV_DEG if len(known) < len(names) else _HFOV_DEG[:1]
+    best: list[Rig] = []
+    seen = sightings(detections, chosen, settings.limits.min_confidence)
+    # Real detectors are off by more than one error unit more often than made ones: a second, wider look where the first
+    # fails.
+    for hfov, wider in [(hfov, wider) for wider in _WIDER for hfov in guesses]:
+        start = [_pinhole(n, size, known.get(n), hfov) for n, size in zip(names, wh)]
+        limits = replace(settings.limits, huber_share=settings.limits.huber_share * wider)
+        found = rigs(seen, start, template_m, settings.gate_m, limits)
+        if found and (not best or (len(found[0].cameras), found[0].support) > (len(best[0].cameras), best[0].support)):
+            best = found
+        if best and len(best[0].cameras) == len(names):
+            break
+    _complete(best, names)
+    _no_rival(best, names, settings.people_rig)
+    # Known focal lengths are pulled towards their value at every round; unknown ones are free.
+    about = settings.people_rig
+    wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
+    lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
+    known_px = {v: known[n] for v, n in enumerate(names) if n in known}
+    rig, result = _self_calibrated(best[0], seen, template_m, lens, known_px, settings)
+    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px)
+    uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, settings.people_rig)
+    cameras, points, how, scale = _settled_in_the_world(result, rig, template_m, given, stature)
+    error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
+    median = float(np.median(error[np.isfinite(error)]))
+    if median > settings.max_error_share * max(max(s) for s in wh):
+        raise UserError(
+            f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
+            "off; check that the videos are synchronised "
+            "and that no camera moves"
+        )
+    report = {
+        "source": "people",
+        "median_px": median,
+        "support": rig.support,
+        "frames": len(chosen),
+        "sigma_deg": dict(zip(names, turn.tolist())),
+        "sigma_m": dict(zip(names, place.tolist())),
+        "focal_px": {c.name: c.focal_px[0] for c in cameras},
+        "focal_sigma": dict(zip(names, focal_sigma.tolist())),
+        "world": how,
+        "points": points,
+        "between_deg": between_deg(turn),
+        "uncertain": uncertain,
+        "scale": scale.told,
+        "scale_sigma": scale.sigma,
+        "focal_from": {n: "given" if n in focal_px else "told by the file" if n in known else "people" for n in names},
+    }
+    return cameras, report
+
+
+def _uncertain(
+    names: Sequence[str],
+    given: Mapping[str, float],
+    turn: np.ndarray,
+    place: np.ndarray,
+    focal: np.ndarray,
+    settings: PeopleRigSettings,
+) -> list[str]:
+    """What is known worse than it should be, in sentences; raises UserError where no film could be made of it."""
+    found = []
+    free = [(n, s) for n, s in zip(names, focal) if n not in given]
+    unknown = [f"{n} ±{s:.0%}" for n, s in free if s > settings.max_focal_sigma]
+    if unknown:
+        found.append(
+            f"the focal length of camera {', '.join(unknown)} is hardly determined; write "
+            f"focal_px: {{camera: pixels}} into capture.yaml"
+        )
+    loose = turn / settings.max_sigma_deg + place / settings.max_sigma_m
+    worst = int(np.argmax(loose))
+    known = f"{names[worst]} is known to ±{turn[worst]:.1f}° and ±{place[worst]:.2f} m"
+    if turn.max() > settings.max_sigma_deg or place.max() > settings.max_sigma_m:
+        found.append(
+            f"camera {known} only: let somebody walk all over the floor, use more frames, or bring a calibration"
+        )
+    hopeless = turn.max() > _HOPELESS * settings.max_sigma_deg or place.max() > _HOPELESS * settings.max_sigma_m
+    if hopeless or max((s for _, s in free), default=0.0) > _HOPELESS * settings.max_focal_sigma:
+        raise UserError(f"the cameras are undetermined, and no film can be made of them: {'; '.join(found)}")
+    return found
+
+
+def mean_body(body: BodyModel) -> np.ndarray:
+    """(12, 3) stable keypoints of the body of mean shape, metres: adults' bones differ from it by about 5 %, and so may
+    the scene."""
+    return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
+
+
+def _pinhole(name: str, wh: tuple[int, int], focal_px: float | None, hfov_deg: float) -> Camera:
+    focal = focal_px or 0.5 * max(wh) / np.tan(np.radians(hfov_deg) / 2)
+    return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
+
+
+def _complete(found: Sequence[Rig], names: Sequence[str]) -> None:
+    if not found:
+        raise UserError(
+            "the cameras are undetermined: no two cameras see enough of one person at once to "
+            "find out where they stand; check that the "
+            "videos are synchronised, or bring a calibration"
+        )
+    missing = [n for v, n in enumerate(names) if v not in found[0].cameras]
+    if missing:
+        raise UserError(
+            f"camera {', '.join(missing)} is undetermined: it shares too little of any "
+            "person with the others; leave it out with "
+            "train: [...] in capture.yaml, or bring a calibration"
+        )
+
+
+def _no_rival(found: Sequence[Rig], names: Sequence[str], settings: PeopleRigSettings) -> None:
+    for other in found[1:]:
+        if len(other.cameras) < len(names) or other.support < settings.rival_share * found[0].support:
+            continue
+        turned = [_relative_turn(found[0], other, v) for v in range(1, len(names))]
+        if max(turned) > _SAME_DEG:
+            raise UserError(
+                "the cameras are undetermined: two arrangements fit the people about equally well "
+                f"({found[0].support} and {other.support} "
+                f"keypoints) and differ by {max(turned):.0f}°; use more frames, or bring a calibration"
+            )
+
+
+def _relative_turn(first: Rig, second: Rig, view: int) -> float:
+    a = first.cameras[view].camera_from_world[:3, :3] @ first.cameras[0].camera_from_world[:3, :3].T
+    b = second.cameras[view].camera_from_world[:3, :3] @ second.cameras[0].camera_from_world[:3, :3].T
+    return float(np.degrees(angle(a, b)))
+
+
+def _self_calibrated(
+    rig: Rig, seen: Any, template_m: np.ndarray, lens: LensPrior, known_px: Mapping[int, float], settings: Settings
+) -> tuple[Rig, Adjusted]:
+    """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
+    stay."""
+    result, _ = adjusted(rig, lens, settings.limits, known_px)
+    for _ in range(_SELF_CALIBRATION_ROUNDS):
+        before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
+        after = np.array([c.focal_px[0] for c in result.cameras])
+        again = settled(seen, dict(enumerate(result.cameras)), template_m, settings.gate_m, settings.limits)
+        if again is None:
+            break
+        rig = again
+        if np.abs(after / before - 1).max() < _SETTLED_SHARE:
+            break
+        result, _ = adjusted(rig, lens, settings.limits, known_px)
+    return rig, adjusted(rig, lens, settings.limits, known_px)[0]
+
+
+def _settled_in_the_world(
+    result: Adjusted, rig: Rig, template_m: np.ndarray, given: GivenLengths, stature: float
+) -> tuple[list[Camera], int, str, Scale]:
+    used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
+    points = np.full_like(rig.points.points_m, np.nan)
+    points[used] = result.points_m
+    by_bones = Scale(
+        bone_factor(points, rig.points, rig.seen, template_m) or 1.0,
+        _OF_A_MEAN_BODY,
+        "lengths come from people's bones, taken to be those of the mean body: all of them may be 5 % off; write a "
+        "measured one into capture.yaml: height_m: {p0: 1.78}, or distance_m: [CAMERA, CAMERA, METRES]",
+    )
+
+    def upright(scale: Scale) -> tuple[np.ndarray, str]:
+        found = world_from_people(points * scale.factor, rig.seen.group, rig.seen.frame, rig.seen.keypoint)
+        if found is None:
+            raise UserError(
+                "nobody was seen from ankles to shoulders, so nothing says which way is up; set "
+                "the cameras back, or bring a calibration"
+            )
+        return found
+
+    # Who is p0 hangs on where people stand in the world that association will see.
+    turned = points @ upright(by_bones)[0][:3, :3].T
+    measured = by_given_lengths(given, result.cameras, turned, rig.points, rig.seen, template_m, stature)
+    scale = measured or by_bones
+    world_from_rig, how = upright(scale)
+    cameras = []
+    for camera in result.cameras:
+        pose = scaled(camera, scale.factor).camera_from_world @ np.linalg.inv(world_from_rig)
+        cameras.append(replace(camera, camera_from_world=pose))
+    return cameras, int(used.sum()), how, scale
+
+
+def _told_by_files(cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]) -> dict:
+    """camera → focal length, pixels of its footage, that its file tells; of a folder its first picture."""
+    found = {}
+    for camera, source in zip(cameras, sources):
+        pictures = (
+            sorted(p for p in source.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES) if source.is_dir() else []
+        )
+        path = pictures[0] if pictures else source
+        if camera in size and path.is_file() and (focal := told_focal_px(path, size[camera])):
+            found[camera] = focal
+    return found
+
+
+def run(
+    settings: Settings,
+    sightings: list[Path],
+    sizes: list[Path],
+    clocks: Path,
+    body: Path,
+    cameras: list[str],
+    sources: list[Path],
+    focal_px: str,
+    lengths: str,
+    calibration: Written,
+) -> None:
+    """Pose the cameras of ``sightings`` (npz, pixels of the videos whose ``sizes`` are JSON); write ``calibration``
+    (JSON).
+
+    ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the footage
+    ``sources`` of ``cameras`` may tell others. ``lengths``: JSON, ``GivenLengths``.
+    """
+    common = read_clocks(clocks)
+    if common.refusal:
+        raise UserError(common.refusal)
+    size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in map(read_json, sizes)}
+    detections = [on_common_clock(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
+    wh = [size_of[d.camera] for d in detections]
+    if blind := [d.camera for d in detections if not len(d.frame)]:
+        raise UserError(
+            f"camera {', '.join(blind)} sees nobody, and without a calibration cameras can only be found from people"
+        )
+    warn("there is no calibration: the cameras are found from the people (calibration.source)")
+    fitted = BodyModel.load(body)
+    given_px = json.loads(focal_px or "{}")
+    told_px = _told_by_files(cameras, sources, size_of)
+    measured = GivenLengths(**json.loads(lengths or "{}"))
+    found, report = pose_cameras(
+        detections, wh, given_px, common.frames, mean_body(fitted), settings, told_px, measured, stature_m(fitted)
+    )
+    notes = [
+        f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
+        f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
+        f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
+        report["scale"],
+        report["world"],
+        "focal lengths: "
+        + ", ".join(
+            f"{n} {f:.0f} px ± {report['focal_sigma'][n]:.1%} (from {report['focal_from'][n]})"
+            for n, f in report["focal_px"].items()
+        ),
+    ]
+    for note in notes:
+        say(note)
+    for sentence in report["uncertain"]:
+        warn(f"uncertain cameras: {sentence}")
+    notes += [f"UNCERTAIN: {sentence}" for sentence in report["uncertain"]]
+    # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
+    maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
+    lenses = [
+        mapped_lens(
+            Lens(c.name, c.wh, c.intrinsics, "opencv", np.zeros(8), c.camera_from_world, np.eye(2, 3)), maps[c.name]
+        )
+        for c in found
+    ]
+    content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in lenses]}
+    write_json(calibration, {**content, "floor_known": True, "notes": notes, "people_rig": report})

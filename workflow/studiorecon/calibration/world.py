@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a calibration's own world and unit to ours: metres, z up, near the origin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry.rotations import cross_matrix
+
+# Cameras of one room are further apart than 20 m only when the numbers are millimetres (or centimetres, which no format
+# uses).
+_MILLIMETRE_SPREAD = 100.0
+_FAR_FROM_ORIGIN_M = 100.0
+_UP_TOLERANCE_DEG = 45.0
+_EYE_HEIGHT_M = 1.5
+
+
+def metres_per_unit(
+    centres: np.ndarray, unit: str, wanted: Literal["auto", "m", "cm", "mm"]
+) -> tuple[float, str | None]:
+    """Factor to metres for camera centres (N, 3) in a file's unit ("m", "mm" or "unknown"), and a sentence when it was
+    guessed."""
+    factors = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+    if wanted != "auto":
+        return factors[wanted], f"lengths were read as {wanted}, as the setting calibration.unit says"
+    if unit in factors:
+        return factors[unit], None
+    spread = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(centres) else 0.0
+    if spread > _MILLIMETRE_SPREAD:
+        return (
+            0.001,
+            f"the cameras are {spread:.0f} units apart: lengths were read as "
+            "millimetres; set calibration.unit if that is wrong",
+        )
+    return (
+        1.0,
+        f"the file does not state its unit; the cameras are {spread:.2f} units apart, read as "
+        "metres; set calibration.unit if that is wrong",
+    )
+
+
+def camera_up(rotations_camera_from_world: np.ndarray) -> np.ndarray:
+    """(3,) unit vector that is up for cameras (N, 3, 3) held level: across all their x axes, on the side of their -y
+    axes.
+
+    Pitched cameras bias the mean of -y, level ones do not bias the cross direction. With rolled cameras, or x axes that
+    all lie in one line, the mean of -y is what remains.
+    """
+    mean = -rotations_camera_from_world[:, 1].mean(0)
+    values, vectors = np.linalg.eigh(sum(np.outer(x, x) for x in rotations_camera_from_world[:, 0]))
+    level = vectors[:, 0] * np.sign(vectors[:, 0] @ mean or 1.0)
+    if values[0] < 0.2 * values[1] and level @ mean > np.cos(np.radians(35.0)) * np.linalg.norm(mean):
+        return level
+    if np.linalg.norm(mean) < 0.2:
+        raise UserError(
+            "the cameras do not agree on which way is up; set calibration.up to the "
+            "axis of the calibration that points up"
+        )
+    return mean / np.linalg.norm(mean)
+
+
+def z_up_from_world(rotations: np.ndarray, wanted: str) -> tuple[np.ndarray, str | None]:
+    """(3, 3) rotation from the calibration's world to one with z up, and a sentence when it is not the identity.
+
+    ``wanted`` is "auto" (trust z when the cameras' own up is within 45° of it, else the nearest axis within 20°, else
+    the cameras' up itself) or a signed axis such as "-y".
+    """
+    if wanted != "auto":
+        axis = np.zeros(3)
+        axis["xyz".index(wanted[-1])] = -1.0 if wanted.startswith("-") else 1.0
+        turn = _turn_to_z(axis)
+        return (
+            turn,
+            None
+            if wanted == "z"
+            else f"the world was turned so that its {wanted} axis points up, as the setting calibration.up says",
+        )
+    up = camera_up(rotations)
+    if up[2] > np.cos(np.radians(_UP_TOLERANCE_DEG)):
+        return np.eye(3), None
+    pivot = int(np.argmax(np.abs(up)))
+    if abs(up[pivot]) > np.cos(np.radians(20.0)):
+        axis = np.zeros(3)
+        axis[pivot] = np.sign(up[pivot])
+        name = f"{'-' if up[pivot] < 0 else '+'}{'xyz'[pivot]}"
+        return _turn_to_z(
+            axis
+        ), f"the cameras stand upright along the calibration's {name} axis: the world was turned so that it points up"
+    return (
+        _turn_to_z(up),
+        "the calibration's world has no axis that points up: it was turned by the "
+        f"cameras' own up, {np.round(up, 3).tolist()}",
+    )
+
+
+def _turn_to_z(up: np.ndarray) -> np.ndarray:
+    """(3, 3) shortest rotation that takes the unit vector ``up`` to z; half a turn about x for -z."""
+    if up[2] < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    cross = cross_matrix(axis)
+    return np.eye(3) + cross + cross @ cross / (1 + up[2])
+
+
+def settled(
+    poses: Sequence[np.ndarray], z_up: np.ndarray, factor: float, floor_known: bool
+) -> tuple[list[np.ndarray], list[str]]:
+    """``camera_from_world`` (4, 4) of all cameras in metres and z up, shifted when far away or without a floor, and
+    why.
+
+    Coordinates a hundred metres from the origin cost pixels in float32 (C08). Where the world was turned nobody knows
+    its floor: the cameras are put at eye height until people show where they stand.
+    """
+    moved = []
+    for pose in poses:
+        new = np.eye(4)
+        new[:3, :3], new[:3, 3] = pose[:3, :3] @ z_up.T, pose[:3, 3] * factor
+        moved.append(new)
+    centres = np.array([-p[:3, :3].T @ p[:3, 3] for p in moved])
+    shift, notes = np.zeros(3), []
+    if np.linalg.norm(centres[:, :2].mean(0)) > _FAR_FROM_ORIGIN_M:
+        shift[:2] = -np.round(centres[:, :2].mean(0))
+        notes.append(
+            f"the cameras are {np.linalg.norm(centres[:, :2].mean(0)):.0f} m from the origin: the "
+            f"world was moved by {shift[:2].tolist()} m"
+        )
+    if not floor_known or abs(np.median(centres[:, 2])) > _FAR_FROM_ORIGIN_M:
+        shift[2] = _EYE_HEIGHT_M - float(np.median(centres[:, 2]))
+        notes.append(
+            f"where the floor is was not known: the cameras were put {_EYE_HEIGHT_M} "
+            "m above it until people are measured"
+        )
+    for pose in moved:
+        pose[:3, 3] -= pose[:3, :3] @ shift
+    return moved, notes

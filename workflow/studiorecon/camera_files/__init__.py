@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras as files: a calibration as somebody wrote it goes in, cameras with our axes and units come out.
+
+Read in this order:
+
+* ``raw_camera``: one camera of somebody else's file, and the checks that every reader of such files shares;
+* ``colmap_models``, ``transforms_json``: the two foreign kinds that more than one stage reads;
+* ``calibration``: the lenses in our own ``calibration.json``;
+* ``colmap``: the undistorted cameras that all later steps read, as COLMAP text.
+"""

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""COLMAP text models: what the pipeline's own cameras are stored as, and what other tools read.
+
+Only undistorted pinhole cameras are written, and only what was written here is read here: nearly every step reads such
+a model, which takes less time than an import of pycolmap would, and spares the networks' images a package. Models of
+users, with distortion, rigs or in binary, are ``camera_files.colmap_models``'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry import rotations
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_text
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+def quaternion_from_rotation(rotation: np.ndarray) -> Num[np.ndarray, " 4"]:
+    """(4,) unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation, as COLMAP's files have it."""
+    direction = rotations.largest_quaternion_row(rotation)
+    # The length of one vector; numpy rounds lengths along an axis otherwise, and models would change in their last
+    # digit.
+    quaternion = direction / np.linalg.norm(direction)
+    return quaternion if quaternion[0] >= 0 else -quaternion
+
+
+def write_model(
+    folder: Path, cameras: Sequence[Camera], points_m: np.ndarray | None = None, colours: np.ndarray | None = None
+) -> None:
+    """Write ``cameras.txt``, ``images.txt`` and ``points3D.txt``; image names are ``<camera>.png``.
+
+    ``points_m`` (N, 3) and ``colours`` (N, 3) in [0, 1] are optional. Numbers are printed with 17 digits: reading gives
+    the same bits for intrinsics, and rotations to 1e-15.
+    """
+    camera_lines = ["# Camera list: CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]; pixel centres at 0.5"]
+    image_lines = ["# Image list: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points (none)"]
+    for index, camera in enumerate(cameras, start=1):
+        numbers = [*camera.focal_px, *camera.principal_px]
+        camera_lines.append(f"{index} PINHOLE {camera.wh[0]} {camera.wh[1]} " + " ".join(f"{v:.17g}" for v in numbers))
+        pose = [*quaternion_from_rotation(camera.camera_from_world[:3, :3]), *camera.camera_from_world[:3, 3]]
+        image_lines += [f"{index} " + " ".join(f"{v:.17g}" for v in pose) + f" {index} {camera.name}.png", ""]
+    point_lines = ["# 3D point list: POINT3D_ID X Y Z R G B ERROR TRACK[]"]
+    points = np.zeros((0, 3)) if points_m is None else np.asarray(points_m)
+    rgb = (
+        np.full((len(points), 3), 128)
+        if colours is None
+        else np.clip(np.rint(np.asarray(colours) * 255), 0, 255).astype(int)
+    )
+    for index, (point, colour) in enumerate(zip(points, rgb), start=1):
+        point_lines.append(
+            f"{index} " + " ".join(f"{v:.9g}" for v in point) + f" {colour[0]} {colour[1]} {colour[2]} 0"
+        )
+    for name, lines in (("cameras", camera_lines), ("images", image_lines), ("points3D", point_lines)):
+        write_text(folder / f"{name}.txt", "\n".join(lines) + "\n")
+
+
+def read_model(folder: Path) -> list[Camera]:
+    """The cameras of a model written by ``write_model``, in image order; raises UserError naming the offending file."""
+    models = {}
+    for line in _lines(folder / "cameras.txt"):
+        fields = line.split()
+        if fields[1] != "PINHOLE":
+            raise UserError(
+                f"{folder / 'cameras.txt'}: camera {fields[0]} is {fields[1]}; results "
+                "hold undistorted PINHOLE cameras only"
+            )
+        fx, fy, cx, cy = (float(v) for v in fields[4:8])
+        models[fields[0]] = ((int(fields[2]), int(fields[3])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    cameras = []
+    for line in _lines(folder / "images.txt"):
+        fields = line.split()
+        wh, intrinsics = models[fields[8]]
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = rotations.from_quaternion(np.array([float(v) for v in fields[1:5]]))
+        camera_from_world[:3, 3] = [float(v) for v in fields[5:8]]
+        cameras.append(Camera(" ".join(fields[9:]).removesuffix(".png"), wh, intrinsics, camera_from_world))
+    return cameras
+
+
+def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
+    """(N, 3) points of a model written by ``write_model``."""
+    rows = [line.split()[1:4] for line in _lines(folder / "points3D.txt")]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def _lines(path: Path) -> list[str]:
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    text = path.read_text(encoding="utf-8").splitlines()
+    return [line for line in text if line.strip() and not line.startswith("#")]

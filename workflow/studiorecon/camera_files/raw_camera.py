@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera as somebody else's file describes it, and the checks that every reader of such files shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry.rotations import project_to_so3
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+@dataclass(frozen=True)
+class RawCamera:
+    """One camera as its file describes it, axes and pixel centres already ours, world and unit still the file's.
+
+    Attributes:
+        name: the file's name for it.
+        wh: calibrated size; (0, 0) when the file does not say.
+        intrinsics: (3, 3), pixel centres at +0.5.
+        model, distortion: as in ``scene.camera.Lens``.
+        camera_from_world: (4, 4) rigid, OpenCV axes.
+    """
+
+    name: str
+    wh: tuple[int, int]
+    intrinsics: Num[np.ndarray, "3 3"]
+    model: str
+    distortion: np.ndarray
+    camera_from_world: Num[np.ndarray, "4 4"]
+
+
+def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centres: bool) -> Num[np.ndarray, "3 3"]:
+    """(3, 3) intrinsics with pixel centres at +0.5; ``integer_centres`` says that the file has them at whole numbers
+    (C07)."""
+    shift = 0.5 if integer_centres else 0.0
+    return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
+
+
+def rigid_camera_from_world(rotation: np.ndarray, translation: np.ndarray, where: str) -> tuple[np.ndarray, float]:
+    """(4, 4) rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
+
+    A uniformly scaled block [cR | ct] describes the same picture as [R | t]. The rotation is projected to the nearest
+    one (C01). Raises UserError for a reflection, and for a block that is not a scaled rotation.
+    """
+    rotation, translation = (
+        np.asarray(rotation, dtype=np.float64).reshape(3, 3),
+        np.asarray(translation, dtype=np.float64).reshape(3),
+    )
+    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        raise UserError(f"{where}: the pose holds a number that is not finite; calibrate this camera again")
+    determinant = np.linalg.det(rotation)
+    if determinant <= 0:
+        raise UserError(
+            f"{where}: the rotation has determinant {determinant:.3g}, a mirror image and not a camera; "
+            "an axis was negated once too often when the file was written"
+        )
+    scale = determinant ** (1 / 3)
+    unscaled = rotation / scale
+    off = np.abs(unscaled.T @ unscaled - np.eye(3)).max()
+    if off > 0.02:
+        raise UserError(
+            f"{where}: the 3×3 block is not a rotation (RᵀR differs from I by "
+            f"{off:.3f}); check the order of its numbers"
+        )
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = project_to_so3(unscaled), translation / scale
+    return pose, float(scale)
+
+
+def camera_from_world_of_pose(world_from_camera: np.ndarray, where: str) -> Num[np.ndarray, "4 4"]:
+    """(4, 4) rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may carry a scale."""
+    block = np.asarray(world_from_camera, dtype=np.float64)
+    inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)
+    inverse[:3, 3] = -inverse[:3, :3] @ block[:3, 3]
+    return inverse
+
+
+def opencv_distortion(values: object, where: str) -> Num[np.ndarray, " 8"]:
+    """(8,) coefficients k1 k2 p1 p2 k3 k4 k5 k6 of a list of at most eight; raises UserError for more (thin prism,
+    tilt)."""
+    given = np.asarray(values, dtype=np.float64).reshape(-1)
+    if len(given) > 8 and np.any(given[8:]):
+        raise UserError(
+            f"{where}: {len(given)} distortion coefficients (thin prism or tilt) are not "
+            "supported; calibrate with at most eight"
+        )
+    full = np.zeros(8)
+    full[: min(len(given), 8)] = given[:8]
+    return full

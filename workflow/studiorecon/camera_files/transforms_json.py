@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""nerfstudio's and instant-ngp's ``transforms.json``: camera-to-world with OpenGL axes, intrinsics on top or per
+frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studiorecon.camera_files.raw_camera import (
+    RawCamera,
+    camera_from_world_of_pose,
+    intrinsics_matrix,
+    opencv_distortion,
+)
+from studiorecon.errors import UserError
+from studiorecon.scene.files import read_json
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+_GENERIC_FOLDERS = {"images", "input", "rgb", "frames", ".", ""}
+_OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """Attributes:
+    cameras: one per picture, in the file's order, in the world before ``applied_transform``.
+    scales: (N,) what the pose of each picture multiplied lengths by, and what was taken out; 1 for a rigid one.
+    frames: which time each picture shows, as deliveries of this project's own path files say, or None.
+    notes: what was changed or assumed, in sentences.
+    """
+
+    cameras: tuple[RawCamera, ...]
+    scales: Num[np.ndarray, " N"]
+    frames: tuple[float | None, ...]
+    notes: tuple[str, ...]
+
+
+def read_transforms(path: Path) -> Transforms:
+    """Everything in ``path``. Raises UserError for a file without frames, a frame without lens or pose, and a pose that
+    is no rotation."""
+    content = read_json(path)
+    if not isinstance(content, dict) or not content.get("frames"):
+        raise UserError(f"{path} has no frames; it is not a nerfstudio transforms.json")
+    applied, notes = np.eye(4), []
+    if "applied_transform" in content:
+        applied[:3] = np.asarray(content["applied_transform"], dtype=np.float64)[:3]
+        notes.append("the file's applied_transform was undone")
+    lenses = [{**content, **frame} for frame in content["frames"]]
+    if not all("cx" in lens and "cy" in lens for lens in lenses):
+        notes.append(
+            f"{path.name} has no principal point (cx, cy) for some pictures: the middle of the picture was taken"
+        )
+    source_from_file = np.linalg.inv(applied)
+    made = [_camera(lens, source_from_file, f"picture {index} of {path}") for index, lens in enumerate(lenses)]
+    times = tuple(None if frame.get("frame") is None else float(frame["frame"]) for frame in content["frames"])
+    return Transforms(tuple(camera for camera, _ in made), np.array([scale for _, scale in made]), times, tuple(notes))
+
+
+def camera_name(frame: dict[str, Any]) -> str:
+    """``camera_label`` when there is one, else the picture's folder, else the picture's stem."""
+    if frame.get("camera_label") is not None:
+        return str(frame["camera_label"])
+    path = PurePosixPath(str(frame.get("file_path", "")))
+    return path.parent.name if path.parent.name not in _GENERIC_FOLDERS else path.stem
+
+
+def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> tuple[RawCamera, float]:
+    try:
+        fx, width, height = (float(lens[k]) for k in ("fl_x", "w", "h"))
+        pose = np.asarray(lens["transform_matrix"], dtype=np.float64)
+    except KeyError as error:
+        raise UserError(f"{where} has no {error.args[0]}") from None
+    if pose.shape not in ((4, 4), (3, 4)):
+        raise UserError(f"{where}: its transform_matrix is {pose.shape}, expected (4, 4)")
+    fy, cx, cy = float(lens.get("fl_y", fx)), float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
+    fisheye = str(lens.get("camera_model", "OPENCV")).upper() == "OPENCV_FISHEYE"
+    # distortion_params, where a file has them, are nerfstudio's own order k1 k2 k3 k4 p1 p2.
+    listed = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), lens.get("distortion_params") or ()))
+    k = [float(lens.get(key, listed.get(key, 0))) for key in ("k1", "k2", "k3", "k4")]
+    p = [float(lens.get(key, listed.get(key, 0))) for key in ("p1", "p2")]
+    world_from_camera = source_from_file @ np.vstack([pose[:3], [0, 0, 0, 1]]) @ _OPENCV_FROM_OPENGL
+    camera = RawCamera(
+        name=camera_name(lens),
+        wh=(round(width), round(height)),
+        # The numbers come from COLMAP, which has its pixel centres at +0.5 already.
+        intrinsics=intrinsics_matrix(fx, fy, cx, cy, integer_centres=False),
+        model="fisheye" if fisheye else "opencv",
+        distortion=np.array(k) if fisheye else opencv_distortion([k[0], k[1], p[0], p[1], k[2], k[3]], where),
+        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
+    )
+    return camera, float(np.cbrt(np.linalg.det(world_from_camera[:3, :3])))

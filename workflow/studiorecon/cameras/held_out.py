@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cameras.held_out``: do the held-out cameras stand where they are said to? Their poses, put right on the people
+where those clearly call for it.
+
+Scores at a camera that was moved since it was calibrated say nothing about the reconstruction. So the detector looks at
+a few of its pictures, at the places where the other cameras say that people are. What it finds moves this camera alone:
+no picture of it reaches anything that is reconstructed. People's joints, of which there are many, decide over six
+numbers, which flatters people's scores a little where a camera is moved; the page names every one that was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.camera_files.colmap import read_model, write_model
+from studiorecon.cameras import refine
+from studiorecon.detector.blazepose import LAYOUT, BlazePose
+from studiorecon.detector.following import believed, look_again
+from studiorecon.detector.windows import region_of_body
+from studiorecon.footage.video import read_frame
+from studiorecon.geometry.triangulation import triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.progress import progress, say, warn
+from studiorecon.rig.correspondences import observe
+from studiorecon.rig.held_out import Judged, Sighted, judged
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.people import Detections, read_detections, usable
+from studiorecon.signature import Written
+
+# Pictures that are looked at in every held-out camera.
+_LOOKS = 12
+_STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
+
+
+@dataclass(frozen=True)
+class Settings(refine.Settings):
+    """As for the cameras that take part."""
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Joints of everybody whom the training cameras place: (G, F, 12, 3) metres, NaN unknown, of G people in the frames
+    ``frame`` (F,)."""
+
+    frame: np.ndarray
+    points_m: np.ndarray
+
+    def at(self, frame: int, late_frames: float) -> np.ndarray:
+        """(G, 12, 3) joints ``late_frames`` after a frame, on the line to the next one."""
+        here = int(np.searchsorted(self.frame, frame))
+        beside = here + int(np.sign(late_frames))
+        if not late_frames or not 0 <= beside < len(self.frame) or abs(self.frame[beside] - frame) != 1:
+            return self.points_m[:, here]
+        step = self.points_m[:, beside] - self.points_m[:, here]
+        return np.where(np.isfinite(step), self.points_m[:, here] + abs(late_frames) * step, self.points_m[:, here])
+
+
+def bodies_in(
+    frames: np.ndarray, training: Sequence[Camera], detections: Sequence[Detections], settings: Settings
+) -> Bodies:
+    """Where the training cameras agree that joints are, in ``frames`` and beside them."""
+    wanted = np.unique(np.concatenate([frames - 1, frames, frames + 1]))
+    wanted = wanted[(wanted >= 0)]
+    seen, _ = observe(detections, training, wanted, settings.gate_m)
+    people = int(seen.group.max(initial=-1)) + 1
+    points = np.full((people, len(wanted), len(STABLE_KEYPOINTS), 3), np.nan)
+    if len(seen.frame):
+        found = triangulate(seen.pixels, seen.confidence, training, settings.limits)
+        sure = found.verified if len(training) > 2 else found.valid
+        points[seen.group[sure], np.searchsorted(wanted, seen.frame[sure]), seen.keypoint[sure]] = found.points_m[sure]
+    return Bodies(wanted, points)
+
+
+def looked_at(
+    network: BlazePose,
+    worth: dict[str, list[float]],
+    camera: Camera,
+    frames: Sequence[int],
+    pictures: Sequence[np.ndarray],
+    bodies: Bodies,
+    late_frames: np.ndarray,
+) -> tuple[Sighted, int]:
+    """What the network finds in ``pictures`` (those of ``frames``) where ``bodies`` are by the camera as it is given,
+    and at how many places it looked."""
+    rows, places = [], 0
+    for frame, picture in zip(frames, pictures):
+        everybody = bodies.at(frame, float(late_frames[frame]))
+        for group, points in enumerate(everybody):
+            pixels = camera.project(points)[0]
+            region = region_of_body(dict(zip(STABLE_KEYPOINTS, pixels)), camera.wh)
+            if region is None:
+                continue
+            places += 1
+            first = look_again(network, picture, region)
+            # The network's own region is the better one, above all where the camera stands elsewhere.
+            seen = (look_again(network, picture, first.next_region) or first) if first is not None else None
+            if seen is None:
+                continue
+            keypoints = believed(seen.keypoints, camera.wh, worth)[_STABLE]
+            for k in np.flatnonzero((keypoints[:, 2] > 0) & np.isfinite(points).all(-1)):
+                rows.append((points[k], keypoints[k, :2], keypoints[k, 2], frame, group, k))
+    columns = list(zip(*rows)) if rows else [()] * 6
+    shapes = ((-1, 3), (-1, 2), (-1,), (-1,), (-1,), (-1,))
+    kinds = (float, float, float, int, int, int)
+    return Sighted(*(np.array(c, dtype=kind).reshape(shape) for c, kind, shape in zip(columns, kinds, shapes))), places
+
+
+def told(camera: str, found: Judged, places: int) -> str:
+    """One sentence about a held-out camera."""
+    if not found.checked:
+        why = "nobody is expected in its pictures" if not places else f"too little was found at {places} places"
+        return (
+            f"held-out camera {camera} is used as calibrated, unchecked: {why} where the other cameras see people; if "
+            "it was moved, the scores at it say nothing"
+        )
+    if not (found.turned_deg or found.moved_m):
+        return f"held-out camera {camera} stands where it was calibrated: joints {found.before_px:.1f} px off"
+    return (
+        f"held-out camera {camera} stands elsewhere than calibrated, by {found.turned_deg:.2f}° and "
+        f"{100 * found.moved_m:.0f} cm: joints {found.before_px:.1f} px off, {found.after_px:.1f} px at the pose that "
+        "it is judged at"
+    )
+
+
+def run(
+    settings: Settings,
+    manifest: Path,
+    clocks: Path,
+    model: Path,
+    given: Path,
+    detections: list[Path],
+    videos: list[Path],
+    networks: list[Path],
+    heldout_model: Written,
+    poses: Written,
+) -> None:
+    """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: what was found of every camera).
+
+    ``given``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
+    training cameras, ``model``. ``networks`` as in ``detect.people``.
+    """
+    cameras, training = read_model(given.parent), read_model(model.parent)
+    common, frames = read_clocks(clocks), read_manifest(manifest).frames
+    seen = [usable(read_detections(path))[0] for path in detections]
+    found: list[dict[str, Any]] = []
+    used: list[Camera] = []
+    film = {path.stem: path for path in videos}
+    look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
+    network = BlazePose(networks[0], networks[1]) if look else None
+    chosen = evenly_spread(frames, _LOOKS)
+    bodies = bodies_in(chosen, training, seen, settings) if look else None
+    for camera in progress(cameras, "held-out cameras"):
+        if network is None or bodies is None:
+            used.append(camera)
+            continue
+        pictures = [read_frame(film[camera.name], int(frame)) for frame in chosen]
+        late = common.late_frames(camera.name)
+        sighted, places = looked_at(network, read_json(networks[2]), camera, chosen.tolist(), pictures, bodies, late)
+        answer = judged(camera, sighted, settings.limits, settings.bundle, settings.min_gain)
+        sentence = told(camera.name, answer, places)
+        (warn if answer.turned_deg or not answer.checked else say)(sentence)
+        about = {name: value for name, value in asdict(answer).items() if name != "camera"}
+        found.append({"camera": camera.name, **about, "places": places, "sentence": sentence})
+        used.append(answer.camera)
+    write_model(heldout_model.parent, used)
+    write_json(poses, {"cameras": found})

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do the clocks agree? Everybody moves at the same moments, whichever camera looks: motion over time is compared
+between cameras.
+
+The last resort: motion energy only sees lags of whole frames, depends on the direction of view, and sees nothing at all
+in a scene that does not move or moves evenly (V07).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import av
+import cv2
+import numpy as np
+from scipy import signal
+from scipy.ndimage import gaussian_filter1d
+
+from studiorecon.errors import UserError
+from studiorecon.footage.source import FootageSource, decode
+
+# Pictures are shrunk to this many pixels across before differencing: keeps people, averages sensor and compression
+# noise away.
+_WIDTH = 160
+# Grey levels of difference that noise still reaches after shrinking.
+_NOISE_LEVELS = 3.0
+# A correlation of fewer independent samples than this is not evidence.
+_LEAST_MOMENTS = 8.0
+_LEAST_CORRELATION = 0.5
+# Slower changes than this say little about when, and much about who is near a camera.
+_DETREND_S = 0.5
+# One moment looks differently from two sides: peaks of motion are this far apart between cameras that run as one, as
+# standard deviation.
+_VIEWS_S = 0.04
+# The best lag must lie so many standard errors above no correlation: the best of all wrong lags of two gaits lies three
+# above it. And it must beat every other one further off than this by so many.
+_LEAST_HEIGHT = 5.0
+_ALIKE = 0.95
+_APART_S, _LEAST_Z = 0.3, 2.0
+_LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
+# Seconds of a long clip that are decoded for this.
+_SEEN_S = 90.0
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How many rows (frames at the common rate) a second series comes later than a first one.
+
+    ``sigma_rows`` is never below half a frame, nor below 40 ms.
+    """
+
+    rows: float
+    sigma_rows: float
+    correlation: float
+    valid: bool
+    reason: str = ""
+
+
+def grey_frames(source: FootageSource) -> Iterator[np.ndarray]:
+    """Small grey pictures (h, w) uint8 of the first ``_SEEN_S`` of some footage, as far as they can be read."""
+    most = round(_SEEN_S * source.fps)
+    if source.pictures:
+        for picture in decode(source, 0, min(most, len(source.pictures))):
+            yield cv2.resize(picture.mean(axis=2).astype(np.uint8), _small(*source.wh), interpolation=cv2.INTER_AREA)
+        return
+    try:
+        with av.open(str(source.path)) as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            for number, frame in enumerate(container.decode(stream)):
+                if number >= most:
+                    return
+                width, height = _small(frame.width, frame.height)
+                yield frame.reformat(width=width, height=height, format="gray", interpolation="AREA").to_ndarray()
+    except av.FFmpegError:
+        # A damaged place ends what can be compared; decoding for good names it.
+        return
+
+
+def _small(width: int, height: int) -> tuple[int, int]:
+    shrink = max(1.0, max(width, height) / _WIDTH)
+    return max(2, round(width / shrink)), max(2, round(height / shrink))
+
+
+def motion_energy(frames: Iterable[np.ndarray]) -> np.ndarray:
+    """(T - 1,) mean absolute change between successive grey frames (H, W) uint8 above the noise, in grey levels."""
+    energy = []
+    before = None
+    for frame in frames:
+        grey = frame.astype(np.float32)
+        if before is not None:
+            energy.append(float(np.maximum(np.abs(grey - before) - _NOISE_LEVELS, 0).mean()))
+        before = grey
+    return np.array(energy)
+
+
+def compare(first: np.ndarray, second: np.ndarray, rate: float) -> Lag:
+    """The lag of two energies (T,) and (T',) at ``rate`` values per second; not valid, with the reason, where that is
+    not clear."""
+    if broken := int((~np.isfinite(first)).sum() + (~np.isfinite(second)).sum()):
+        return _unknown(f"{broken} values of its motion are not finite")
+    least = max(_LEAST_OVERLAP_S * rate, _LEAST_SHARE * min(len(first), len(second)), 3)
+    if min(len(first), len(second)) < least:
+        return _unknown(f"{min(len(first), len(second)) / rate:.1f} s of motion are too short")
+    if first.std() == 0 or second.std() == 0:
+        return _unknown("nothing moves in one of the two pictures")
+    # Who stands near the camera moves more pixels: what counts is when, not how much.
+    a, b = (np.sqrt(e) - gaussian_filter1d(np.sqrt(e), _DETREND_S * rate, mode="nearest") for e in (first, second))
+    lags, scores, overlap = _correlations(a, b)
+    scores = np.where(overlap >= least, scores, -1.0)
+    best = int(np.argmax(scores))
+    own = a[max(0, -lags[best]) : len(a) + min(0, len(b) - len(a) - lags[best])]
+    other = b[max(0, lags[best]) :][: len(own)]
+    moments = _independent_moments(own, other) if min(own.std(), other.std()) > 0 else 0.0
+    top = float(scores[best])
+    if moments < _LEAST_MOMENTS:
+        return _unknown(f"{len(own) / rate:.1f} s show {moments:.0f} independent moments of motion, too few", top)
+    if top < _LEAST_CORRELATION:
+        return _unknown(f"motion over time correlates at {top:.2f} only", top)
+    # Two views of one motion are never more alike than this: what lies above says nothing about which lag is right.
+    height = np.arctanh(np.clip(scores, -_ALIKE, _ALIKE)) * np.sqrt(max(moments - 3, 1.0))
+    if height[best] < _LEAST_HEIGHT:
+        return _unknown(f"motion over time correlates at {top:.2f} over {moments:.0f} independent moments only", top)
+    rivals = np.abs(lags - lags[best]) > max(2, _APART_S * rate)
+    if (height[rivals] > height[best] - _LEAST_Z).any():
+        return _unknown("several lags fit the motion about equally well", top)
+    if best in (0, len(lags) - 1):
+        return _unknown("the best lag is at the end of the search", top)
+    # Lags that fit within one standard error, and half a frame, which no difference of frames resolves.
+    alike = np.abs(lags - lags[best])[height > height[best] - 1]
+    return Lag(float(lags[best]), float(max(0.5, _VIEWS_S * rate, alike.max())), top, True)
+
+
+def _correlations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lags (L,), correlation (L,) of a[t] with b[t + lag] over what both have, and how much that is (L,)."""
+    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+
+    def over(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return signal.correlate(y, x, "full", "fft")
+
+    count = np.maximum(np.round(over(ones_a, ones_b)), 1)
+    sum_a, sum_b = over(a, ones_b), over(ones_a, b)
+    variance = (over(a**2, ones_b) - sum_a**2 / count) * (over(ones_a, b**2) - sum_b**2 / count)
+    whole = float((a**2).sum() * (b**2).sum())
+    covariance = over(a, b) - sum_a * sum_b / count
+    return (
+        np.arange(-len(a) + 1, len(b)),
+        np.where(variance > 1e-12 * whole, covariance / np.sqrt(np.maximum(variance, 1e-300)), 0.0),
+        count,
+    )
+
+
+def _independent_moments(a: np.ndarray, b: np.ndarray) -> float:
+    """How many independent samples two smooth series amount to (Bartlett: N / (1 + 2 Σ ρa ρb), up to where ρ first
+    vanishes)."""
+    a, b = (a - a.mean()) / a.std(), (b - b.mean()) / b.std()
+    product = np.array(
+        [np.mean(a[k:] * a[: len(a) - k]) * np.mean(b[k:] * b[: len(b) - k]) for k in range(1, len(a) // 2)]
+    )
+    gone = np.flatnonzero(product <= 0.01)
+    return len(a) / (1 + 2 * float(product[: gone[0] if len(gone) else None].sum()))
+
+
+def _unknown(reason: str, correlation: float = 0.0) -> Lag:
+    return Lag(0.0, np.inf, correlation, False, reason)
+
+
+def energy_of(source: FootageSource) -> np.ndarray:
+    """``motion_energy`` of some footage; empty where it cannot be read."""
+    try:
+        return motion_energy(grey_frames(source))
+    except UserError:
+        return np.zeros(0)

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``clocks.offsets``: when every camera was started, from its sound, the people it sees and how the picture moves.
+
+Before anything is decoded for good: which frames are one moment decides which frames are used. Raw footage and raw
+keypoints go in, so that nothing that follows from clocks is needed to find them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from studiorecon.camera_files.calibration import read_lenses
+from studiorecon.clocks import motion as sync
+from studiorecon.clocks import sound
+from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, judged, reference_of, solved
+from studiorecon.clocks.people_clock import people_pair
+from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, timeline_of
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
+from studiorecon.progress import progress, say, warn
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.clocks import Clock, write_clocks
+from studiorecon.scene.files import write_json
+from studiorecon.scene.people import read_detections
+from studiorecon.signature import Written
+
+# Sound needs 3 ms a metre; who knows where the speaker stands? 1.5 m more or less to one camera than to another, as
+# standard deviation.
+_TRAVEL_S = 1.5 / 343
+# Every sound track is compared with those of so many cameras; more only cost time.
+_HUBS = 3
+
+
+@dataclass(frozen=True)
+class Settings(PictureRate):
+    """What is done about clocks, and the rate of footage that has none."""
+
+    sync: Literal["auto", "report", "never"] = setting(
+        "auto",
+        "When every camera was started, from sound, people and motion: auto finds and applies it, report "
+        "finds and says it, never leaves the footage as it is; starts in capture.yaml overrules it.",
+    )
+
+
+def sound_pairs(sounds: Sequence[np.ndarray | None], lines: Sequence[Timeline]) -> tuple[list[Pair], dict[int, str]]:
+    """Pairs of cameras whose sound tracks tell, and for every camera without one why."""
+    there = [i for i, s in enumerate(sounds) if s is not None]
+    reasons = {i: "its video has no sound" for i in range(len(sounds)) if i not in there}
+    wanted = [(a, b) for a, b in itertools.combinations(there, 2) if a in there[:_HUBS]]
+    pairs = []
+    for a, b in progress(wanted, "sound tracks"):
+        heard = sound.compare(sounds[a], sounds[b])
+        if not heard.valid:
+            reasons.setdefault(b, heard.reason)
+            reasons.setdefault(a, heard.reason)
+            continue
+        # By the first one's clock: t_a = (1 + d) (t_b + lag - d middle), on the files' own time lines.
+        clear = abs(heard.drift_ppm) > 3 * heard.drift_sigma_ppm
+        drift = 1e-6 * heard.drift_ppm if clear else 0.0
+        offset = (1 + drift) * (lines[b].first_s + heard.lag_s - drift * heard.middle_s) - lines[a].first_s
+        pairs.append(Pair(a, b, offset, heard.sigma_s, heard.drift_ppm, heard.drift_sigma_ppm))
+    for i in {c for p in pairs for c in (p.first, p.second)}:
+        reasons.pop(i, None)
+    return pairs, reasons
+
+
+def motion_pairs(
+    energies: Sequence[np.ndarray], clocks: Sequence[Clock], rate: float
+) -> tuple[list[Pair], dict[int, str]]:
+    """The same from how much the pictures change over time."""
+    rows = [_on_a_grid(e, c, rate) for e, c in zip(energies, clocks)]
+    pairs, reasons = [], {}
+    for a, b in itertools.combinations(range(len(rows)), 2):
+        lag = sync.compare(rows[a], rows[b], rate)
+        if lag.valid:
+            pairs.append(Pair(a, b, -lag.rows / rate, lag.sigma_rows / rate))
+        else:
+            reasons.setdefault(a, lag.reason)
+            reasons.setdefault(b, lag.reason)
+    for i in {c for p in pairs for c in (p.first, p.second)}:
+        reasons.pop(i, None)
+    return pairs, reasons
+
+
+def _on_a_grid(energy: np.ndarray, clock: Clock, rate: float) -> np.ndarray:
+    if len(energy) < 2 or (not clock.times_s and abs(clock.fps - rate) < 1e-6):
+        return energy
+    own = clock.own_s[: len(energy) + 1]
+    middles = (own[1:] + own[:-1])[: len(energy)] / 2
+    per_second = energy[: len(middles)] / np.maximum(np.diff(own)[: len(energy)], 1e-6) / rate
+    return np.interp(np.arange(0.5 / rate, own[-1], 1 / rate), middles, per_second)
+
+
+def described(
+    camera: str,
+    verdict: ClockVerdict,
+    proposals: Sequence[Proposal],
+    why: Mapping[str, str],
+    reference: str,
+    fps: float,
+) -> str:
+    """One sentence about one camera's clock, with everything that was proposed."""
+    told = [f"{p.method} {_signed(p.offset_s)} ± {p.half_s:.3f} s" for p in proposals]
+    told += [f"{method}: {reason}" for method, reason in why.items()]
+    if verdict.kind == "in step":
+        return f"{camera}: in step with {reference} within {verdict.half_s:.3f} s ({'; '.join(told)})"
+    if verdict.kind == "found":
+        frames = verdict.offset_s * fps
+        way = "after" if frames > 0 else "before"
+        drift = (
+            f", its clock {abs(verdict.drift_ppm):.0f} ppm {'slow' if verdict.drift_ppm > 0 else 'fast'}"
+            if verdict.drift_ppm
+            else ""
+        )
+        return (
+            f"{camera}: started {abs(verdict.offset_s):.3f} ± {verdict.half_s:.3f} s "
+            f"({abs(frames):.2f} frames) {way} {reference}{drift} "
+            f"({'; '.join(told)})"
+        )
+    return (
+        f"{camera}: when it was started is undetermined, {verdict.reason} ({'; '.join(told) or 'nothing to compare'})"
+    )
+
+
+def _signed(seconds: float) -> str:
+    return f"{'+' if seconds >= 0 else '−'}{abs(seconds):.3f}"
+
+
+def found_clocks(
+    cameras: Sequence[str],
+    sources: Sequence[FootageSource | None],
+    lines: Sequence[Timeline],
+    paths: Sequence[Path],
+    sightings: Sequence[Path],
+    lenses: Mapping[str, Lens],
+) -> tuple[list[ClockVerdict], list[dict[str, Any]], int]:
+    """A verdict and everything behind it for every camera, and which one is the reference; ``lenses`` of a given
+    calibration, if there is one."""
+    clocks = [clock_of(c, line) for c, line in zip(cameras, lines)]
+    rate = float(np.median([c.fps for c in clocks]))
+    count = len(cameras)
+    pairs: dict[str, list[Pair]] = {}
+    why: dict[str, dict[int, str]] = {}
+    sounds = [sound.sound_of(path) if source else None for path, source in zip(paths, sources)]
+    pairs["sound"], why["sound"] = sound_pairs(sounds, lines)
+    sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
+    pairs["people"], why["people"] = people_pair([read_detections(p) for p in sightings], clocks, rate, sized)
+    told = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
+    if min(told) < 2:
+        energies = [sync.energy_of(s) if s else np.zeros(0) for s in progress(sources, "motion")]
+        pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
+    reference = reference_of(pairs, count)
+    proposed = {m: solved(m, found, count, reference, _TRAVEL_S if m == "sound" else 0.0) for m, found in pairs.items()}
+    # Where one method leads halfway and another the rest of the way.
+    together = solved("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
+    verdicts, findings = [], []
+    for c, camera in enumerate(cameras):
+        own = [p for p in (proposed[m][c] for m in pairs) if p is not None] or [
+            p for p in (together[c],) if p is not None
+        ]
+        verdict = ClockVerdict("reference", 0.0, 0.0) if c == reference else judged(own, rate, clocks[c].own_s[-1])
+        reasons = {
+            m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
+        }
+        sentence = (
+            f"{camera}: the others are compared with it"
+            if c == reference
+            else described(camera, verdict, own, reasons, cameras[reference], rate)
+        )
+        verdicts.append(verdict)
+        findings.append(
+            {
+                "camera": camera,
+                **asdict(verdict),
+                "sentence": sentence,
+                "proposals": [] if c == reference else [asdict(p) for p in own],
+                "without": {} if c == reference else reasons,
+            }
+        )
+    return verdicts, findings, reference
+
+
+def lengths_differ(clocks: Sequence[Clock], sources: Sequence[str], findings: Sequence[dict[str, Any]]) -> str:
+    """The sentence for videos of different lengths whose clocks nobody knows; empty where they are equally long or
+    known."""
+    unknown = [f["camera"] for f in findings if f["kind"] == "undetermined"]
+    shortest, longest = (choose(range(len(clocks)), key=lambda i: clocks[i].frames) for choose in (min, max))
+    short, long = clocks[shortest].frames, clocks[longest].frames
+    if short == long or not unknown:
+        return ""
+    return (
+        f"{sources[shortest]} has {short} frames and {sources[longest]} has {long}, and "
+        f"when {', '.join(unknown)} was started is "
+        f"undetermined; write frames: {{first: 0, count: {short}}} into capture.yaml if "
+        "all were started together, or else starts: "
+        "{CAMERA: frame}, the frame of each video that shows one moment"
+    )
+
+
+def run(
+    settings: Settings,
+    cameras: list[str],
+    sources: list[Path],
+    sightings: list[Path],
+    starts: str,
+    first_frame: int,
+    frame_count: int,
+    clocks: Written,
+    findings: Written,
+    calibration: list[Path] | None = None,
+) -> None:
+    """Write ``clocks`` (what all later steps go by) and ``findings`` (what was looked at) of the footage ``sources``,
+    both JSON.
+
+    ``sightings`` are there for cameras whose people are known, in any order. ``starts``: JSON, camera → frame of its
+    footage that shows one moment, as the user says; then that counts. ``first_frame`` and ``frame_count`` choose among
+    the moments that all cameras have (0: all). ``calibration``: none or one file, the user's own, by which people tell
+    more.
+    """
+    opened, lines = _opened(sources, settings.picture_fps)
+    made = [clock_of(c, line) for c, line in zip(cameras, lines)]
+    for clock, source in zip(made, sources):
+        if clock.times_s:
+            say(
+                f"{source.name}: {uneven(clock.times_s, 0) or 'frames do not come evenly'}; "
+                "every frame is taken at its own time"
+            )
+    found: list[dict[str, Any]] = []
+    given: Mapping[str, float] = json.loads(starts)
+    if settings.sync != "never" and len(cameras) > 1:
+        lenses = read_lenses(calibration[0]) if calibration else {}
+        verdicts, found, reference = found_clocks(cameras, opened, lines, sources, sightings, lenses)
+        # Cameras that were not started together: then it matters that one more of them is not known.
+        apart = any(f["kind"] == "found" for f in found)
+        for f in found:
+            loud = apart and (f["kind"] == "undetermined" or (f["kind"] == "found" and settings.sync == "report"))
+            (warn if loud and not given else say)(f["sentence"])
+        if settings.sync == "auto" and not given:
+            made = [replace(c, offset_s=v.offset_s, drift_ppm=v.drift_ppm) for c, v in zip(made, verdicts)]
+        if given:
+            _compare_with_given(given, found, made, cameras[reference])
+    if given:
+        made = [replace(c, offset_s=-float(given.get(c.camera, 0.0)) / c.fps) for c in made]
+    common = common_moments(made, first_frame, frame_count)
+    if not given and not frame_count and not common.refusal and (settings.sync != "auto" or found):
+        unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
+        common = replace(common, refusal=lengths_differ(made, [f"{s.parent.name}/{s.name}" for s in sources], unsure))
+    write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})
+    write_clocks(clocks, common)
+    if common.refusal:
+        warn(common.refusal)
+        return
+    used = ", ".join(f"{c} from frame {common.source_frames(c)[0]}" for c in cameras)
+    say(f"{common.frames} moments at {common.fps:g} per second: {used}")
+
+
+def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSource | None], list[Timeline]]:
+    """What can be read of every camera's footage; one that cannot be read is told, and stands in as the others until it
+    is decoded."""
+    opened: list[FootageSource | None] = []
+    lines: list[Timeline | None] = []
+    for path in sources:
+        try:
+            opened.append(open_source(path, picture_fps))
+            lines.append(timeline_of(opened[-1]))
+        except UserError as refusal:
+            warn(str(refusal))
+            opened[len(lines) :] = [None]
+            lines.append(None)
+    readable = [line for line in lines if line is not None]
+    if not readable:
+        raise UserError(f"none of the {len(sources)} videos can be read, {sources[0]} among them; copy them again")
+    shortest = min(readable, key=lambda line: line.frames)
+    return opened, [line or replace(shortest, first_s=0.0) for line in lines]
+
+
+def _compare_with_given(
+    given: Mapping[str, float], found: Sequence[dict[str, Any]], clocks: Sequence[Clock], reference: str
+) -> None:
+    """Say where the user's starts and what was found differ by more than the interval and a frame."""
+    fps = {c.camera: c.fps for c in clocks}
+    for f in (f for f in found if f["kind"] in ("in step", "found")):
+        camera = f["camera"]
+        told = given.get(reference, 0.0) / fps[reference] - given.get(camera, 0.0) / fps[camera]
+        if abs(told - f["offset_s"]) > f["half_s"] + 1 / fps[camera]:
+            warn(
+                f"starts in capture.yaml puts {camera} {_signed(told)} s after "
+                f"{reference}, which stands; but {f['sentence']}"
+            )

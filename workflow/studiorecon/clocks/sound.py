@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much earlier one camera's sound track hears what another's hears: generalised cross-correlation with phase
+transform.
+
+Knapp & Carter, The generalized correlation method for estimation of time delay, IEEE TASSP 1976. Loudness over time
+finds the second, whatever the microphones, the room and the drift; whitened spectra of short windows find the
+millisecond, and how it changes along the clip. What nothing stands out of (a hum, noise of each microphone's own) is
+undetermined.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+from scipy import signal
+
+# Speech and claps; phones cut below, microphones far away lose what is above.
+RATE_HZ = 8000
+_BAND_HZ = (200.0, 3600.0)
+# Loudness is compared in steps of this many samples, in this many bands.
+_HOP = 40
+_BANDS_HZ = (200.0, 500.0, 1100.0, 2000.0, 3600.0)
+_CANDIDATES = 6
+_APART_S = 0.2
+# Windows of the fine look, how far it looks about a candidate, and the drifts it tries.
+_WINDOW_S, _STEP_S = 1.0, 0.5
+_REACH_S = 0.05
+_FINER = 4
+_DRIFT_PPM, _DRIFT_STEPS = 200.0, 41
+# The peak must be this many times the scatter of the rest, and this many times the next one beyond a room's echoes.
+_LEAST_Z, _LEAST_RATIO = 8.0, 1.5
+_ECHO_S = 0.02
+_LEAST_OVERLAP_S = 1.5
+# What one window's lag is good for, and how far crystals are off, both as standard deviations.
+_LAG_NOISE_S, _CRYSTAL = 1e-4, 50e-6
+_ROUNDS = 5
+# Longest stretch that is searched for the second, seconds: two sound tracks of ten minutes take a second.
+_SEARCHED_S = 600.0
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What comparing two sound tracks says: how much later the first one's file hears, and by how much its clock runs
+    faster.
+
+    Attributes:
+        lag_s: seconds of the first one's file minus those of the other's, at ``middle_s`` of the first one's.
+        sigma_s: its standard deviation, by the scatter between parts of the clip.
+        drift_ppm: by how many millionths of a second the lag grows every second.
+        drift_sigma_ppm: its standard deviation; that of crystals where the clip is too short to tell.
+        valid: False when nothing stands out, for the ``reason``.
+    """
+
+    lag_s: float
+    sigma_s: float
+    drift_ppm: float
+    drift_sigma_ppm: float
+    valid: bool
+    reason: str = ""
+    middle_s: float = 0.0
+
+
+def sound_of(path: Path) -> np.ndarray | None:
+    """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line on; None without a sound track,
+    or an empty one."""
+    if path.is_dir():
+        return None
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.audio:
+                return None
+            stream = container.streams.audio[0]
+            resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE_HZ)
+            pieces: list[np.ndarray] = []
+            first_s: float | None = None
+            for frame in container.decode(stream):
+                first_s = float(frame.time or 0.0) if first_s is None else first_s
+                pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(frame)]
+            pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(None)]
+    except (av.FFmpegError, IndexError):
+        # What can be heard up to a damaged place is as good for this as all of it.
+        pass
+    samples = np.concatenate(pieces) if pieces else np.zeros(0, np.float32)
+    if not len(samples):
+        return None
+    begin = round((first_s or 0.0) * RATE_HZ)
+    return np.concatenate([np.zeros(begin, np.float32), samples]) if begin >= 0 else samples[-begin:]
+
+
+def onsets(samples: np.ndarray) -> np.ndarray:
+    """(bands, T) rises of the loudness in octave-wide bands, one value per ``_HOP`` samples, standardised."""
+    found = []
+    for low, high in itertools.pairwise(_BANDS_HZ):
+        sos = signal.butter(2, (low, min(high, 0.49 * RATE_HZ)), "bandpass", fs=RATE_HZ, output="sos")
+        power = signal.sosfilt(sos, samples) ** 2
+        steps = power[: len(power) // _HOP * _HOP].reshape(-1, _HOP).mean(1)
+        smooth = signal.lfilter([0.4], [1, -0.6], steps)
+        floor = max(float(np.median(smooth)), 1e-12)
+        rise = np.maximum(np.diff(np.log(smooth + floor), prepend=np.log(smooth[0] + floor)), 0)
+        found.append((rise - rise.mean()) / max(rise.std(), 1e-9))
+    return np.array(found)
+
+
+def compare(first: np.ndarray, second: np.ndarray) -> Heard:
+    """``Heard`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
+    shorter = min(len(first), len(second)) / RATE_HZ
+    if shorter < _LEAST_OVERLAP_S:
+        return _nothing(f"{shorter:.1f} s of sound are too short")
+    if min(first.std(), second.std()) < 1e-6:
+        return _nothing("a sound track is silent")
+    filtered = [_limited(s) for s in (first, second)]
+    tried = [_fine(*filtered, lag) for lag in _coarse(*filtered)]
+    tried.sort(key=lambda t: -t[0])
+    if not tried:
+        return _nothing("nothing happens in the sound")
+    z, ratio, heard = tried[0]
+    others = [t[0] for t in tried[1:] if abs(t[2].lag_s - heard.lag_s) > _REACH_S]
+    if z < _LEAST_Z:
+        return _nothing(
+            f"no time fits the sound tracks better than chance (peak {z:.1f} times the "
+            f"scatter, {_LEAST_Z:.0f} would be clear)"
+        )
+    if ratio < _LEAST_RATIO or (others and z < _LEAST_RATIO * max(others)):
+        return _nothing("several times fit the sound tracks about equally well: a hum, or the same over and over")
+    return heard
+
+
+def _limited(samples: np.ndarray) -> np.ndarray:
+    sos = signal.butter(4, _BAND_HZ, "bandpass", fs=RATE_HZ, output="sos")
+    return signal.sosfiltfilt(sos, samples).astype(np.float32) if len(samples) > 100 else samples
+
+
+def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
+    """Seconds to add to the second one's time, best first: peaks of the correlation of loudness."""
+    most = round(_SEARCHED_S * RATE_HZ)
+    a, b = onsets(first[:most]), onsets(second[:most])
+    score = sum(signal.correlate(x, y, "full", "fft") for x, y in zip(a, b))
+    lags = np.arange(-b.shape[1] + 1, a.shape[1])
+    overlap = np.minimum(np.minimum(lags + b.shape[1], a.shape[1]), np.minimum(a.shape[1] - lags, b.shape[1])).astype(
+        float
+    )
+    score = score / np.sqrt(np.maximum(overlap, _LEAST_OVERLAP_S * RATE_HZ / _HOP))
+    apart = round(_APART_S * RATE_HZ / _HOP)
+    found = []
+    while len(found) < _CANDIDATES and score.max() > 0:
+        best = int(np.argmax(score))
+        found.append(float(lags[best] * _HOP / RATE_HZ))
+        score[max(best - apart, 0) : best + apart + 1] = -np.inf
+    return found
+
+
+def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, float, Heard]:
+    """The peak's height over the scatter, its ratio to the next peak, and what it says, within ``_REACH_S`` of
+    ``lag_s``."""
+    shift = round(lag_s * RATE_HZ)
+    a, b = (first[shift:], second) if shift >= 0 else (first, second[-shift:])
+    length = min(len(a), len(b))
+    if length < _LEAST_OVERLAP_S * RATE_HZ:
+        return 0.0, 0.0, _nothing("too little in common")
+    times, correlation, weight = _windows(a[:length], b[:length])
+    middle = float((weight * times).sum() / weight.sum())
+    tried = np.linspace(-_DRIFT_PPM, _DRIFT_PPM, _DRIFT_STEPS) if length > 10 * RATE_HZ else np.zeros(1)
+    lags = np.arange(correlation.shape[1])
+    step = 1 / (RATE_HZ * _FINER)
+    summed = np.zeros((len(tried), correlation.shape[1]))
+    for row, ppm in enumerate(tried):
+        for moved, curve, w in zip(np.rint(1e-6 * ppm * (times - middle) / step).astype(int), correlation, weight):
+            summed[row] += w * np.roll(curve, -moved)
+        # Crystals are within tens of millionths: of drifts that fit alike the least counts.
+        summed[row] *= 1 - 0.05 * (ppm / _DRIFT_PPM) ** 2
+    scatter = 1.4826 * np.median(np.abs(summed - np.median(summed))) + 1e-12
+    row, best = np.unravel_index(int(np.argmax(summed)), summed.shape)
+    beyond = np.abs(lags - best) * step > _ECHO_S
+    second_best = float(summed[row][beyond].max())
+    z = float(summed[row, best]) / scatter
+    heard = _settled(times - middle, correlation, weight, int(best), float(tried[row]), step)
+    offset = shift / RATE_HZ + heard.lag_s - _REACH_S
+    # Times of the first track: the windows count from where both begin.
+    begin = max(shift, 0) / RATE_HZ
+    return (
+        z,
+        float(summed[row, best]) / max(second_best, scatter),
+        Heard(offset, heard.sigma_s, heard.drift_ppm, heard.drift_sigma_ppm, True, "", middle + begin),
+    )
+
+
+def _windows(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Middles (W,) in seconds, whitened correlations (W, lags) at ``_FINER`` times the rate, and what each window
+    counts."""
+    size, step = round(_WINDOW_S * RATE_HZ), round(_STEP_S * RATE_HZ)
+    reach = round(_REACH_S * RATE_HZ)
+    begins = np.arange(0, len(a) - size + 1, step)
+    padded = 2 * size
+    taper = np.hanning(size).astype(np.float32)
+    band = np.fft.rfftfreq(padded, 1 / RATE_HZ)
+    inside = (band >= _BAND_HZ[0]) & (band <= _BAND_HZ[1])
+    found = np.zeros((len(begins), 2 * reach * _FINER + 1), np.float32)
+    power = np.zeros((2, len(begins)))
+    for i, begin in enumerate(begins):
+        pieces = [x[begin : begin + size] * taper for x in (a, b)]
+        power[:, i] = [float((p**2).mean()) for p in pieces]
+        cross = np.conj(np.fft.rfft(pieces[1], padded)) * np.fft.rfft(pieces[0], padded)
+        white = np.where(inside, cross / (np.abs(cross) + 1e-20), 0)
+        curve = np.fft.irfft(white, padded * _FINER)
+        found[i] = np.concatenate([curve[-reach * _FINER :], curve[: reach * _FINER + 1]])
+    # A window in which one of the two hears nothing beyond its usual noise is noise: it counts a tenth.
+    quiet = np.maximum(np.quantile(power, 0.2, axis=1, keepdims=True), 1e-14)
+    weight = np.minimum(np.sqrt(np.maximum(power / quiet - 1, 0)).min(0), 10.0) + 0.1
+    return (begins + size / 2) / RATE_HZ, found, weight
+
+
+def _settled(
+    times: np.ndarray, correlation: np.ndarray, weight: np.ndarray, best: int, ppm: float, step: float
+) -> Heard:
+    """Lag at the windows' middle, counted from the first column, and drift, from the windows' own peaks about the
+    common one."""
+    near = round(0.002 / step)
+    lags, heights = np.zeros(len(times)), np.zeros(len(times))
+    for i, (t, curve) in enumerate(zip(times, correlation)):
+        centre = best + round(1e-6 * ppm * t / step)
+        low = max(centre - near, 0)
+        part = curve[low : centre + near + 1]
+        if len(part) < 3:
+            continue
+        top = int(np.clip(np.argmax(part), 1, len(part) - 2))
+        before, at, after = part[top - 1 : top + 2]
+        lags[i] = (low + top + 0.5 * (before - after) / min(before - 2 * at + after, -1e-12)) * step
+        heights[i] = max(float(at), 0.0)
+    noise = 1.4826 * np.median(np.abs(correlation)) + 1e-12
+    use = np.clip(heights / noise - 3, 0, None) * weight
+    use = use if (use > 0).any() else weight
+    columns = np.stack([np.ones(len(times)), times], 1)
+    robust = np.ones(len(times))
+    for _ in range(_ROUNDS):
+        w = use * robust
+        w = w * (w.sum() / (w**2).sum())  # sums to the number of windows that count
+        information = columns.T @ (w[:, None] * columns)
+        solution = np.linalg.solve(information + np.diag([0.0, (_LAG_NOISE_S / _CRYSTAL) ** 2]), columns.T @ (w * lags))
+        rest = np.abs(lags - columns @ solution)
+        order = np.argsort(rest)
+        middle = float(rest[order][np.searchsorted(np.cumsum(w[order]), 0.5 * w.sum())]) + 0.2 * step
+        robust = 1 / np.maximum(rest / (3 * middle), 1.0) ** 2
+    inverse = np.linalg.inv(information + np.diag([0.0, (_LAG_NOISE_S / _CRYSTAL) ** 2]))
+    # Neighbouring windows share half of what they hear: together they count as one.
+    scatter = 2 * inverse @ (columns.T @ (((w * rest) ** 2)[:, None] * columns)) @ inverse
+    sigma = np.sqrt(np.diag(scatter) + np.diag(inverse) * _LAG_NOISE_S**2)
+    return Heard(float(solution[0]), float(sigma[0]), 1e6 * float(solution[1]), 1e6 * float(sigma[1]), True)
+
+
+def _nothing(reason: str) -> Heard:
+    return Heard(0.0, np.inf, 0.0, np.inf, False, reason)

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When every frame of some footage was taken by the camera's own clock, and the moments that all cameras share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import av
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.source import FootageSource
+from studiorecon.scene.clocks import Clock, Clocks
+
+# Times in a file are rounded to its time base, a millisecond in Matroska: within this, frames that should come evenly
+# do.
+_EVEN_S = 2e-3
+# Moments this much of a frame before or after a camera's first or last one are still its own.
+_REACH_FRAMES = 0.5 + 1e-3
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Frames of a file on the file's own time line, which its sound shares.
+
+    Attributes:
+        fps: frames per second.
+        frames: how many there are.
+        first_s: when the first one is shown.
+        times_s: of every frame after the first, where they do not come evenly; else empty.
+    """
+
+    fps: float
+    frames: int
+    first_s: float
+    times_s: tuple[float, ...] = ()
+
+
+def timeline_of(source: FootageSource) -> Timeline:
+    """Read from the packets' own times, without decoding; UserError when the file holds none."""
+    if source.pictures:
+        return Timeline(source.fps, len(source.pictures), 0.0)
+    times = _shown_s(source.path)
+    if not len(times):
+        raise UserError(f"{source.path} holds no frames; copy the recording again")
+    own = times - times[0]
+    even = np.arange(len(own)) / source.fps
+    if not np.isfinite(own).all() or np.abs(own - even).max() <= _EVEN_S:
+        return Timeline(source.fps, len(own), float(np.nan_to_num(times[0])))
+    fps = float(1 / np.median(np.diff(own)))
+    # A clock that merely runs at another rate than the header says still ticks evenly.
+    slope = float(np.polyfit(np.arange(len(own)), own, 1)[0])
+    if np.abs(own - slope * np.arange(len(own))).max() <= _EVEN_S:
+        return Timeline(1 / slope, len(own), float(times[0]))
+    return Timeline(
+        source.fps if abs(source.fps / fps - 1) < 0.02 else fps, len(own), float(times[0]), tuple(own.tolist())
+    )
+
+
+def _shown_s(path: Path) -> np.ndarray:
+    """Times of all frames that a decoder will give, in order; NaN where the file says none."""
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        times = [
+            np.nan if packet.pts is None else float(packet.pts * stream.time_base)
+            for packet in container.demux(stream)
+            if packet.size and not packet.is_discard
+        ]
+    return np.sort(np.array(times, dtype=np.float64))
+
+
+def clock_of(camera: str, line: Timeline) -> Clock:
+    """The camera as filmed: its first frame is at 0."""
+    return Clock(camera, line.fps, line.frames, line.times_s)
+
+
+def common_moments(clocks: Sequence[Clock], first: int, count: int) -> Clocks:
+    """The moments that all ``clocks`` have in common, from the ``first`` of them on, ``count`` of them (0: all).
+
+    Their rate is that of most cameras whose frames come evenly, the slower of two. They lie where the frames of one
+    camera do: the one to which all others are nearest, so that nothing is resampled that need not be. Where there is no
+    such moment, ``refusal`` says so.
+    """
+    rates = sorted(round(c.fps, 4) for c in clocks if not c.times_s) or sorted(round(c.fps, 4) for c in clocks)
+    usual = max(rates, key=lambda rate: (rates.count(rate), -rate))
+    fps = next(c.fps for c in clocks if round(c.fps, 4) == usual)
+    begin = max(float(c.common_s[0]) for c in clocks) - _REACH_FRAMES / fps
+    end = min(float(c.common_s[-1]) for c in clocks) + _REACH_FRAMES / fps
+    tried = []
+    for rank, clock in enumerate(clocks):
+        later = clock.common_s[clock.common_s >= begin]
+        if not len(later):
+            continue
+        whole = Clocks(fps, float(later[0]), max(0, int(np.floor((end - later[0]) * fps)) + 1), tuple(clocks))
+        if whole.frames:
+            tried.append(
+                (round(sum(float(np.abs(whole.late_frames(c.camera)).mean()) for c in clocks), 6), rank, whole)
+            )
+    if not tried:
+        gap = (
+            max((float(c.common_s[0]), c.camera) for c in clocks),
+            min((float(c.common_s[-1]), c.camera) for c in clocks),
+        )
+        nothing = (
+            f"camera {gap[0][1]} begins {gap[0][0] - gap[1][0]:.1f} s after camera "
+            f"{gap[1][1]} has ended: the videos share no moment; "
+            "check that they are of one take, or write starts: {CAMERA: frame} into capture.yaml"
+        )
+        return Clocks(fps, 0.0, 0, tuple(clocks), nothing)
+    whole = min(tried, key=lambda t: t[:2])[2]
+    left = whole.frames - first
+    if left < 1 or count > left:
+        wanted = f"{first} to {first + count - 1}" if count else f"{first} and after"
+        told = (
+            f"the videos have {whole.frames} frames in common, but frames {wanted} were "
+            "asked for; change frames: in capture.yaml"
+        )
+        return replace(whole, frames=0, refusal=told)
+    return replace(whole, start_s=whole.start_s + first / fps, frames=count or left)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that are read when a run is planned, by no step: where things lie, and which way data takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from studiorecon.configuration.setting import setting
+
+
+@dataclass(frozen=True)
+class General:
+    """What stands at the top of the configuration, in no section."""
+
+    dataset: str = setting(
+        "resources/studio/demo.yaml",
+        "A dataset directory, or the description of a synthetic studio (a .yaml file), which the workflow then makes "
+        "first.",
+    )
+    scene: str | int = setting("", "Name of the results folder; empty = the name of the dataset.")
+    capture_yaml: str = setting(
+        "", "A capture.yaml that lies outside the dataset directory; empty = the one inside it, if any."
+    )
+    body: str = setting(
+        "resources/body.npz",
+        "The body model: the bundled one, or an SMPL .npz or .pkl of your own (same joints, its own shape space).",
+    )
+    device: Literal["auto", "cpu", "cuda"] = setting(
+        "auto", "What draws and trains Gaussians; auto = a CUDA device where gsplat is installed, else the CPU."
+    )
+    sweep: str = setting(
+        "config/sweeps/one_at_a_time.tsv", "Table of the configurations that `snakemake sweep` runs and scores."
+    )
+    sweep_minutes: float = setting(60.0, "Longest that one configuration of a sweep may run.", unit="min", above=0)
+    weights: str = setting("resources/weights", "Folder of the weights of upstream networks, of which none is default.")
+    licences: Literal["any", "commercial"] = setting(
+        "any",
+        "Which licences may be used; commercial refuses networks that are for research only and names the one to take "
+        "instead.",
+    )
+    images: str = setting(
+        "resources/images",
+        "Folder of the container images that `snakemake images` builds and --sdm apptainer takes first.",
+    )
+
+
+@dataclass(frozen=True)
+class Detect:
+    """What looks for people, and where files of a network lie."""
+
+    detector: Literal["blazepose_heavy", "blazepose"] = setting(
+        "blazepose_heavy",
+        "What looks for people in the pictures; blazepose is three times as fast, and its landmarks a quarter further "
+        "off.",
+    )
+    precomputed: str = setting(
+        "",
+        "Folder with <camera>.npz or .pt of CoMotion's rows on our capture/<camera>.mkv: id, frame_idx, pose, betas, "
+        "trans, pred_2d, pred_3d.",
+    )
+
+
+@dataclass(frozen=True)
+class People:
+    """Who is who, in the user's own words."""
+
+    identities: str = setting(
+        "",
+        "A corrected copy of people/identities.tsv, taken as it stands; empty = the dataset's identities.tsv, if it "
+        "has one.",
+    )
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Where depth of a network lies, and what it waits for."""
+
+    precomputed: str = setting("", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) of every camera.")
+    solids_walked: bool = setting(
+        True,
+        "Nothing is put where somebody's joints were, nor between a camera and what it saw of them; depth then waits "
+        "for the bodies.",
+        paper="none",
+        letter=False,
+    )
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was decided before."""
+
+    earlier: str = setting(
+        "",
+        "Results folder of an earlier run: what it measured to be on stays on until it falls 20 % below its threshold.",
+    )
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Where masks of others lie."""
+
+    precomputed: str = setting(
+        "", "Folder with <camera>.mkv, <camera>.mp4 or <camera>/ (pictures): 0 nobody, else a number per person."
+    )
+
+
+@dataclass(frozen=True)
+class Views:
+    """Where films of a network lie."""
+
+    precomputed: str = setting(
+        "", "Folder with <segment>.mkv or .mp4 (00, 01, …) of 1280×704 or the working size, one picture per view."
+    )
+
+
+@dataclass(frozen=True)
+class Enhance:
+    """Where films of an enhancer lie."""
+
+    precomputed: str = setting(
+        "", "Folder with <shot>.mkv or .mp4 of every shot, made from render/<shot>.mkv picture by picture."
+    )
+
+
+@dataclass(frozen=True)
+class Render:
+    """What else is made of a film."""
+
+    exr: bool = setting(
+        False,
+        "Take every film apart for compositing too: render/<shot>.layers/000000.exr … with colour, depth, normals, "
+        "truth and mattes.",
+    )

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A setting as JSON schema."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from studiorecon.configuration.setting import Setting, choices_of, options_of
+
+_TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
+_BOUNDS = {"minimum": "minimum", "above": "exclusiveMinimum", "maximum": "maximum", "below": "exclusiveMaximum"}
+
+
+def section_schema(settings: Iterable[Setting], meaning: str, required: bool = True) -> dict[str, Any]:
+    """The schema of a mapping that holds these settings and no others."""
+    properties = {setting.name: schema_of(setting) for setting in settings}
+    demanded = {"required": list(properties)} if required else {}
+    return {"description": meaning, "type": "object", "additionalProperties": False, **demanded} | {
+        "properties": properties
+    }
+
+
+def schema_of(setting: Setting) -> dict[str, Any]:
+    """The schema of one setting or section."""
+    told = setting.described
+    if setting.is_section:
+        return section_schema(setting.inner(), told.meaning)
+    if told.shape is not None:
+        return {"description": told.meaning, **told.shape}
+    if choices := choices_of(setting):
+        return {"description": told.meaning, "enum": list(choices)}
+    # What else code may put there (an array) is nothing that a configuration can hold.
+    kinds = [kind for kind in options_of(setting.kind) if kind in _TYPES or typing.get_origin(kind)]
+    options = [_typed(kind, setting) for kind in kinds]
+    if len(options) > 1 and all(set(option) == {"type"} for option in options):
+        options = [{"type": [option["type"] for option in options]}]
+    return {"description": told.meaning, **(options[0] if len(options) == 1 else {"oneOf": options})}
+
+
+def _typed(kind: Any, setting: Setting) -> dict[str, Any]:
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        return {"enum": list(inner)}
+    if origin is tuple:
+        return {
+            "type": "array",
+            "items": _typed(inner[0], setting),
+            **({} if Ellipsis in inner else {"minItems": len(inner), "maxItems": len(inner)}),
+        }
+    if origin in (dict, Mapping):
+        return {"type": "object", "additionalProperties": _typed(inner[1], setting)}
+    if origin in (list, Sequence):
+        return {"type": "array", "items": _typed(inner[0], setting)}
+    found: dict[str, Any] = {"type": _TYPES[kind]}
+    if kind in (int, float):
+        found |= {
+            word: bound for name, word in _BOUNDS.items() if (bound := getattr(setting.described, name)) is not None
+        }
+        if setting.described.odd:
+            found["not"] = {"multipleOf": 2}
+    return found

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sections of the configuration in the order of the data, and the dataclasses that declare what each holds."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from studiorecon.configuration.planned import General
+from studiorecon.configuration.setting import Setting, plain, settings_in
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the configuration.
+
+    Attributes:
+        name: of the stage.
+        about: what its settings are about.
+        declared_in: ``module:Class`` of the dataclasses that declare its settings, in the order in which they stand.
+            Stages are named, not imported: most steps need libraries that the configuration does without.
+    """
+
+    name: str
+    about: str
+    declared_in: tuple[str, ...]
+
+    def settings(self) -> list[Setting]:
+        """Its settings in order; each is declared by one class only."""
+        return [setting for place in self.declared_in for setting in settings_in(_class(place), declared=True)]
+
+
+SECTIONS: tuple[Section, ...] = (
+    Section(
+        "detect",
+        "Who is where in each camera's pictures, before any calibration.",
+        (
+            "tracks.bodies:Settings",
+            "configuration.planned:Detect",
+            "keypoints.reading:Settings",
+            "keypoints.reading:Detected",
+        ),
+    ),
+    Section("clocks", "When every camera was started.", ("clocks.offsets:Settings",)),
+    Section(
+        "calibration",
+        "Where calibrated cameras come from, and the check of them on people.",
+        (
+            "calibration.network:Settings",
+            "calibration.files:Settings",
+            "rig.bundle:Agreement",
+            "rig.bundle:Trust",
+        ),
+    ),
+    Section(
+        "capture", "The working frames of every camera.", ("capture.frames:Settings", "footage.source:PictureRate")
+    ),
+    Section("plates", "The clean plate of each training camera.", ("plates.clean:Settings",)),
+    Section("cameras", "Refinement of the cameras on people's keypoints.", ("cameras.refine:Settings",)),
+    Section(
+        "people",
+        "Who is who, and everybody's body over time.",
+        (
+            "configuration.planned:People",
+            "people.review:Settings",
+            "people.shared:Triangulated",
+            "people.associate:Settings",
+            "people.fit:Settings",
+            "people.shared:Smoothed",
+            "people.shared:Hulled",
+        ),
+    ),
+    Section(
+        "depth",
+        "Metric depth of the static scene.",
+        (
+            "depth.network:Settings",
+            "configuration.planned:Depth",
+            "depth.shared:FirstLook",
+            "depth.refine:Settings",
+            "depth.shared:Matching",
+            "depth.sweep:Settings",
+            "depth.room:Settings",
+        ),
+    ),
+    Section(
+        "survey",
+        "Which effects the scene calls for.",
+        ("survey.effects:Decided", "survey.evidence:Sampling", "configuration.planned:Survey"),
+    ),
+    Section("objects", "Loose and held things.", ("objects.find:Settings",)),
+    Section(
+        "masks",
+        "Who is where in the training pictures.",
+        (
+            "masks.network:Settings",
+            "configuration.planned:Masks",
+            "masks.segment:Settings",
+        ),
+    ),
+    Section(
+        "views",
+        "New views between the cameras.",
+        (
+            "views.shared:Made",
+            "configuration.planned:Views",
+            "views.generate:Settings",
+            "views.path:Settings",
+            "views.shared:Warping",
+        ),
+    ),
+    Section("background", "Static Gaussians of the room.", ("background.train_settings:Settings",)),
+    Section("humans", "Gaussians of every person.", ("humans.shared:Started", "humans.train_settings:Settings")),
+    Section(
+        "render",
+        "Films of the 4D scene.",
+        ("render.shared:Drawn", "render.shot:Settings", "configuration.planned:Render"),
+    ),
+    Section(
+        "enhance",
+        "Harmonised films that do not flicker.",
+        (
+            "enhance.shared:Enhancing",
+            "configuration.planned:Enhance",
+            "enhance.shot:Settings",
+            "enhance.shared:Injecting",
+            "enhance.shared:Film",
+        ),
+    ),
+    Section("deliver", "Files for other tools.", ("deliver.export:Settings",)),
+    Section(
+        "report",
+        "What the page shows and measures.",
+        (
+            "report.page:Settings",
+            "report.evaluate:Settings",
+        ),
+    ),
+)
+
+
+def general() -> list[Setting]:
+    """The settings at the top, in no section."""
+    return list(settings_in(General))
+
+
+@cache
+def _class(place: str) -> type:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(f"studiorecon.{module}"), name)
+
+
+def defaults() -> Mapping[str, Any]:
+    """The configuration of somebody who sets nothing, as config.yaml holds it."""
+    top = {setting.name: plain(setting.default) for setting in general()}
+    return top | {s.name: {setting.name: plain(setting.default) for setting in s.settings()} for s in SECTIONS}

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a setting is declared: a field of a frozen dataclass with its default, meaning, unit, bounds and the paper's
+value.
+
+A field without ``setting`` is a constant beside its code: it has a value, and no place in the configuration. A field
+whose type is a dataclass with settings of its own is a section; without any it is a group of constants.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import inspect
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Described:
+    """What is known of a setting beside its type and its default.
+
+    Attributes:
+        meaning: in words; of a section, what it is about.
+        unit: of the value, as it is written behind a number.
+        minimum, maximum: least and greatest value, or of every entry of a list.
+        above, below: the same, themselves excluded.
+        paper: the paper's value and where it stands, and the reading (U04) of an ambiguous passage.
+        letter: the value that is the paper's word; None = there is none, and ``configuration.letter`` says why.
+        odd: only odd numbers.
+        choices: the values a text may have, where its type does not name them.
+        shape: JSON schema that says what the type cannot.
+    """
+
+    meaning: str
+    unit: str = ""
+    minimum: float | None = None
+    above: float | None = None
+    maximum: float | None = None
+    below: float | None = None
+    paper: str = ""
+    letter: Any = None
+    odd: bool = False
+    choices: tuple[str, ...] = ()
+    shape: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting or section, wherever it is declared.
+
+    Attributes:
+        name: its key.
+        kind: its type, as annotated.
+        default: its value when nobody sets it; the default dataclass for a section.
+        described: what it means.
+    """
+
+    name: str
+    kind: Any
+    default: Any
+    described: Described
+
+    @property
+    def is_section(self) -> bool:
+        """Whether it holds settings instead of a value."""
+        return dataclasses.is_dataclass(self.default)
+
+    def inner(self) -> list[Setting]:
+        """The settings of a section, with the defaults that this one gives them."""
+        return list(settings_in(type(self.default), self.default))
+
+
+def setting(default: Any, meaning: str, **described: Any) -> Any:
+    """A dataclass field that is a setting; see ``Described`` for what else can be said of it."""
+    metadata = {"setting": Described(meaning, **described)}
+    if isinstance(default, (dict, list)):
+        return dataclasses.field(default_factory=lambda: copy.deepcopy(default), metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def is_setting(field: dataclasses.Field[Any]) -> bool:
+    """Whether a field of a dataclass is a setting, not a constant."""
+    return "setting" in field.metadata
+
+
+def settings_in(kind: type, values: Any = None, declared: bool = False) -> Iterator[Setting]:
+    """The settings of a dataclass in their order; ``values`` gives other defaults than its own.
+
+    With ``declared`` only those of its own body, none that it inherits.
+    """
+    hints = typing.get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        if not is_setting(field) or (declared and field.name not in inspect.get_annotations(kind)):
+            continue
+        default = default_of(field) if values is None else getattr(values, field.name)
+        yield Setting(field.name, hints[field.name], default, field.metadata["setting"])
+
+
+def default_of(field: dataclasses.Field[Any]) -> Any:
+    """A field's default, ``dataclasses.MISSING`` where it has none."""
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def plain(value: Any) -> Any:
+    """A default as YAML and JSON hold it: sections as mappings of their settings, tuples as lists."""
+    if dataclasses.is_dataclass(value):
+        return {inner.name: plain(inner.default) for inner in settings_in(type(value), value)}
+    if isinstance(value, Mapping):
+        return {key: plain(inner) for key, inner in value.items()}
+    return [plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+
+
+def options_of(kind: Any) -> tuple[Any, ...]:
+    """The types of a union, or the type alone."""
+    return typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
+
+
+def choices_of(setting: Setting) -> tuple[str, ...]:
+    """The words a setting may be, where it may be nothing else."""
+    if setting.described.choices:
+        return setting.described.choices
+    return typing.get_args(setting.kind) if typing.get_origin(setting.kind) is typing.Literal else ()

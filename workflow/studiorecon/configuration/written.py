@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is written from the settings' declarations: config.yaml, its schema and the tables of config/README.md.
+
+``python -m studiorecon.configuration.written`` writes all three; a test compares them with what stands there.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from studiorecon.configuration.schema_of import section_schema
+from studiorecon.configuration.sections import SECTIONS, general
+from studiorecon.configuration.setting import Setting, choices_of, plain
+from studiorecon.home import CONFIGURATION, SCHEMA
+
+README: Path = CONFIGURATION.parent / "README.md"
+_COLUMNS = 120
+_HEAD = """\
+# Every setting, once, with its default: a first run on the synthetic studio takes minutes on two CPU cores.
+# Written by python -m studiorecon.configuration.written from the steps' Settings: change it there, not here.
+# The comments give the paper's value and where it stands there; U-numbers are readings of ambiguous passages.
+# Overlays in config/presets/ only set what they change: snakemake --configfile config/presets/standard.yaml
+# What each setting buys and costs stands in config/README.md.
+"""
+# Innermost mappings and lists on one line.
+_COMPACT: Mapping[str, Any] = {"default_flow_style": None}
+_SCHEMA_HEAD = "# Written by python -m studiorecon.configuration.written from the steps' Settings.\n"
+
+
+def configuration() -> str:
+    """The text of config.yaml."""
+    parts = [_HEAD, "\n".join(_lines(general(), 0)) + "\n"]
+    for section in SECTIONS:
+        head = [f"# ---- {section.name} ----", *_comment(section.about, 0), f"{section.name}:"]
+        parts.append("\n".join([*head, *_lines(section.settings(), 2)]) + "\n")
+    return "\n".join(parts)
+
+
+def schema(there: str) -> str:
+    """The text of the schema; of ``there``, what stands in it now, the shapes of films (``$defs``) stay."""
+    top = section_schema(general(), "Settings of studiorecon; config/README.md explains them in prose.")
+    for section in SECTIONS:
+        top["required"].append(section.name)
+        top["properties"][section.name] = section_schema(section.settings(), section.about)
+    shapes = yaml.safe_load(there)["$defs"]
+    made = {"$schema": "https://json-schema.org/draft/2020-12/schema", **top, "$defs": shapes}
+    return _SCHEMA_HEAD + yaml.dump(
+        made, Dumper=_Plain, sort_keys=False, allow_unicode=True, width=_COLUMNS, **_COMPACT
+    )
+
+
+def prose(there: str) -> str:
+    """The text of config/README.md with its tables as the declarations have them."""
+    for name, settings in [("general", general()), *((s.name, s.settings()) for s in SECTIONS)]:
+        before, start, rest = there.partition(f"<!-- settings: {name} -->\n")
+        after = "".join(rest.partition(f"<!-- end: {name} -->")[1:])
+        there = before + start + "".join(f"{line}\n" for line in _table(settings)) + after
+    return there
+
+
+# Each file, and its text from what stands in it now.
+FILES: Mapping[Path, Callable[[str], str]] = {CONFIGURATION: lambda _: configuration(), SCHEMA: schema, README: prose}
+
+
+class _Plain(yaml.SafeDumper):
+    """Repeats what stands twice instead of pointing at it."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Always: a schema is for reading."""
+        return True
+
+
+def _lines(settings: Iterable[Setting], indent: int) -> Iterator[str]:
+    for setting in settings:
+        yield from _comment(_told(setting), indent)
+        key = f"{'':{indent}}{setting.name}:"
+        if setting.is_section:
+            yield key
+            yield from _lines(setting.inner(), indent + 2)
+        elif isinstance(setting.default, Mapping) and setting.default:
+            yield key
+            block = yaml.safe_dump(plain(setting.default), sort_keys=False, allow_unicode=True, width=_COLUMNS)
+            yield from textwrap.indent(block, " " * (indent + 2)).splitlines()
+        else:
+            yield f"{key} {value_text(setting.default)}"
+
+
+def _told(setting: Setting) -> str:
+    """Meaning, choices, unit and the paper's value in one line of words."""
+    told = setting.described
+    choices = f" One of {', '.join(choices_of(setting))}." if choices_of(setting) else ""
+    notes = "; ".join(filter(None, [told.unit, f"paper: {told.paper}" if told.paper else ""]))
+    return f"{told.meaning}{choices}{f' ({notes})' if notes else ''}"
+
+
+def _comment(words: str, indent: int) -> list[str]:
+    mark = f"{'':{indent}}# "
+    return textwrap.wrap(
+        words, _COLUMNS, initial_indent=mark, subsequent_indent=mark, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def value_text(value: Any) -> str:
+    """A default as it stands in YAML."""
+    if value == "":
+        return '""'
+    text = yaml.safe_dump(plain(value), default_flow_style=True, allow_unicode=True, width=1000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _table(settings: Iterable[Setting], above: str = "") -> Iterator[str]:
+    if not above:
+        yield "| setting | default | may be | paper | meaning |"
+        yield "|---|---|---|---|---|"
+    for setting in settings:
+        name = f"{above}{setting.name}"
+        if setting.is_section:
+            yield from _table(setting.inner(), f"{name}.")
+            continue
+        default = (
+            "see below" if isinstance(setting.default, Mapping) and setting.default else value_text(setting.default)
+        )
+        cells = [f"`{name}`", f"`{default}`", allowed(setting), setting.described.paper, setting.described.meaning]
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def allowed(setting: Setting) -> str:
+    """What a setting may be, in short: its words, or its bounds and unit."""
+    told = setting.described
+    if choices := choices_of(setting):
+        return ", ".join(f"`{choice}`" for choice in choices)
+    low = f"≥ {told.minimum:g}" if told.minimum is not None else f"> {told.above:g}" if told.above is not None else ""
+    high = f"≤ {told.maximum:g}" if told.maximum is not None else f"< {told.below:g}" if told.below is not None else ""
+    bounds = ", ".join(filter(None, [low, high, "odd" if told.odd else ""]))
+    return " ".join(filter(None, [bounds, told.unit]))
+
+
+def main() -> None:
+    """Write all three files."""
+    for path, text_of in FILES.items():
+        path.write_text(text_of(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

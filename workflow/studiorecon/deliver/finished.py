@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The finished 4D scene in memory: room, people and loose things as Gaussians, with all that moves and films them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import Manifest, read_manifest
+from studiorecon.scene.files import open_npz
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.path import PathStep, read_path
+from studiorecon.scene.provenance import INVENTED
+from studiorecon.splatting.rigid_object import RigidObject, read_objects
+
+
+@dataclass(frozen=True)
+class FinishedScene:
+    """What a run made of one capture.
+
+    Attributes:
+        name: the scene's.
+        capture: its frames, frame rate and footage.
+        cameras: training cameras.
+        room: N static Gaussians in the world, as the plates show them.
+        provenance: (N,) uint8 of the room's, see ``scene/provenance.py``; people and things bring their own.
+        people: everybody, canonical with their motion.
+        things: loose things with theirs.
+        paths: film → its steps, in the order of its pictures.
+    """
+
+    name: str
+    capture: Manifest
+    cameras: Sequence[Camera]
+    room: Gaussians
+    provenance: np.ndarray
+    people: Sequence[Avatar] = ()
+    things: Sequence[RigidObject] = ()
+    paths: Mapping[str, Sequence[PathStep]] = field(default_factory=dict)
+
+
+def read_finished(
+    scene: str,
+    manifest: Path,
+    model: Path,
+    background: Path,
+    provenance: Path,
+    gaussians: Sequence[Path] = (),
+    avatars: Sequence[Path] = (),
+    body: Path | None = None,
+    objects: Sequence[Path] = (),
+    paths: Sequence[Path] = (),
+) -> FinishedScene:
+    """The scene from its files: ``model`` is images.txt of the training cameras, ``gaussians`` and ``avatars`` one
+    each per person, ``paths`` the films' ``render/<shot>.json``.
+
+    Raises UserError when files are missing or belong to different scenes, and for a Gaussian that holds a value that is
+    no number: no other program skips it as ours does.
+    """
+    room = finite(read_ply(background), background)
+    with open_npz(provenance) as data:
+        marks = np.asarray(data["provenance"], np.uint8)
+    if len(marks) != room.count or (len(marks) and marks.max() > INVENTED):
+        raise UserError(
+            f"{provenance} does not describe the {room.count} Gaussians of {background}; make the background again"
+        )
+    people: list[Avatar] = []
+    if avatars:
+        if body is None:
+            raise UserError(f"{scene} has people, but no body model was given for their motion")
+        skeleton = BodyModel.load(body)
+        people = [read_avatar(ply, npz, skeleton) for ply, npz in zip(gaussians, avatars, strict=True)]
+    for person, ply in zip(people, gaussians):
+        finite(person.gaussians, ply)
+    things = [thing for path in objects for thing in read_objects(path)]
+    for thing in things:
+        finite(thing.gaussians, Path(f"{objects[0]} ({thing.person})"))
+    films = {path.stem: read_path(path)[0] for path in paths}
+    return FinishedScene(scene, read_manifest(manifest), read_model(model.parent), room, marks, people, things, films)
+
+
+def finite(gaussians: Gaussians, source: Path) -> Gaussians:
+    """The Gaussians as given; raises UserError naming ``source`` and the first one that holds a value that is no
+    number. An infinite logit is one: an opacity of 0 or 1."""
+    rows = np.concatenate(
+        [
+            gaussians.means_m,
+            gaussians.quaternions,
+            gaussians.log_scales,
+            gaussians.sh.reshape(gaussians.count, gaussians.sh.shape[1] * 3),
+        ],
+        axis=1,
+    )
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1) | np.isnan(gaussians.logit_opacities))
+    if len(bad):
+        raise UserError(
+            f"{source} holds {len(bad)} Gaussians with a value that is no number (the first is number {bad[0]}); "
+            "other programs would draw nothing at all, so train it again"
+        )
+    return gaussians

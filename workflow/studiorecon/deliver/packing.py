@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers in few bytes, and back: arrays in one run of bytes, each described by what a reader in a browser needs.
+
+Bytes lie in planes (all first bytes of a column, then all second ones), so that what changes slowly along an array
+compresses. ``Bytes`` writes, ``unpacked`` is what the page's own reader (``web/scene.js``) does.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+# A unit quaternion's three smaller numbers are at most this.
+_SMALLER = np.sqrt(0.5)
+_QUATERNION_BITS = 10
+# An even number, so that 0 is one of the levels.
+_STEPS = 1022
+
+
+class Bytes:
+    """Arrays one after the other; every method adds one and returns its description."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+
+    def levels(
+        self,
+        values: np.ndarray,
+        bits: int,
+        low: np.ndarray | float | None = None,
+        high: np.ndarray | float | None = None,
+    ) -> dict[str, Any]:
+        """(N, C) values in 2^bits even steps between ``low`` and ``high``, per column; None takes the column's own."""
+        values = _table(values, np.float64)
+        empty = not len(values)
+        low, high = (
+            np.broadcast_to((0.0 if empty else own(axis=0)) if end is None else end, values.shape[1]).astype(np.float64)
+            for end, own in ((low, values.min), (high, values.max))
+        )
+        steps = (1 << bits) - 1
+        share = (values - low) / np.where(high > low, high - low, 1.0)
+        described = self.whole(np.rint(np.clip(share, 0, 1) * steps).astype(np.uint64), bits)
+        return described | {"low": low.tolist(), "high": high.tolist()}
+
+    def whole(self, values: np.ndarray, bits: int) -> dict[str, Any]:
+        """(N, C) whole numbers below 2^bits, 8 to 32."""
+        values = _table(values, np.uint64)
+        planes = [((values >> np.uint64(shift)) & np.uint64(255)) for shift in range(bits - 8, -1, -8)]
+        raw = np.stack(planes, axis=1).astype(np.uint8).transpose(2, 1, 0).tobytes()
+        return self._add(raw, len(values), values.shape[1], bits)
+
+    def floats(self, values: np.ndarray) -> dict[str, Any]:
+        """(N, C) as float32."""
+        values = _table(values, "<f4")
+        return self._add(values.tobytes(), len(values), values.shape[1], 0)
+
+    def quaternions(self, values: np.ndarray) -> dict[str, Any]:
+        """(N, 4) quaternions of any length, one 32-bit number each: which number is the largest, and the other three,
+        within 0.2 degrees."""
+        values = np.asarray(values, np.float64)
+        length = np.linalg.norm(values, axis=1, keepdims=True)
+        unit = np.where(length < 1e-12, [1.0, 0, 0, 0], values / np.where(length < 1e-12, 1, length))
+        largest = np.abs(unit).argmax(axis=1)
+        unit *= np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1.0, 1.0)
+        packed = largest.astype(np.uint64)
+        for k in range(3):
+            other = (largest + 1 + k) % 4
+            share = unit[np.arange(len(unit)), other] / _SMALLER / 2 + 0.5
+            packed = (packed << np.uint64(_QUATERNION_BITS)) | np.rint(share * _STEPS).astype(np.uint64)
+        return self.whole(packed, 32)
+
+    def file(self, content: bytes) -> dict[str, Any]:
+        """A file as it is: a film, a picture."""
+        return self._add(content, len(content), 1, 8)
+
+    def text(self) -> str:
+        """Everything, compressed, in letters that a page may hold."""
+        return base64.b64encode(gzip.compress(bytes(self.data), 9, mtime=0)).decode("ascii")
+
+    def _add(self, raw: bytes, count: int, columns: int, bits: int) -> dict[str, Any]:
+        self.data += b"\0" * (-len(self.data) % 4)
+        described = {"at": len(self.data), "count": count, "columns": columns, "bits": bits}
+        self.data += raw
+        return described
+
+
+def unpacked(data: bytes, described: Mapping[str, Any]) -> np.ndarray:
+    """(N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of ``floats``."""
+    count, columns, bits = (described[name] for name in ("count", "columns", "bits"))
+    if not bits:
+        return np.frombuffer(data, "<f4", count * columns, described["at"]).reshape(count, columns)
+    raw = np.frombuffer(data, np.uint8, count * columns * bits // 8, described["at"])
+    planes = raw.reshape(columns, bits // 8, count).astype(np.uint64)
+    values = np.zeros((columns, count), np.uint64)
+    for k in range(bits // 8):
+        values = (values << np.uint64(8)) | planes[:, k]
+    if "low" not in described:
+        return values.T
+    low, high = np.array(described["low"]), np.array(described["high"])
+    return low + (high - low) * (values.T / ((1 << bits) - 1))
+
+
+def unpacked_quaternions(data: bytes, described: Mapping[str, Any]) -> np.ndarray:
+    """(N, 4) unit quaternions of ``Bytes.quaternions``."""
+    packed = unpacked(data, described)[:, 0]
+    largest = (packed >> np.uint64(3 * _QUATERNION_BITS)).astype(int)
+    found = np.zeros((len(packed), 4))
+    for k in range(3):
+        part = (packed >> np.uint64((2 - k) * _QUATERNION_BITS)) & np.uint64(1023)
+        found[np.arange(len(found)), (largest + 1 + k) % 4] = (part / _STEPS - 0.5) * 2 * _SMALLER
+    rest = np.sqrt(np.maximum(0, 1 - np.square(found).sum(axis=1)))
+    found[np.arange(len(found)), largest] = rest
+    return found
+
+
+def _table(values: np.ndarray, kind: Any) -> np.ndarray:
+    """(N, C) of values (N, ...); there may be none."""
+    return np.asarray(values, kind).reshape(len(values), int(np.prod(np.shape(values)[1:])))
+
+
+def whole_shares(weights: np.ndarray) -> np.ndarray:
+    """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1: a splat
+    whose shares add up to less is pulled towards the origin of the world."""
+    exact = np.asarray(weights, np.float64) * 255
+    found = np.floor(exact + 1e-9)
+    missing = np.rint(255 - found.sum(axis=1)).astype(int)
+    order = np.argsort(found - exact, axis=1, kind="stable")
+    rank = np.empty_like(order)
+    np.put_along_axis(rank, order, np.arange(exact.shape[1])[None], axis=1)
+    return (found + (rank < missing[:, None])).astype(np.uint8)
+
+
+def along_a_curve(points_m: np.ndarray) -> np.ndarray:
+    """(N,) the order in which points (N, 3) follow one another so that neighbours stay near: Morton's curve."""
+    if not len(points_m):
+        return np.zeros(0, np.int64)
+    low, high = np.percentile(points_m, (1, 99), axis=0)
+    cells = np.clip((points_m - low) / np.maximum(high - low, 1e-9), 0, 1) * 1023
+    code = np.zeros(len(points_m), np.uint64)
+    for axis in range(3):
+        bits = cells[:, axis].astype(np.uint64)
+        for bit in range(10):
+            code |= ((bits >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")

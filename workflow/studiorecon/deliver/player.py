@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``deliver.player``: the 4D scene as one page that moves: opened from disk, without a network, in any browser with
+WebGL2."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.deliver.finished import FinishedScene, read_finished
+from studiorecon.deliver.packing import Bytes
+from studiorecon.deliver.player_data import NEAR_M, described, shade_of
+from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
+from studiorecon.progress import say
+from studiorecon.scene.factors import read_factors
+from studiorecon.scene.files import complete, open_npz, write_text
+from studiorecon.scene.gaussians import concatenate
+from studiorecon.signature import Written
+from studiorecon.splatting.device import rasteriser
+
+# In the order in which they are read: each uses only those before it.
+SCRIPTS = ("scene", "sort", "shaders", "draw", "camera", "play", "link", "panel", "hands")
+# Films of the cameras that lie over the scene are this wide at most; longer ones are told by some photos each.
+FILM_WIDTH, FILM_FRAMES, FILM_BYTES, PHOTOS = 640, 600, 2_500_000, 8
+# A key frame every twelve, so that the slider finds its picture soon.
+_FILM = Codec(
+    "libx264",
+    "rgb24",
+    "yuv420p",
+    {"crf": "30", "preset": "medium", "g": "12", "x264-params": "mbtree=0"},
+    "mp4",
+    {"movflags": "+faststart"},
+)
+_POSTER_WIDTH = 960
+_ALWAYS = ("colours are those of the render before enhancement: the films beside this page have what enhancement adds",)
+
+
+def filmed(
+    held: Bytes, cameras: Sequence[dict[str, Any]], videos: Sequence[Path], frames: int, fps: float
+) -> list[str]:
+    """Adds to each camera what it filmed: its film where all of them fit, else some photos; says in sentences which."""
+    if not videos:
+        return []
+    if frames <= FILM_FRAMES:
+        with tempfile.TemporaryDirectory() as folder:
+            made = [_film(video, Path(folder) / f"{k}.mp4", frames, fps) for k, video in enumerate(videos)]
+        if sum(map(len, made)) <= FILM_BYTES:
+            for camera, film in zip(cameras, made, strict=True):
+                camera["film"] = held.file(film)
+            return []
+    for camera, video in zip(cameras, videos, strict=True):
+        camera["photos"] = [
+            {"frame": int(frame), **held.file(jpeg(narrowed(read_frame(video, int(frame)))))}
+            for frame in evenly_spread(frames, PHOTOS)
+        ]
+    return [
+        f"of what a camera filmed {min(PHOTOS, frames)} of {frames} pictures are here; the nearest in time is shown"
+    ]
+
+
+def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:
+    write_film(path, (narrowed(frame) for frame in read_frames(video, 0, frames)), fps, _FILM)
+    return path.read_bytes()
+
+
+def narrowed(picture: np.ndarray, width: int = FILM_WIDTH) -> np.ndarray:
+    """A picture (H, W, 3) uint8, no wider than ``width``, of even sides, as H.264 asks."""
+    wide = min(picture.shape[1], width)
+    size = max(wide // 2 * 2, 2), max(round(picture.shape[0] * wide / picture.shape[1] / 2) * 2, 2)
+    if size == (picture.shape[1], picture.shape[0]):
+        return picture
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+
+
+def jpeg(picture: np.ndarray, quality: int = 82) -> bytes:
+    """(H, W, 3) uint8 as a JPEG file."""
+    return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[
+        1
+    ].tobytes()
+
+
+def poster_of(scene: FinishedScene) -> np.ndarray:
+    """(H, W, 3) uint8 the scene in the middle of the capture, from the middle of its first film, or its first
+    camera."""
+    steps = next((steps for steps in scene.paths.values() if steps), None)
+    camera = steps[len(steps) // 2].camera if steps else scene.cameras[0]
+    frame = steps[len(steps) // 2].frame if steps else (scene.capture.frames - 1) / 2
+    size = _POSTER_WIDTH, round(_POSTER_WIDTH * camera.wh[1] / camera.wh[0])
+    people, things = ([one.posed(frame) for one in several] for several in (scene.people, scene.things))
+    drawn = rasteriser("cpu", near_m=NEAR_M).forward(concatenate([scene.room, *people, *things]), camera.resized(size))
+    return to_bytes(drawn.rgb)
+
+
+def page_of(title: str, told: dict[str, Any], held: Bytes, poster: bytes, parts: Sequence[Path]) -> str:
+    """The page with everything in it, from its ``parts`` (page.html and the scripts). Nothing of a capture's names is
+    read as a part of the page."""
+    source = {path.stem: path.read_text(encoding="utf-8") for path in parts}
+    page, scripts = source["page"], "\n".join(source[name] for name in SCRIPTS)
+    filled = {
+        "title": html.escape(title),
+        "scene": json.dumps(told, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        "bytes": held.text(),
+        "poster": "data:image/jpeg;base64," + base64.b64encode(poster).decode("ascii"),
+        "scripts": f'(() => {{\n"use strict";\n{scripts}\n}})();',
+    }
+    for name, part in filled.items():
+        before, after = page.split(f"<!--{name}-->")
+        page = before + part + after
+    return page
+
+
+def run(
+    scene: str,
+    manifest: Path,
+    model: Path,
+    background: Path,
+    provenance: Path,
+    gaussians: list[Path],
+    avatars: list[Path],
+    body: Path | None,
+    objects: list[Path],
+    paths: list[Path],
+    videos: list[Path],
+    exposure: list[Path],
+    shade: list[Path],
+    parts: list[Path],
+    page: Written,
+    poster: Written,
+) -> None:
+    """Write the ``page`` and its ``poster``, a JPEG that other pages show; ``videos`` are what the training cameras
+    filmed, ``exposure`` what their pictures are divided by, ``shade`` who darkens the floor when."""
+    finished = read_finished(scene, manifest, model, background, provenance, gaussians, avatars, body, objects, paths)
+    held, factors = Bytes(), read_factors(exposure, finished.capture.frames)
+    shaded = None
+    for path in shade:
+        with open_npz(path) as data:
+            shaded = shade_of(data)
+    told, sentences = described(finished, held, factors, shaded)
+    if shaded is None and finished.people:
+        sentences.append(
+            "nobody throws a shadow here: the survey did not find that shadows move, or what light throws them"
+        )
+    sentences += filmed(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
+    picture = jpeg(poster_of(finished))
+    with complete(poster) as partial:
+        partial.write_bytes(picture)
+    write_text(page, page_of(f"{scene}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts))
+    for sentence in sentences:
+        say(f"player: {sentence}")
+    count = sum(entry["count"] for entry in told["sets"])
+    say(
+        f"the player holds {count} Gaussians, {len(finished.people)} people and {len(finished.things)} things over "
+        f"{finished.capture.frames} frames in {page.stat().st_size / 1e6:.1f} MB: {page}"
+    )

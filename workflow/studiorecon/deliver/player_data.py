@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that the player is told of a scene: Gaussians in few bytes, motion, cameras, films, and what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from studiorecon.deliver.finished import FinishedScene
+from studiorecon.deliver.packing import Bytes, along_a_curve
+from studiorecon.deliver.player_motion import changes, moments, rigid, skeleton, skin
+from studiorecon.geometry import rotations
+from studiorecon.geometry.path import scene_centre
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import Factors
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.path import PathStep
+from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATION_PX2, FRAME_MARGIN
+
+# Bytes of everybody's motion, of colours over time and of shades: beyond, they are told at fewer moments.
+MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
+_POSE_BYTES = 24 * 8 + 12
+# Brightness of a shaded Gaussian, as a multiple of its own.
+_SHADE_MOST = 1.5
+NEAR_M = 0.2
+
+
+@dataclass(frozen=True)
+class Shade:
+    """What people's shadows leave of the light: (M,) indices of the room's Gaussians, (K,) moments, (K, M) factors."""
+
+    at: np.ndarray
+    times: np.ndarray
+    factors: np.ndarray
+
+
+def described(
+    scene: FinishedScene, held: Bytes, exposure: Factors, shade: Shade | None = None
+) -> tuple[dict[str, Any], list[str]]:
+    """What the page reads beside ``held``, which is filled; and sentences: what was left out, or stands for more."""
+    told: list[str] = []
+    frames = scene.capture.frames
+    bodies = max(len(scene.people) + len(scene.things), 1)
+    times = moments(frames, max(2, MOTION_BYTES // (bodies * _POSE_BYTES)))
+    if len(times) < frames and (scene.people or scene.things):
+        told.append(
+            f"motion is told at {len(times)} moments of {frames} frames, between which it is continued "
+            f"({(frames - 1) / (len(times) - 1):.1f} frames)"
+        )
+    room, order = gaussians(held, scene.room, scene.provenance)
+    sets = [{"name": "room", "kind": "room", **room}]
+    if shade is not None and len(shade.at):
+        sets[0]["shade"] = shades(held, shade, order, told)
+    for person in scene.people:
+        own, order = gaussians(held, person.gaussians, person.provenance)
+        own |= {"motion": skeleton(held, person, times)} | skin(held, person.bones[order], person.weights[order])
+        if person.network is not None:
+            places = len(person.network.control.points_m) if person.network.control else 512
+            few = moments(frames, max(2, CHANGES_BYTES // max(len(scene.people), 1) // (8 * places)))
+            own["changes"], off = changes(held, person, order, few)
+            told.append(
+                f"colours of {person.person} that change over time are told at {len(few)} moments and "
+                f"{places} places, within {100 * off:.1f} %"
+            )
+        sets.append({"name": person.person, "kind": "person", **own})
+    for thing in scene.things:
+        own, order = gaussians(held, thing.gaussians, thing.provenance)
+        single = np.zeros((thing.gaussians.count, 1), np.uint8), np.ones((thing.gaussians.count, 1))
+        sets.append(
+            {"name": thing.person, "kind": "thing", **own, "motion": rigid(held, thing, times), **skin(held, *single)}
+        )
+    return {
+        "scene": scene.name,
+        "frames": frames,
+        "fps": scene.capture.fps,
+        "moments": len(times),
+        "sets": sets,
+        "cameras": [camera_json(camera, held, exposure) for camera in scene.cameras],
+        "films": [
+            {"name": name, "steps": held.floats(film_rows(steps))} for name, steps in scene.paths.items() if steps
+        ],
+        "centre": scene_centre(scene.cameras).tolist(),
+        "drawing": {
+            "near": NEAR_M,
+            "dilation": float(DILATION_PX2),
+            "faintest": float(ALPHA_LOG2_MIN),
+            "strongest": float(ALPHA_MAX),
+            "margin": float(FRAME_MARGIN),
+        },
+    }, told
+
+
+def gaussians(held: Bytes, own: Gaussians, provenance: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+    """The Gaussians as the page reads them, and the order (N,) in which they now stand."""
+    order = along_a_curve(own.means_m)
+    own = own.take(order)
+    found = {
+        "count": own.count,
+        "degree": own.sh_degree,
+        "means": held.levels(own.means_m, 24),
+        "quaternions": held.quaternions(own.quaternions),
+        "scales": held.levels(own.log_scales, 16),
+        "opacities": held.levels(scipy.special.expit(own.logit_opacities), 16, 0.0, 1.0),
+        "colours": held.levels(own.sh[:, 0], 16),
+        "provenance": held.whole(np.asarray(provenance)[order], 8),
+    }
+    if own.sh_degree:
+        reach = float(np.abs(own.sh[:, 1:]).max(initial=1e-6))
+        rest = own.sh[:, 1:].reshape(own.count, (own.sh.shape[1] - 1) * 3)
+        found["harmonics"] = held.levels(rest, 8, -reach, reach)
+    return found, order
+
+
+def shades(held: Bytes, shade: Shade, order: np.ndarray, told: list[str]) -> dict[str, Any]:
+    """The room's shade over time, of the Gaussians that ever have some."""
+    some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MOST / 255).any(axis=0)
+    place = np.argsort(order, kind="stable")[shade.at[some]]
+    sorting = np.argsort(place, kind="stable")
+    kept = moments(len(shade.times), max(2, SHADE_BYTES // max(len(place), 1))).round().astype(int)
+    if len(kept) < len(shade.times):
+        told.append(f"shadows are told at {len(kept)} of {len(shade.times)} moments")
+    factors = shade.factors[kept][:, some][:, sorting]
+    return {
+        "at": held.whole(place[sorting], 24),
+        "times": shade.times[kept].tolist(),
+        "factors": held.levels(factors.reshape(-1, 1), 8, 0.0, _SHADE_MOST),
+    }
+
+
+def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any]:
+    """A camera, with what its pictures were brighter by than the scene: one factor, or one a frame."""
+    found = camera.as_json()
+    found = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in found.items()}
+    return found | ({"exposure": held.floats(exposure.of[camera.name])} if camera.name in exposure.of else {})
+
+
+def film_rows(steps: Sequence[PathStep]) -> np.ndarray:
+    """(P, 14) of every picture: size, focal lengths, principal point, turn (w, x, y, z) and centre of its camera, and
+    the frame it shows."""
+    turns = rotations.to_quaternion(np.stack([step.camera.world_from_camera[:3, :3] for step in steps]))
+    rows = [
+        [*step.camera.wh, *step.camera.focal_px, *step.camera.principal_px, *turn, *step.camera.centre_m, step.frame]
+        for step, turn in zip(steps, turns)
+    ]
+    return np.array(rows)
+
+
+def shade_of(arrays: Mapping[str, np.ndarray]) -> Shade:
+    """The shade that ``render/room.shade.npz`` holds."""
+    return Shade(*(np.asarray(arrays[name]) for name in ("at", "times", "factors")))

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves in the player: skeletons, things, and colours that change over time, at even moments of the capture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from studiorecon.body.avatar.control_points import ControlPoints
+from studiorecon.body.avatar.files import Avatar
+from studiorecon.deliver.packing import Bytes, whole_shares
+from studiorecon.geometry import rotations
+from studiorecon.scene.provenance import MEASURED
+from studiorecon.splatting.rigid_object import RigidObject
+
+_BONES = 4
+# A network that is asked at every Gaussian is asked here at so many places of the body.
+_PLACES = 512
+
+
+def moments(frames: int, most: int) -> np.ndarray:
+    """At most ``most`` evenly spread times of the capture, both ends among them: all frames where they fit."""
+    return np.linspace(0, frames - 1, max(min(frames, most), 1)) if frames > 1 else np.zeros(1)
+
+
+def skeleton(held: Bytes, person: Avatar, times: np.ndarray) -> dict[str, Any]:
+    """A person's joints at rest and their turns at ``times`` (K,): 16 bits a number, 0.002 degrees."""
+    poses, roots_m = zip(*(person.pose_at(float(time)) for time in times))
+    turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(-1, 24, 3)))
+    # The same turn from one moment to the next: what changes slowly compresses.
+    flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
+    turns[1:] *= flips[..., None]
+    return {
+        "rest": held.floats(person.model.rest_joints(person.betas)),
+        "parents": [int(parent) for parent in person.model.parents],
+        "turns": held.levels(turns.reshape(len(times), 96), 16, -1.0, 1.0),
+        "places": held.floats(np.array(roots_m)),
+        "valid": held.whole(person.valid.astype(np.uint8), 8),
+    }
+
+
+def rigid(held: Bytes, thing: RigidObject, times: np.ndarray) -> dict[str, Any]:
+    """A thing's places and turns at ``times`` (K,), and in which of them it is somewhere."""
+    there = [thing.centre_at(float(time)) for time in times]
+    turns = rotations.to_quaternion(np.stack([thing.turn_at(float(time)) for time in times]))
+    return {
+        "rest": held.floats(np.zeros((1, 3))),
+        "parents": [-1],
+        "turns": held.levels(turns, 16, -1.0, 1.0),
+        "places": held.floats(np.array([np.zeros(3) if place is None else place for place in there])),
+        "present": held.whole(np.array([place is not None for place in there], np.uint8), 8),
+        "valid": held.whole(thing.valid.astype(np.uint8), 8),
+    }
+
+
+def skin(held: Bytes, bones: np.ndarray, weights: np.ndarray) -> dict[str, Any]:
+    """The four bones (N, 4) that carry each Gaussian most, and their shares, which add up to exactly one."""
+    count, given = weights.shape
+    if given < _BONES:
+        bones = np.concatenate([bones, np.zeros((count, _BONES - given), bones.dtype)], axis=1)
+        weights = np.concatenate([weights, np.zeros((count, _BONES - given))], axis=1)
+    strongest = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
+    kept = np.take_along_axis(np.asarray(weights, np.float64), strongest, axis=1)
+    shares = whole_shares(kept / kept.sum(axis=1, keepdims=True))
+    return {"bones": held.whole(np.take_along_axis(bones, strongest, 1), 8), "shares": held.whole(shares, 8)}
+
+
+def changes(held: Bytes, person: Avatar, order: np.ndarray, times: np.ndarray) -> tuple[dict[str, Any], float]:
+    """What a person's network adds to colour and logit at ``times`` (K,), as values of some places of the body that
+    the Gaussians in ``order`` listen to; and the largest colour, in 0..1, by which that is off in the middle of the
+    capture."""
+    network, seen = person.network, person.provenance == MEASURED
+    assert network is not None
+    means = person.gaussians.means_m[seen]
+    own = network if network.control else replace(network, control=ControlPoints.on(means, _PLACES))
+    control = own.control
+    assert control is not None
+
+    values = np.stack([own.at_points(float(time)) for time in times])
+    near = np.zeros((person.gaussians.count, 4), np.uint16)
+    shares = np.zeros((person.gaussians.count, 4))
+    near[seen], shares[seen] = control.near, control.shares
+    shares[~seen, 0] = 1.0
+    # Gaussians that no camera measured listen to one more place, where nothing ever changes.
+    near[~seen] = len(control.points_m)
+    values = np.concatenate([values, np.zeros((len(times), 1, 4), values.dtype)], axis=1)
+    middle = float(times[len(times) // 2])
+    exact, _ = network.residuals(means, middle)
+    spread = control.spread(np.ascontiguousarray(values[len(times) // 2, :-1]))[:, :3]
+    return {
+        "moments": len(times),
+        "near": held.whole(near[order], 16),
+        "shares": held.whole(whole_shares(shares[order]), 8),
+        "values": held.levels(values.reshape(len(times), -1), 16, float(values.min()), float(values.max())),
+    }, float(np.abs(exact - spread).max()) * 0.28209479177387814

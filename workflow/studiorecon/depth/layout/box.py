@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From votes to a room: the most voted wall on each side, its place to the centimetre, and the planes worth trying
+inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.scene.room import RoomBox
+
+# Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
+_SAME_SURFACE = 0.2
+_LEAST_VOTERS = 30
+# Walls with this share of the best one's votes are its rivals; the window that decides spans a tenth of the picture's
+# width.
+_RIVAL_SHARE, _MOST_RIVALS = 0.2, 6
+_WIDE_SHARE = 20
+
+
+@dataclass(frozen=True)
+class Votes:
+    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
+
+    planes: np.ndarray
+    chosen: Sequence[np.ndarray]
+    confident: Sequence[np.ndarray]
+
+    def count(self) -> np.ndarray:
+        """(L,) confident pixels per plane, over all pictures."""
+        return sum(np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
+
+    def voters(self, normal: np.ndarray, offset: float, reach_m: float) -> list[np.ndarray]:
+        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of
+        ``offset``."""
+        near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
+        return [m & near[c] for c, m in zip(self.chosen, self.confident)]
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How planes are compared when they are placed: window in pixels, weight of the mean difference, depth range in
+    metres."""
+
+    window: int
+    mean_weight: float
+    near_m: float
+    far_m: float
+
+
+def plane_support(
+    pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, how: Matching
+) -> tuple[float, int]:
+    """Mean score of a plane over the pixels that voted for it (all pairs that see it), and how many comparisons that
+    is."""
+    total, count = 0.0, 0
+    for i, picture in enumerate(pictures):
+        if voters[i].sum() < _LEAST_VOTERS:
+            continue
+        for j, other in enumerate(pictures):
+            if i == j:
+                continue
+            score = picture.score(other, plane, how.window, how.mean_weight, how.near_m, how.far_m)[voters[i]]
+            score = score[score > _SAME_SURFACE]
+            total, count = total + float(score.sum(dtype=np.float64)), count + len(score)
+    return total / max(count, 1), count
+
+
+def place_plane(
+    pictures: Sequence[Picture],
+    voters: Sequence[np.ndarray],
+    normal: np.ndarray,
+    offset: float,
+    span_m: float,
+    step_m: float,
+    how: Matching,
+) -> tuple[float, float]:
+    """The offset near ``offset`` at which the voters' pictures agree best (parabola through the best three), and that
+    score."""
+    tried = offset + np.arange(-round(span_m / step_m), round(span_m / step_m) + 1) * step_m
+    support = [plane_support(pictures, voters, np.array([*normal, o]), how) for o in tried]
+    # Comparisons are lost at the wrong offset, so the mean alone would reward a plane that few pixels still match.
+    most = max(count for _, count in support)
+    if most < _LEAST_VOTERS:
+        return offset, float("nan")
+    value = np.array([mean * np.sqrt(count / most) for mean, count in support])
+    best = int(value.argmax())
+    shift = 0.0
+    if 0 < best < len(value) - 1:
+        before, at, after = value[best - 1 : best + 2]
+        bend = before - 2 * at + after
+        shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(tried[best] + shift * step_m), float(support[best][0])
+
+
+def turned_offset(
+    pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, normal: np.ndarray, how: Matching
+) -> float:
+    """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
+    points = [
+        p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
+        for p, v in zip(pictures, voters)
+    ]
+    points = np.concatenate(points)
+    return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
+
+
+def strong_offsets(
+    planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float
+) -> list[float]:
+    """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first; none below
+    ``least_votes``.
+
+    Local maxima of the votes of three neighbouring planes, down to a share of the best one's.
+    """
+    parallel = np.flatnonzero((planes[:, :3] @ normal > 0.999) & (side * (planes[:, 3] - beyond) > 0))
+    if not len(parallel):
+        return []
+    parallel = parallel[np.argsort(planes[parallel, 3], kind="stable")]
+    count = votes[parallel].astype(np.float64)
+    around = np.convolve(count, np.ones(3), mode="same")
+    padded = np.pad(around, 1, constant_values=-1)
+    peaks = np.flatnonzero(
+        (around > padded[:-2]) & (around >= padded[2:]) & (around >= max(least_votes, _RIVAL_SHARE * around.max()))
+    )
+    offsets = []
+    for peak in peaks[np.argsort(-around[peaks], kind="stable")][:_MOST_RIVALS]:
+        span = slice(max(peak - 1, 0), peak + 2)
+        offsets.append(float((planes[parallel, 3][span] * count[span]).sum() / count[span].sum()))
+    return offsets
+
+
+def decide_face(
+    pictures: Sequence[Picture],
+    votes: Votes,
+    normal: np.ndarray,
+    offsets: Sequence[float],
+    beyond: float,
+    side: int,
+    how: Matching,
+) -> float:
+    """Which of several strong walls on one side explains the pixels of all of them best, seen through a wide window.
+
+    A striped wallpaper correlates with itself a period further, and gathers votes there; in a window wide enough to
+    hold a picture or a door frame it no longer does. Neither the most voted nor the outermost plane is safe.
+    """
+    if len(offsets) == 1:
+        return offsets[0]
+    rivals = (votes.planes[:, :3] @ normal > 0.999) & (side * (votes.planes[:, 3] - beyond) > 0)
+    pixels = [m & rivals[c] for c, m in zip(votes.chosen, votes.confident)]
+    wide = 2 * (max(p.camera.wh[0] for p in pictures) // _WIDE_SHARE) + 1
+    explained = []
+    for k, offset in enumerate(offsets):
+        voters = votes.voters(normal, offset, 0.1)
+        offsets = [*offsets[:k], place_plane(pictures, voters, normal, offset, 0.06, 0.02, how)[0], *offsets[k + 1 :]]
+        plane, total = np.array([*normal, offsets[k]]), 0.0
+        for i, picture in enumerate(pictures):
+            others = [
+                picture.score(o, plane, wide, how.mean_weight, how.near_m, how.far_m)
+                for j, o in enumerate(pictures)
+                if j != i
+            ]
+            total += float(np.clip(np.max(others, axis=0)[pixels[i]], 0, 1).sum(dtype=np.float64))
+        explained.append(total)
+    return offsets[int(np.argmax(explained))]
+
+
+def refine_yaw(
+    pictures: Sequence[Picture],
+    walls: Sequence[tuple[np.ndarray, list[np.ndarray]]],
+    span_rad: float,
+    step_rad: float,
+    how: Matching,
+) -> float:
+    """Turn (radians) of all walls, each a plane (4,) and per picture the (H, W) pixels that look at it, that matches
+    best; 0 without walls.
+
+    Every wall turns about the middle of what is seen of it.
+    """
+    turns = np.arange(-round(span_rad / step_rad), round(span_rad / step_rad) + 1) * step_rad
+    value = np.zeros(len(turns))
+    for plane, pixels in walls:
+        if sum(int(p.sum()) for p in pixels) < _LEAST_VOTERS:
+            continue
+        for k, turn in enumerate(turns):
+            c, s = np.cos(turn), np.sin(turn)
+            turned = np.array([c * plane[0] - s * plane[1], s * plane[0] + c * plane[1], 0.0])
+            mean, count = plane_support(
+                pictures, pixels, np.array([*turned, turned_offset(pictures, pixels, plane, turned, how)]), how
+            )
+            value[k] += mean * count
+    return float(turns[int(value.argmax())]) if value.any() else 0.0
+
+
+def candidates(planes: np.ndarray, votes: np.ndarray, shell: RoomBox, most: int, least_votes: int) -> np.ndarray:
+    """(K, 4) the shell's six faces, then the most voted planes inside it that are not near-copies of one another."""
+    chosen = list(shell.faces)
+    for k in np.argsort(-votes, kind="stable"):
+        if votes[k] < least_votes or len(chosen) >= most + 6:
+            break
+        plane = planes[k]
+        apart = 0.06 if abs(plane[2]) > 0.5 else 0.1
+        if all(plane[:3] @ other[:3] < 0.999 or abs(plane[3] - other[3]) > apart for other in chosen):
+            chosen.append(plane)
+    return np.array(chosen)

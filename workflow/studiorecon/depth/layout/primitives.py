@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Furniture as a few convex solids: upright boxes and upright cylinders, and where a camera's rays meet them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import read_json, write_json
+
+KINDS = ("box", "cylinder")
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """One upright convex body.
+
+    Attributes:
+        kind: one of ``KINDS``.
+        centre_m: (2,) x and y of its axis in the world.
+        yaw_rad: direction of its first side; 0 for a cylinder.
+        size_m: (2,) lengths along and across that direction; twice the radius, twice, for a cylinder.
+        low_m: height of its foot.
+        high_m: height of its top.
+        evidence: how many pixels' worth of disagreement between the photos it removes, at the width it was fitted at.
+    """
+
+    kind: str
+    centre_m: tuple[float, float]
+    yaw_rad: float
+    size_m: tuple[float, float]
+    low_m: float
+    high_m: float
+    evidence: float
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(8,) kind, x, y, yaw, both sizes, foot, top: what the kernels take."""
+        return np.array(
+            [KINDS.index(self.kind), *self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64
+        )
+
+    @staticmethod
+    def from_numbers(numbers: np.ndarray, evidence: float) -> Primitive:
+        kind, x, y, yaw, along, across, low, high = (float(n) for n in numbers)
+        return Primitive(KINDS[int(kind)], (x, y), yaw, (along, across), low, high, evidence)
+
+    def depth(self, camera: Camera) -> np.ndarray:
+        """(H, W) z-depth at which a camera's rays enter the solid; 0 where they miss it."""
+        origin, rays = camera.rays()
+        depth_m = np.zeros(camera.hw)
+        _meet(self.numbers, origin, rays.reshape(-1, 3), depth_m.reshape(-1))
+        return depth_m
+
+
+def in_front(solids: Sequence[Primitive], camera: Camera, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) with every solid that stands before it, in the type of ``depth_m``, and (H, W) bool: a solid is what
+    is seen.
+
+    Unknown depth (0) is taken to be behind.
+    """
+    nearest = np.where(depth_m > 0, depth_m, np.inf)
+    shown = np.zeros(depth_m.shape, bool)
+    for solid in solids:
+        entered = solid.depth(camera)
+        before = (entered > 0) & (entered < nearest)
+        nearest, shown = np.where(before, entered, nearest), shown | before
+    return np.where(np.isfinite(nearest), nearest, 0).astype(depth_m.dtype), shown
+
+
+def write_primitives(path: Path, solids: Sequence[Primitive]) -> None:
+    """Write ``depth/primitives.json``: the solids in the order they were found."""
+    write_json(path, {"solids": [dict(vars(solid)) for solid in solids]})
+
+
+def read_primitives(path: Path) -> list[Primitive]:
+    """Read ``depth/primitives.json``; raises UserError when it is missing or not JSON."""
+    found = []
+    for value in read_json(path)["solids"]:
+        value["centre_m"], value["size_m"] = tuple(value["centre_m"]), tuple(value["size_m"])
+        found.append(Primitive(**value))
+    return found
+
+
+@njit(cache=True)
+def _meet(solid, origin, rays, depth_m):
+    normal = np.zeros(3)
+    for i in range(len(rays)):
+        depth_m[i] = max(enter(solid, origin, rays[i], normal), 0.0)
+
+
+@njit(cache=True)
+def enter(solid, origin, ray, normal):
+    """Length along ``ray`` (3,) at which it enters a solid (8,), -1 when it misses; fills the outward ``normal`` (3,)
+    there.
+
+    A ray that starts inside misses: a camera inside a piece of furniture sees the room, not the furniture.
+    """
+    c, s = np.cos(solid[3]), np.sin(solid[3])
+    x, y = origin[0] - solid[1], origin[1] - solid[2]
+    ou, ov = c * x + s * y, c * y - s * x
+    du, dv = c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]
+    near, far = -np.inf, np.inf
+    nu, nv, nz = 0.0, 0.0, 0.0
+    if solid[0] == 0:
+        for axis in range(2):
+            o, d, half = (ou, du, solid[4] / 2) if axis == 0 else (ov, dv, solid[5] / 2)
+            if abs(d) < 1e-12:
+                if abs(o) > half:
+                    return -1.0
+                continue
+            a, b = (-half - o) / d, (half - o) / d
+            if min(a, b) > near:
+                near = min(a, b)
+                nu, nv = (-np.sign(d), 0.0) if axis == 0 else (0.0, -np.sign(d))
+            far = min(far, max(a, b))
+    else:
+        radius = solid[4] / 2
+        a = du * du + dv * dv
+        b = ou * du + ov * dv
+        q = ou * ou + ov * ov - radius * radius
+        if a < 1e-12:
+            if q > 0:
+                return -1.0
+        else:
+            inner = b * b - a * q
+            if inner <= 0:
+                return -1.0
+            root = np.sqrt(inner)
+            near, far = (-b - root) / a, (-b + root) / a
+            nu, nv = (ou + near * du) / radius, (ov + near * dv) / radius
+    if abs(ray[2]) < 1e-12:
+        if origin[2] < solid[6] or origin[2] > solid[7]:
+            return -1.0
+    else:
+        a, b = (solid[6] - origin[2]) / ray[2], (solid[7] - origin[2]) / ray[2]
+        if min(a, b) > near:
+            near = min(a, b)
+            nu, nv, nz = 0.0, 0.0, -np.sign(ray[2])
+        far = min(far, max(a, b))
+    if near >= far or near <= 0:
+        return -1.0
+    normal[0], normal[1], normal[2] = c * nu - s * nv, s * nu + c * nv, nz
+    return near

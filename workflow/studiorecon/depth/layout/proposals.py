@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where furniture may stand: rectangles of table tops in plan and of fronts in elevation that match better than what is
+behind them.
+
+The photos are laid on every horizontal and upright plane inside the room (orthographic, a few centimetres a cell), each
+pair of cameras is correlated there, and what the present explanation of the same pixels already achieves is taken off.
+Rectangles of the largest sum are the tops and fronts of boxes to try.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import cv2
+import numpy as np
+
+from studiorecon.depth.stereo.evidence import Explained
+from studiorecon.depth.stereo.kernels import UNSEEN
+from studiorecon.scene.room import RoomBox
+
+_CELL_M = 0.06
+_WINDOW = 5
+_TOPS_M = np.arange(0.12, 1.35, 0.03)
+_FRONT_STEP_M, _FRONT_HEIGHT_M = 0.06, 2.2
+# Sides of the rectangles that are tried, metres; yaws of tops against the walls, radians.
+_SIDES_M = (0.24, 0.36, 0.6, 0.9, 1.4, 2.1)
+_YAWS_RAD = np.radians([0, 22.5, 45, 67.5])
+_FLAT_VARIANCE = 4e-4
+# Cells of a rectangle count from this sum on; overlapping ones are one; the best so many of every plane go on.
+_LEAST_SUM, _OVERLAP, _PER_PLANE = 6.0, 0.5, 3
+_DEPTHS_M = (0.25, 0.45, 0.8)
+_TO_WALL_M = 1.0
+# How far outside the cameras furniture is looked for where there is no wall.
+_REACH_M = 2.5
+_SLAB_M = 0.06
+_LEAST_AREA, _LEAST_ON_FLOOR = 40, 4
+
+
+def advantage(room: Explained, points_m: np.ndarray, outward: np.ndarray) -> np.ndarray:
+    """(A, B) float32: by how much more the best pair of cameras agrees on a grid of surface points (A, B, 3) than on
+    what they show now.
+
+    Only cameras on the side that ``outward`` (3,) points to take part; 0 where no two see the point.
+    """
+    colours, agreed, inside = [], [], []
+    cost = np.where(room.cost > 0, room.cost, np.where(room.known, room.cost, UNSEEN))
+    for v in range(len(room.known)):
+        if (room.centre[v] - points_m[0, 0]) @ outward < 0.05:
+            continue
+        local = points_m @ room.pose[v, :, :3].T + room.pose[v, :, 3]
+        z = np.maximum(local[..., 2], 1e-6)
+        pixels = (local[..., :2] / z[..., None] * room.lens[v, :2] + room.lens[v, 2:] - 0.5).astype(np.float32)
+        seen = cv2.remap(room.known[v].astype(np.uint8), pixels, None, cv2.INTER_NEAREST, borderValue=0).astype(
+            bool
+        ) & (local[..., 2] > 0.1)
+        inside.append(seen)
+        colours.append(cv2.remap(room.rgb[v], pixels, None, cv2.INTER_LINEAR))
+        agreed.append(1 - cv2.remap(cost[v], pixels, None, cv2.INTER_LINEAR))
+    best = np.zeros(points_m.shape[:2], np.float32)
+    mean = [cv2.blur(c, (_WINDOW, _WINDOW)) for c in colours]
+    variance = [
+        np.maximum((cv2.blur(c * c, (_WINDOW, _WINDOW)) - m * m).sum(axis=-1), 0) for c, m in zip(colours, mean)
+    ]
+    for i in range(len(colours)):
+        for j in range(i):
+            covariance = (cv2.blur(colours[i] * colours[j], (_WINDOW, _WINDOW)) - mean[i] * mean[j]).sum(axis=-1)
+            score = (covariance + _FLAT_VARIANCE) / np.sqrt(
+                (variance[i] + _FLAT_VARIANCE) * (variance[j] + _FLAT_VARIANCE)
+            )
+            score -= room.mean_weight * np.minimum(np.abs(mean[i] - mean[j]).sum(axis=-1), 0.6)
+            more = np.maximum(score, -0.2) - (agreed[i] + agreed[j]) / 2
+            best = np.where(inside[i] & inside[j], np.where(best == 0, more, np.maximum(best, more)), best)
+    return best
+
+
+def rectangles(value: np.ndarray, sides: tuple[int, ...], standing: bool) -> list[tuple[float, int, int, int, int]]:
+    """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``standing`` ones start at
+    row 0."""
+    total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
+    found = []
+    for rows, columns in product(sides, sides):
+        if rows >= value.shape[0] or columns >= value.shape[1]:
+            continue
+        sums = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
+        if standing:
+            sums = sums[:1]
+        if sums.max() < _LEAST_SUM:
+            continue
+        sums = np.ascontiguousarray(sums, np.float32)
+        peaks = (sums >= _LEAST_SUM) & (sums >= cv2.dilate(sums, np.ones((7, 7), np.uint8)))
+        found += [(float(sums[y, x]), int(y), int(x), rows, columns) for y, x in np.argwhere(peaks)]
+    found.sort(reverse=True)
+    kept: list[tuple[float, int, int, int, int]] = []
+    for one in found:
+        if len(kept) == _PER_PLANE:
+            break
+        if all(_overlap(one, other) < _OVERLAP for other in kept):
+            kept.append(one)
+    return kept
+
+
+def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int, int, int]) -> float:
+    """Intersection over union."""
+    _, top, left, rows, columns = one
+    _, y, x, height, width = other
+    shared = max(min(top + rows, y + height) - max(top, y), 0) * max(min(left + columns, x + width) - max(left, x), 0)
+    return shared / (rows * columns + height * width - shared)
+
+
+def ground(room: Explained, shell: RoomBox) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) least and (3,) greatest coordinates along the shell's axes between which furniture is looked for.
+
+    That is the room; where a wall is a default, as far as furniture can be told from two cameras.
+    """
+    centres = room.centre @ shell.axes.T
+    fitted = shell.fitted.reshape(3, 2)
+    low = np.where(fitted[:, 0], shell.low_m, np.maximum(shell.low_m, centres.min(axis=0) - _REACH_M))
+    high = np.where(fitted[:, 1], shell.high_m, np.minimum(shell.high_m, centres.max(axis=0) + _REACH_M))
+    return low, high
+
+
+def tops(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(sum, solid (8,)) of boxes and slabs under every rectangle in plan that matches."""
+    low_m, high_m = ground(room, shell)
+    middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
+    sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
+    # One square map, so that it can be turned about its middle.
+    half = int(np.hypot(*size) / 2 / _CELL_M) + 1
+    along = np.arange(-half, half + 1) * _CELL_M
+    u, v = np.meshgrid(along, along, indexing="ij")
+    within = (np.abs(u) < size[0] / 2) & (np.abs(v) < size[1] / 2)
+    for height in _TOPS_M:
+        points = (
+            np.stack([middle[0] + u, middle[1] + v, np.full(u.shape, shell.low_m[2] + height)], axis=-1) @ shell.axes
+        )
+        value = np.where(within, advantage(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-0.5))
+        for yaw in _YAWS_RAD:
+            turned = cv2.warpAffine(
+                value, cv2.getRotationMatrix2D((half, half), -np.degrees(yaw), 1.0), value.shape, borderValue=-0.5
+            )
+            c, s = np.cos(yaw), np.sin(yaw)
+            for total, top, left, rows, columns in rectangles(turned, sides, standing=False):
+                a, b = (top + (rows - 1) / 2 - half) * _CELL_M, (left + (columns - 1) / 2 - half) * _CELL_M
+                at = np.array([middle[0] + c * a - s * b, middle[1] + s * a + c * b, 0]) @ shell.axes
+                for low in (0.0, height - _SLAB_M):
+                    yield (
+                        total,
+                        np.array(
+                            [
+                                0,
+                                at[0],
+                                at[1],
+                                shell.yaw_rad + yaw,
+                                rows * _CELL_M,
+                                columns * _CELL_M,
+                                shell.low_m[2] + low,
+                                shell.low_m[2] + height,
+                            ]
+                        ),
+                    )
+
+
+def fronts(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(sum, solid (8,)) of boxes behind every rectangle in elevation that matches."""
+    low_m, high_m = ground(room, shell)
+    sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
+    heights = shell.low_m[2] + np.arange(_CELL_M / 2, min(_FRONT_HEIGHT_M, shell.high_m[2] - shell.low_m[2]), _CELL_M)
+    for axis, side in product((0, 1), (-1, 1)):
+        other = 1 - axis
+        along = np.arange(low_m[other] + _CELL_M / 2, high_m[other], _CELL_M)
+        outward = side * shell.axes[axis]
+        wall = shell.low_m[axis] if side > 0 else shell.high_m[axis]
+        for offset in np.arange(low_m[axis] + _FRONT_STEP_M, high_m[axis], _FRONT_STEP_M):
+            local = np.zeros((len(heights), len(along), 3))
+            local[..., axis], local[..., other], local[..., 2] = offset, along, heights[:, None]
+            value = advantage(room, local @ shell.axes, outward)
+            back = abs(offset - wall)
+            for total, _, left, rows, columns in rectangles(value, sides, standing=True):
+                for depth in (
+                    (back,) if back <= _DEPTHS_M[0] else ((back, *_DEPTHS_M) if back <= _TO_WALL_M else _DEPTHS_M)
+                ):
+                    at, size = np.zeros(3), np.zeros(2)
+                    at[axis], at[other] = offset - side * depth / 2, along[left] + (columns - 1) / 2 * _CELL_M
+                    size[axis], size[other] = depth, columns * _CELL_M
+                    at = at @ shell.axes
+                    yield (
+                        total,
+                        np.array(
+                            [0, at[0], at[1], shell.yaw_rad, *size, shell.low_m[2], shell.low_m[2] + rows * _CELL_M]
+                        ),
+                    )
+
+
+def standing(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(area, solid (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
+    point."""
+    for v in range(len(room.known)):
+        alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
+        unlike = cv2.morphologyEx(
+            (alone & (room.odds[v] > 0.2)).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
+        )
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=4)
+        for k in range(1, count):
+            left, top, columns, rows, area = stats[k]
+            if area < _LEAST_AREA or (room.surface[v][labels == k] == 4).sum() < _LEAST_ON_FLOOR:
+                continue
+            bottom = top + rows - 1
+            feet = np.flatnonzero((labels[bottom - max(rows // 12, 1) : bottom + 1] == k).any(axis=0))
+            widths = (labels == k).sum(axis=1)[top : bottom + 1]
+            for column, width in product((feet.mean(), left + columns / 2), (np.median(widths), widths.max())):
+                fx, fy, cx, cy = room.lens[v]
+                ray = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (bottom + 1 - cy) / fy, 1.0])
+                if ray[2] >= 0:
+                    continue
+                z = (shell.low_m[2] - room.centre[v, 2]) / ray[2]
+                side = width * z / fx
+                ahead = ray[:2] / np.linalg.norm(ray[:2])
+                at = room.centre[v, :2] + z * ray[:2] + ahead * side / 2
+                over = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (top - cy) / fy, 1.0])
+                high = shell.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], shell.high_m[2])
+                yield float(area), np.array([1, *at, 0, side, side, shell.low_m[2], high])
+                yield float(area), np.array([0, *at, shell.yaw_rad, side, side, shell.low_m[2], high])

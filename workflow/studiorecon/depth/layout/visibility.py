@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Space that people show to be free: where their joints were, and between a camera and what it saw of them.
+
+A photo that shows somebody tells that nothing stands in between, which no agreement of colours can overrule: where
+cameras share little, a large box around everything agrees with more pixels than an empty room does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections, Person
+
+_CELL_M, _CLEARANCE_M = 0.2, 0.05
+# A line of sight is a point every so often; of the points in one cell one stays, where it was: rounded, lines would cut
+# corners of tables.
+_LINE_CELL_M, _LINE_STEP_M = 0.1, 0.05
+# Keypoints this sure count; a line ends this far before the joint that it leads to, which may lie on a seat or behind a
+# sleeve.
+_CONFIDENCE, _BEFORE_M = 0.5, 0.3
+# A keypoint belongs to the joint that is projected nearest, within this share of the picture's longer side.
+_NEAR_SHARE = 0.03
+# Detectors guess hidden joints now and then: so many lines must cross a place.
+_LEAST_LINES = 3
+
+
+def walked(people: Sequence[Person]) -> np.ndarray:
+    """(M, 4) places, 20 cm apart along an axis, where a joint of somebody was measured at some time, and 5 cm to keep
+    from it."""
+    places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
+    return kept_from(
+        np.unique(np.round(places[np.isfinite(places).all(axis=1)] / _CELL_M), axis=0) * _CELL_M, _CLEARANCE_M
+    )
+
+
+def kept_from(places_m: np.ndarray, distance_m: float) -> np.ndarray:
+    """(M, 4): places (M, 3) and the distance that solids keep from each."""
+    return np.column_stack([places_m, np.full(len(places_m), distance_m)])
+
+
+def seen_through(
+    cameras: Sequence[Camera],
+    people: Sequence[Person],
+    found: Sequence[Detections],
+    whose: Mapping[tuple[str, int], str],
+) -> np.ndarray:
+    """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may
+    graze a solid.
+
+    ``found`` are detections of any of the cameras in their working pixels, ``whose`` names the person of (camera,
+    track).
+    """
+    bodies, views = {person.name: person for person in people}, {camera.name: camera for camera in cameras}
+    lines: list[np.ndarray] = [np.zeros((0, 3))]
+    for detections in found:
+        camera = views.get(detections.camera)
+        if camera is None:
+            continue
+        for frame, track, keypoints in zip(detections.frame, detections.track, detections.keypoints):
+            body = bodies.get(whose.get((detections.camera, int(track)), ""))
+            if body is None or not body.valid[int(frame)]:
+                continue
+            lines += [
+                _along(camera.centre_m, target) for target in _sighted(camera, keypoints, body.joints[int(frame)])
+            ]
+    points = np.concatenate(lines)
+    _, first, count = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_counts=True)
+    return kept_from(points[first[count >= _LEAST_LINES]], 0.0)
+
+
+def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
+    """(S, 3) joints (24, 3) that one of the sure keypoints (K, 3: x, y, confidence) shows."""
+    sure = keypoints[(keypoints[:, 2] >= _CONFIDENCE) & np.isfinite(keypoints).all(axis=1), :2]
+    pixels, z = camera.project(joints_m)
+    usable = np.isfinite(pixels).all(axis=1) & (z > 0)
+    if not len(sure) or not usable.any():
+        return np.zeros((0, 3))
+    apart = np.linalg.norm(np.where(usable[:, None], pixels, np.inf)[None] - sure[:, None], axis=-1)
+    nearest = apart.argmin(axis=1)
+    return joints_m[np.unique(nearest[apart.min(axis=1) <= _NEAR_SHARE * max(camera.wh)])]
+
+
+def _along(centre_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
+    """(L, 3) points from a camera to a little before a joint, one per cell of the line."""
+    length = float(np.linalg.norm(target_m - centre_m)) - _BEFORE_M
+    if length <= 0:
+        return np.zeros((0, 3))
+    points = centre_m + np.arange(0.0, length, _LINE_STEP_M)[:, None] / (length + _BEFORE_M) * (target_m - centre_m)
+    _, first = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True)
+    return points[np.sort(first)]

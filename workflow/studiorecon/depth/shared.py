@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studiorecon.configuration.setting import setting
+
+
+@dataclass(frozen=True)
+class Near:
+    """z-depth in metres nearer than which no surface is looked for."""
+
+    near_m: float = 0.3
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """Confidence of pixels that rest on a default wall is at or below this, measured ones lie above: a share of 1, not
+    a logit (U23)."""
+
+    default_confidence: float = 0.2
+
+
+@dataclass(frozen=True)
+class Matching(Near):
+    """How planes are compared with the pictures; ``mean_weight`` is the cost of a difference of mean colour beside
+    correlation."""
+
+    far_m: float = setting(
+        14.0,
+        "z-depth beyond which no surface is looked for; default walls of an open place stand this far beyond the "
+        "cameras.",
+        unit="m",
+        above=0,
+    )
+    window: int = setting(7, "Side of the square matching window.", unit="px", minimum=3, maximum=31, odd=True)
+    mean_weight: float = 1.5
+
+
+@dataclass(frozen=True)
+class FirstLook:
+    """The size of the first look."""
+
+    sweep_width: int = setting(
+        240,
+        "Width of the first look at every plane; planes are then evaluated at the working size.",
+        unit="px",
+        minimum=32,
+        maximum=4096,
+        paper="Pi3 for the first frame, MoGe later; U21",
+    )

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a room with solids in it explains all photos at once: the cost of every pixel of every view, and what one
+solid more changes.
+
+A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
+correlation over the pixels of one surface). So a solid is paid for by its faces that match and by wrong matches behind
+it that it hides, and it pays for everything true that it would hide. What no other camera sees of it wins nothing by
+matching; colours unlike the wall behind may extend what is matched elsewhere (``colour_odds``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, gains
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.scene.room import RoomBox
+
+# A face of the shell whose pixels match this well, and so many of them, say what its colours are.
+_LIKE_FACE, _LEAST_FACE = 0.4, 100
+
+
+@dataclass
+class Explained:
+    """All views as the present solids explain them; arrays are (V, H, W), padded to the largest picture.
+
+    Attributes:
+        lens: (V, 4) focal lengths and principal point, pixels. pose: (V, 3, 4) camera_from_world. centre: (V, 3)
+            metres.
+        rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
+        pair: (V, V, H, W) cost of the surface in another camera, -1 where they cannot be compared.
+        at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
+        cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
+        judges: how many other cameras see its surface.
+        half, mean_weight: half a window in pixels, price of a difference of means.
+        bare: depth and surface of the shell alone.
+        odds: ``colour_odds`` of the shell alone.
+        solids: (K, 8) those added so far.
+    """
+
+    lens: np.ndarray
+    pose: np.ndarray
+    centre: np.ndarray
+    rgb: np.ndarray
+    known: np.ndarray
+    depth: np.ndarray
+    surface: np.ndarray
+    pair: np.ndarray
+    at: np.ndarray
+    z: np.ndarray
+    cost: np.ndarray
+    judges: np.ndarray
+    half: int
+    mean_weight: float
+    bare: tuple[np.ndarray, np.ndarray]
+    odds: np.ndarray
+    solids: np.ndarray
+
+    @staticmethod
+    def by_shell(pictures: Sequence[Picture], shell: RoomBox, window: int, mean_weight: float) -> Explained:
+        """The empty room: every pixel on the shell."""
+        count = len(pictures)
+        height, width = np.max([p.camera.hw for p in pictures], axis=0)
+        shape = (count, height, width)
+        rgb, known = np.zeros((*shape, 3), np.float32), np.zeros(shape, bool)
+        depth_m, surface = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+        for v, picture in enumerate(pictures):
+            rows, columns = picture.camera.hw
+            length_m, face = shell.intersect(*picture.camera.rays())
+            rgb[v, :rows, :columns], known[v, :rows, :columns] = picture.rgb, picture.known & (face >= 0)
+            depth_m[v, :rows, :columns], surface[v, :rows, :columns] = length_m, face
+        lens = np.array([[*p.camera.focal_px, *p.camera.principal_px] for p in pictures])
+        pose, centre = (
+            np.stack([p.camera.camera_from_world[:3] for p in pictures]),
+            np.stack([p.camera.centre_m for p in pictures]),
+        )
+        pair, at, z = (np.zeros((count, *shape), kind) for kind in (np.float32, np.int32, np.float32))
+        cost, judges, odds = (np.zeros(shape, kind) for kind in (np.float32, np.uint8, np.float32))
+        bare = depth_m.copy(), surface.copy()
+        room = Explained(
+            lens,
+            pose,
+            centre,
+            rgb,
+            known,
+            depth_m,
+            surface,
+            pair,
+            at,
+            z,
+            cost,
+            judges,
+            window // 2,
+            mean_weight,
+            bare,
+            odds,
+            np.zeros((0, 8)),
+        )
+        room.replace_all(room.solids)
+        room.odds[:] = colour_odds(rgb, known, surface, room.cost)
+        return room
+
+    def gains(self, solids: np.ndarray) -> np.ndarray:
+        """(N,) by how much the cost of all pixels would fall with each of N solids (N, 8) added alone."""
+        return gains(
+            *self._photos,
+            self.depth,
+            self.surface,
+            self.pair,
+            self.at,
+            self.z,
+            self.cost,
+            self.odds,
+            self.half,
+            self.mean_weight,
+            np.ascontiguousarray(solids, np.float64),
+        )
+
+    @property
+    def _photos(self) -> tuple[np.ndarray, ...]:
+        return self.lens, self.pose, self.centre, self.rgb, self.known
+
+    def replace_all(self, solids: np.ndarray) -> None:
+        """Explain the room anew with these solids (K, 8) and no other."""
+        self.solids = np.ascontiguousarray(solids, np.float64).reshape(-1, 8)
+        self.depth[:], self.surface[:] = self.bare
+        for k, solid in enumerate(self.solids):
+            draw(self.lens, self.pose, self.centre, self.known, self.depth, self.surface, solid, FIRST + 10 * k)
+        explain_all(
+            *self._photos,
+            self.depth,
+            self.surface,
+            self.pair,
+            self.at,
+            self.z,
+            self.cost,
+            self.judges,
+            self.half,
+            self.mean_weight,
+        )
+
+    def add(self, solid: np.ndarray) -> None:
+        """Add one solid (8,)."""
+        self.replace_all(np.concatenate([self.solids, np.asarray(solid, np.float64)[None]]))
+
+
+def colour_odds(rgb: np.ndarray, known: np.ndarray, face: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """(V, H, W) float32 in [-1, 1]: log of how much likelier a pixel's colour is in the whole room than on its own face
+    of the shell.
+
+    A face's colours are those of its pixels that match in another view; what looks unlike them, and nobody else sees,
+    may stand before it.
+    """
+    bins = 8
+    code = np.minimum((np.sqrt(np.clip(rgb, 0, 1)) * bins).astype(np.int64), bins - 1) @ np.array(
+        [bins * bins, bins, 1]
+    )
+    groups = [known, *(known & (face == f) & (cost < _LIKE_FACE) for f in range(6))]
+    smooth = [cv2.GaussianBlur(_histogram(code[where], bins), (0, 0), 0.7) for where in groups]
+    shares = [(h + 1e-3 * max(h.sum(), 1) / h.size) / (h.sum() + 1e-3 * max(h.sum(), 1)) for h in smooth]
+    odds = np.zeros(rgb.shape[:3], np.float32)
+    for f in range(6):
+        mine = known & (face == f)
+        if (mine & (cost < _LIKE_FACE)).sum() >= _LEAST_FACE:
+            odds[mine] = np.clip(np.log(shares[0].ravel()[code[mine]] / shares[1 + f].ravel()[code[mine]]), -1, 1)
+    return np.stack([cv2.blur(o, (3, 3)) for o in odds])
+
+
+def _histogram(code: np.ndarray, bins: int) -> np.ndarray:
+    return np.bincount(code, minlength=bins**3).astype(np.float64).reshape(bins * bins, bins)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces that another camera looks through and no other camera confirms are taken back: they would float in
+mid-air."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from studiorecon.depth.stereo.passes import Labelled
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox
+
+# Another camera looks through a point when its own surface there is further by this share; it confirms it within that
+# share.
+_THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
+
+
+def looked_through(camera: Camera, depth_m: np.ndarray, others: Sequence[tuple[Camera, np.ndarray]]) -> np.ndarray:
+    """(H, W) bool: a surface of ``depth_m`` (H, W) that at least one other camera (with its depth) sees past and none
+    confirms.
+
+    Cameras that cannot tell (outside their picture, hidden behind something, unknown depth) have no vote.
+    """
+    points_m = camera.unproject(camera.pixel_centres(), depth_m)
+    past, confirmed = np.zeros(depth_m.shape, bool), np.zeros(depth_m.shape, bool)
+    for other, surface_m in others:
+        pixels, z = other.project(points_m)
+        height, width = surface_m.shape
+        inside = (depth_m > 0) & (z > 0) & np.isfinite(pixels).all(axis=-1)
+        columns, rows = np.floor(np.where(inside[..., None], pixels, -1)).astype(np.int64).transpose(2, 0, 1)
+        inside &= (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+        seen = np.where(inside, surface_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)], 0)
+        past |= (seen > 0) & (z < seen * (1 - _THROUGH_SHARE))
+        confirmed |= (seen > 0) & (np.abs(z - seen) <= _CONFIRM_SHARE * z)
+    return past & ~confirmed
+
+
+def back_to_the_shell(
+    labelled: Labelled, camera: Camera, shell: RoomBox, others: Sequence[tuple[Camera, np.ndarray]]
+) -> tuple[Labelled, float]:
+    """The labelling with unconfirmed floating surfaces put on the room's shell, unjudged, and the share of pixels
+    concerned.
+
+    Only planes inside the room (label ≥ 6) are questioned; the shell is where everything else already stands.
+    """
+    floating = looked_through(camera, labelled.depth_m, others) & (labelled.plane >= 6)
+    origin, directions = camera.rays()
+    length, face = shell.intersect(origin, directions)
+    floating &= face >= 0
+    return (
+        replace(
+            labelled,
+            plane=np.where(floating, face, labelled.plane),
+            depth_m=np.where(floating, length, labelled.depth_m).astype(labelled.depth_m.dtype),
+            judged=labelled.judged & ~floating,
+        ),
+        float(floating.mean()),
+    )

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Second look: few planes, judged only by the cameras that can see past the others' surfaces; the room's shell where
+none can."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from studiorecon.depth.shared import Matching
+from studiorecon.depth.stereo.labelling import label
+from studiorecon.depth.stereo.matching import UNKNOWN, plane_homography, plane_inverse_depth
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox
+
+# Another surface hides a point when it is nearer by this share of the depth plus this many metres.
+_HIDING_SHARE, _HIDING_M = 0.04, 0.05
+_AGREEING_M = 0.03
+# A camera whose own depth disagrees (but does not hide the point) counts half.
+_DISAGREEING_WEIGHT = 0.5
+# A second, larger window steadies weak texture; it loses by this much when both fit.
+_LARGER_WINDOW, _LARGER_LOSS = 6, 0.05
+_OUTSIDE = 2.5
+_OUTSIDE_MARGIN_M = 0.05
+
+
+@dataclass(frozen=True)
+class PassSettings(Matching):
+    """Costs of the second look: its window, the price of a change, of shell and other planes where no other camera can
+    judge, and what furniture pays over walls. The gap between the two defaults puts one-view pixels on the walls."""
+
+    refine_window: int = 5
+    refine_penalty: float = 0.8
+    shell_default: float = 0.3
+    other_default: float = 0.85
+    other_extra: float = 0.15
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """One picture explained: plane index (H, W), its depth (H, W), its cost (H, W), and (H, W) bool: another camera
+    judged it."""
+
+    plane: np.ndarray
+    depth_m: np.ndarray
+    cost: np.ndarray
+    judged: np.ndarray
+
+
+def plane_depths(picture: Picture, planes: np.ndarray, shell: RoomBox, settings: PassSettings) -> np.ndarray:
+    """(L, H, W) float32 depth of every plane in a picture; 0 where it is out of range or outside the shell."""
+    depths = np.zeros((len(planes), *picture.camera.hw), np.float32)
+    pixels = picture.camera.pixel_centres()
+    for k, plane in enumerate(planes):
+        depth_m = picture.depth(plane, settings.near_m, settings.far_m)
+        # The shell may lie beyond far_m: a default wall of an open place is still the end of the world.
+        if k < 6:
+            depth_m = picture.depth(plane, settings.near_m, np.inf)
+        inside = shell.contains(picture.camera.unproject(pixels, depth_m), _OUTSIDE_MARGIN_M)
+        depths[k] = np.where(inside, depth_m, 0)
+    return depths
+
+
+def plane_scores(
+    picture: Picture, other: Picture, planes: np.ndarray, depths: np.ndarray, settings: PassSettings
+) -> np.ndarray:
+    """(L, H, W) float32 agreement of a picture with another through every plane that ``depths`` allows."""
+    scores = np.full(depths.shape, UNKNOWN, np.float32)
+    for k, plane in enumerate(planes):
+        if not depths[k].any():
+            continue
+        reach = np.inf if k < 6 else settings.far_m
+        small = picture.score(other, plane, settings.refine_window, settings.mean_weight, settings.near_m, reach)
+        large = picture.score(
+            other, plane, settings.refine_window + _LARGER_WINDOW, settings.mean_weight, settings.near_m, reach
+        )
+        scores[k] = np.where(small > UNKNOWN, np.maximum(small, large - _LARGER_LOSS), UNKNOWN)
+    return scores
+
+
+def explain(
+    picture: Picture,
+    planes: np.ndarray,
+    depths: np.ndarray,
+    scores: Sequence[np.ndarray],
+    others: Sequence[tuple[Camera, np.ndarray]],
+    settings: PassSettings,
+) -> Labelled:
+    """Label one picture from its scores against every other camera, given those cameras and their latest depth (H',
+    W').
+
+    The first six planes are the shell: where no camera can judge, they cost ``shell_default`` and all others
+    ``other_default``; this is what puts pixels that one camera sees on the walls rather than anywhere.
+    """
+    cost = np.empty((*picture.camera.hw, len(planes)), np.float32)
+    judged = np.zeros(cost.shape, bool)
+    flat = ~picture.textured(settings.refine_window)
+    for k, plane in enumerate(planes):
+        total = np.zeros(picture.camera.hw, np.float32)
+        weight = np.zeros(picture.camera.hw, np.float32)
+        weights = plane_inverse_depth(picture.camera, plane)
+        if weights is not None and depths[k].any():
+            for (camera, depth_m), score in zip(others, scores):
+                homography = plane_homography(picture.camera, camera, weights)
+                _judge(score[k], homography, depths[k], depth_m, total, weight)
+        is_shell = k < 6
+        default = settings.shell_default if is_shell else settings.other_default
+        value = np.where(weight > 0, total / np.maximum(weight, 1e-6), default)
+        # A flat window matches flat windows everywhere: that is worth no more than not being judged.
+        value = np.where(flat, np.maximum(value, settings.shell_default), value) + (
+            0.0 if is_shell else settings.other_extra
+        )
+        cost[..., k] = np.where(depths[k] > 0, value, _OUTSIDE)
+        judged[..., k] = weight > 0
+    chosen = label(cost, picture.rgb, settings.refine_penalty)
+    pick = chosen[..., None]
+    depth_m = np.take_along_axis(np.moveaxis(depths, 0, -1), pick, axis=-1)[..., 0]
+    return Labelled(
+        chosen,
+        depth_m,
+        np.take_along_axis(cost, pick, axis=-1)[..., 0],
+        np.take_along_axis(judged, pick, axis=-1)[..., 0],
+    )
+
+
+@njit(cache=True)
+def _judge(score, h, depth, other_depth, total, weight):
+    """Add one camera's cost of a plane where nothing it sees stands before the plane."""
+    height, width = score.shape
+    other_height, other_width = other_depth.shape
+    for y in range(height):
+        for x in range(width):
+            if score[y, x] <= UNKNOWN or depth[y, x] <= 0:
+                continue
+            u, v = x + 0.5, y + 0.5
+            w = h[2, 0] * u + h[2, 1] * v + h[2, 2]
+            i = int(np.floor((h[0, 0] * u + h[0, 1] * v + h[0, 2]) / w))
+            j = int(np.floor((h[1, 0] * u + h[1, 1] * v + h[1, 2]) / w))
+            if i < 0 or j < 0 or i >= other_width or j >= other_height:
+                continue
+            z = w * depth[y, x]
+            seen = other_depth[j, i]
+            if seen > 0 and seen < z * (1 - _HIDING_SHARE) - _HIDING_M:
+                continue
+            agrees = abs(seen - z) < _HIDING_SHARE * z + _AGREEING_M
+            share = np.float32(1) if agrees else np.float32(_DISAGREEING_WEIGHT)
+            total[y, x] += share * min(max(1 - score[y, x], np.float32(0)), np.float32(1.3))
+            weight[y, x] += share

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plates as stereo wants them: at its working size, with equal exposure, and with the floor and the walls' yaw
+known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
+from studiorecon.errors import UserError
+from studiorecon.footage.stills import read_plate, shrink
+from studiorecon.images.exposure import compare, solve_gains
+from studiorecon.images.warp import sample
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import one_each
+
+# Correlation above which a floor pixel is believed to show the floor in both views, as measured on synthetic rooms.
+_SAME_SURFACE = 0.6
+_FLOOR_SEARCH_M = 0.12
+_FLOOR_STEP_M = 0.03
+_LEAST_PIXELS = 60
+_SAME_DEPTH = 0.02
+# Variance (summed over channels) of a window that is more than sensor noise: 8 grey levels of 255 in one channel.
+_LEAST_VARIANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One training camera's plate: its camera at this size, (H, W, 3) float32 RGB and (H, W) bool ``known``."""
+
+    camera: Camera
+    rgb: np.ndarray
+    known: np.ndarray
+
+    def depth(self, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+        """(H, W) z-depth of a plane in this picture; 0 out of range."""
+        return plane_depth(self.camera, plane, near_m, far_m)
+
+    def depth_of(self, planes: np.ndarray) -> np.ndarray:
+        """(H, W) z-depth of a plane (H, W, 4) of its own for every pixel; 0 where the ray does not meet it."""
+        origin, rays = self.camera.rays()
+        along = (planes[..., :3] * rays).sum(axis=-1)
+        ahead = planes[..., 3] - planes[..., :3] @ origin
+        depth_m = ahead / np.where(np.abs(along) < 1e-9, np.inf, along)
+        return np.maximum(depth_m, 0.0)
+
+    def textured(self, window: int) -> np.ndarray:
+        """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
+        mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
+        return (square - mean * mean).sum(axis=-1) > _LEAST_VARIANCE
+
+    def score(
+        self, other: Picture, plane: np.ndarray, window: int, mean_weight: float, near_m: float, far_m: float
+    ) -> np.ndarray:
+        """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they cannot be compared."""
+        return correlation(
+            self.rgb,
+            self.known,
+            self.camera,
+            other.rgb,
+            other.known,
+            other.camera,
+            plane,
+            window,
+            mean_weight,
+            near_m,
+            far_m,
+        )
+
+
+def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int) -> list[Picture]:
+    """The plates at most ``width`` pixels wide; raises UserError when a plate does not have its camera's size."""
+    one_each(cameras, plates=plates)
+    pictures = []
+    for camera, path in zip(cameras, plates):
+        rgb, measured = read_plate(path)
+        if rgb.shape[:2] != camera.hw:
+            raise UserError(
+                f"{path} is {rgb.shape[1]}×{rgb.shape[0]} but camera {camera.name} "
+                f"works at {camera.wh[0]}×{camera.wh[1]}"
+            )
+        scale = min(1.0, width / camera.wh[0])
+        wh = (max(round(camera.wh[0] * scale), 8), max(round(camera.wh[1] * scale), 8))
+        pictures.append(Picture(camera.resized(wh), *shrink(rgb, measured, wh)))
+    return pictures
+
+
+def floor_and_gains(
+    pictures: Sequence[Picture], window: int, near_m: float, far_m: float
+) -> tuple[float, np.ndarray, int]:
+    """Height of the floor near z = 0, exposure gains (V, 3), and the number of camera pairs that shared floor.
+
+    The floor is the one surface whose place is known beforehand, so colours seen through z = floor compare like with
+    like. Gains are found before any depth, because unequal exposure ruins the matching costs (44 % instead of 86 % of
+    pixels within 5 % at ±12 %).
+    """
+    candidates = np.arange(-_FLOOR_SEARCH_M, _FLOOR_SEARCH_M + 1e-9, _FLOOR_STEP_M)
+    pairs = [(i, j) for i in range(len(pictures)) for j in range(len(pictures)) if i != j]
+
+    def scores(height_m: float) -> list[np.ndarray]:
+        plane = np.array([0.0, 0.0, 1.0, height_m])
+        return [pictures[i].score(pictures[j], plane, window + 2, 0.0, near_m, far_m) for i, j in pairs]
+
+    support = [
+        sum(float(np.clip(s[s > UNKNOWN] - 0.3, 0, None).sum()) for s in scores(height)) for height in candidates
+    ]
+    floor_m = float(candidates[int(np.argmax(support))]) if max(support, default=0.0) > 0 else 0.0
+    overlaps = []
+    for (i, j), score in zip(pairs, scores(floor_m)):
+        agree = score > _SAME_SURFACE
+        if agree.sum() < _LEAST_PIXELS:
+            continue
+        depth_m = pictures[i].depth(np.array([0.0, 0.0, 1.0, floor_m]), near_m, far_m)
+        points = pictures[i].camera.unproject(pictures[i].camera.pixel_centres(), depth_m)[agree]
+        colours, inside = sample(pictures[j].rgb, pictures[j].camera.project(points)[0][None])
+        overlap = compare(i, j, pictures[i].rgb[agree][inside[0]], colours[0][inside[0]], _LEAST_PIXELS)
+        if overlap is not None:
+            overlaps.append(overlap)
+    return floor_m, solve_gains(len(pictures), overlaps), len(overlaps)
+
+
+def surface_gains(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray], window: int) -> tuple[np.ndarray, int]:
+    """Gains (V, 3) that the pictures still differ by on every surface two of them see, and how many pairs saw one.
+
+    The floor may be hidden or featureless; once depth is agreed, walls and furniture compare as well. A pixel counts
+    when both depth maps put it at the same place within 2 %.
+    """
+    overlaps = []
+    for i, (picture, depth_m) in enumerate(zip(pictures, depths_m)):
+        known = picture.known & (depth_m > 0)
+        if not known.any():
+            continue
+        points = picture.camera.unproject(
+            picture.camera.pixel_centres(), np.where(known, depth_m, 1.0).astype(np.float64)
+        )[known]
+        for j, (other, other_depth_m) in enumerate(zip(pictures, depths_m)):
+            if i == j:
+                continue
+            pixels, z = other.camera.project(points)
+            seen, inside = sample(other_depth_m, pixels[None], "nearest")
+            same = inside[0] & (np.abs(seen[0] - z) < _SAME_DEPTH * np.where(z > 0, z, np.nan))
+            colours = sample(cv2.blur(other.rgb, (window, window)), pixels[None])[0][0]
+            mine = cv2.blur(picture.rgb, (window, window))[known]
+            overlap = compare(i, j, mine[same], colours[same], _LEAST_PIXELS)
+            if overlap is not None:
+                overlaps.append(overlap)
+    return solve_gains(len(pictures), overlaps), len(overlaps)
+
+
+def equalised(pictures: Sequence[Picture], gains: np.ndarray) -> list[Picture]:
+    """The pictures with their exposure gains divided out."""
+    return [replace(p, rgb=np.clip(p.rgb / gain, 0, 1).astype(np.float32)) for p, gain in zip(pictures, gains)]

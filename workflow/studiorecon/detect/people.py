@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``detect.people``: the people in the footage of one camera, at its full resolution, before any calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
+from studiorecon.detector.following import believed, people_in
+from studiorecon.detector.windows import small, usual
+from studiorecon.errors import UserError
+from studiorecon.footage.source import decode, open_source, stills
+from studiorecon.keypoints.retiming import part_of
+from studiorecon.progress import progress, say, warn
+from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.files import read_json
+from studiorecon.scene.raw_detections import RawDetections, write_raw_detections
+from studiorecon.signature import Written
+
+# Pictures whose median is the usual one.
+_USUAL = 25
+
+
+def run(
+    camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Written
+) -> None:
+    """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
+    none) chooses.
+
+    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
+    """
+    detection, landmarks, table = networks
+    try:
+        footage = open_source(source, picture_fps)
+    except UserError as refusal:
+        # Decoding refuses it by name; the other cameras' clocks do not wait for that.
+        warn(f"camera {camera}: {refusal}; until then it sees nobody")
+        write_raw_detections(
+            found, RawDetections.of(camera, LAYOUT, LANDMARKS, [], (0, 0), "footage that cannot be read")
+        )
+        return
+    start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
+    total = count or (max(footage.declared_frames - start, 0) if footage.declared_frames else 0)
+    if start + total < 2:
+        raise UserError(f"{source} has {start + total} frames; people are followed through at least two")
+    sampling = sorted({start + round(k * (total - 1) / max(_USUAL - 1, 1)) for k in range(_USUAL)}) if total else []
+    glances = [small(picture) for picture in stills(footage, sampling)]
+    network = BlazePose(detection, landmarks)
+    worth = read_json(table)
+    pictures = progress(decode(footage, start, count), f"frames of {camera}", total or None)
+    rows, frames = [], 0
+    for frame, seen in enumerate(
+        people_in(pictures, network, usual(glances) if len(glances) > 2 else None, footage.fps), start
+    ):
+        frames += 1
+        for person in seen:
+            affine = person.region.crop_from_picture(MASK_PX)
+            keypoints = believed(person.keypoints, footage.wh, worth)
+            rows.append((frame, keypoints, person.presence, person.points_m, person.mask, affine))
+    looked = f"{landmarks.stem} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
+    write_raw_detections(found, RawDetections.of(camera, LAYOUT, LANDMARKS, rows, (start, frames), looked))
+    if rows:
+        say(f"camera {camera}: {len(rows)} people in {len({row[0] for row in rows})} of {frames} frames ({looked})")
+    else:
+        warn(f"camera {camera}: nobody was found in any of its {frames} frames ({looked})")

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The embedded detector of people: BlazePose on full pictures. In come a camera's frames; out come people with 33
+landmarks, masks and a track.
+
+``windows`` says where in a picture somebody is looked for, ``blazepose`` runs the two networks there, ``following``
+goes through a camera's frames.
+"""

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studiorecon.configuration.setting import setting
+from studiorecon.enhance.backends import Preset
+from studiorecon.enhance.injection import Injection
+from studiorecon.models.choices import EnhancerName, FlowName
+
+
+@dataclass(frozen=True)
+class Enhancing:
+    """Who improves a picture; ``seed`` is of a network's noise."""
+
+    enhancer: EnhancerName = setting(
+        "residual",
+        "What improves a picture: residual = what the renders miss at the training cameras is carried over; difix, "
+        "fixer = networks with weights; precomputed = films made elsewhere; none.",
+        paper="difix, one step at 199; U07",
+        letter="difix",
+    )
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Injecting:
+    """How earlier outputs steady a film."""
+
+    injection: Injection = setting(
+        Injection(), "Earlier outputs, warped onto the current picture, enter the enhancer's input."
+    )
+    flow: FlowName = setting(
+        "dis",
+        "dis = dense inverse search; raft needs weights.",
+        paper="raft, backward flow of the raw renders; U06",
+        letter="raft",
+    )
+    flow_preset: Preset = setting("medium", "Effort of dis.")
+
+
+@dataclass(frozen=True)
+class Film:
+    """How films are written."""
+
+    crf: int = setting(16, "Quality of the mp4 films: 0 lossless … 51; 16 is visually lossless.", minimum=0, maximum=51)

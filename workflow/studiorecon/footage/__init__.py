@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moving and still pictures as files: the user's footage, this project's working video, depth and plates.
+
+In come paths; out come frames, the right way up, one after the other, or files that are complete or absent.
+
+* ``source``: a camera's footage as the user has it, video or folder of pictures: the only opener there is;
+* ``told_lens``: the focal length that a file itself tells;
+* ``video``: working video and films, written, and read from any frame on; ``streams``: several written side by side;
+* ``exr``: depth maps; ``stills``: clean plates.
+"""

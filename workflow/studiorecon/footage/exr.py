@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenEXR depth maps: channel Z in metres (0 = unknown), channel A = confidence 0..1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.errors import UserError
+from studiorecon.progress import say
+from studiorecon.scene.files import complete
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+def write_depth(path: Path, depth_m: Num[np.ndarray, "H W"], confidence: Num[np.ndarray, "H W"]) -> None:
+    """Write (H, W) float32 depth and confidence. Raises ValueError for maps of two sizes."""
+    require("confidence", confidence, ("H", "W"), require("depth_m", depth_m, ("H", "W")))
+    import OpenEXR
+
+    channels = {"Z": np.ascontiguousarray(depth_m, np.float32), "A": np.ascontiguousarray(confidence, np.float32)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with complete(path) as partial, OpenEXR.File(header, channels) as file:
+        file.write(str(partial))
+
+
+def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+    """Write named (H, W) float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or
+    another type."""
+    sizes: dict[str, int] = {}
+    for name, channel in channels.items():
+        sizes = require(name, channel, ("H", "W"), sizes)
+        if channel.dtype not in (np.float16, np.float32):
+            raise ValueError(f"channel {name} is {channel.dtype}, expected float16 or float32")
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with (
+        complete(path) as partial,
+        OpenEXR.File(header, {n: np.ascontiguousarray(c) for n, c in channels.items()}) as file,
+    ):
+        file.write(str(partial))
+
+
+def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); what is no depth becomes 0.
+
+    Depths that are negative or not finite are unknown, and confidences that are not numbers are 0; how many there were
+    is said. Accepts a depth channel named Z, Y, R or depth. Raises UserError naming the file.
+    """
+    import OpenEXR
+
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except Exception as error:  # the binding raises bare RuntimeError and std exceptions
+        raise UserError(f"{path} is not a readable EXR file ({error})") from None
+    name = next((n for n in ("Z", "Y", "R", "depth") if n in channels), None)
+    if name is None:
+        raise UserError(f"{path} has channels {', '.join(channels)}; depth is looked for in Z, Y, R or depth")
+    depth_m = np.asarray(channels[name], np.float32)
+    usable = np.isfinite(depth_m) & (depth_m >= 0)
+    depth_m = np.where(usable, depth_m, np.float32(0))
+    confidence = np.asarray(channels["A"], np.float32) if "A" in channels else (depth_m > 0).astype(np.float32)
+    sure = np.isfinite(confidence)
+    if not (usable.all() and sure.all()):
+        say(
+            f"{path.name}: {int((~usable).sum())} depths of {usable.size} are negative "
+            "or not finite and count as unknown, "
+            f"{int((~sure).sum())} confidences are not finite and count as 0"
+        )
+    return depth_m, np.where(sure, confidence, np.float32(0))

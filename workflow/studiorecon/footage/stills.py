@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Still pictures: clean plates with the alpha that says which pixels were measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
+
+def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half; all, without
+    alpha).
+
+    8- and 16-bit files are read. Raises UserError naming the file.
+    """
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+    if stored is None or stored.dtype not in (np.uint8, np.uint16):
+        raise UserError(f"{path} is not a readable 8- or 16-bit picture")
+    if stored.ndim == 2:
+        stored = np.repeat(stored[..., None], 3, axis=-1)
+    largest = 255 if stored.dtype == np.uint8 else 65535
+    scaled = np.asarray(stored, np.float32) / np.float32(largest)
+    measured = scaled[..., 3] > 0.5 if scaled.shape[-1] == 4 else np.ones(scaled.shape[:2], bool)
+    return np.ascontiguousarray(scaled[..., 2::-1]), measured
+
+
+def shrink(
+    rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"], wh: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A plate at another size: area-averaged over its measured pixels only; measured where more than half of the area
+    was.
+
+    Raises ValueError for a mask of another size.
+    """
+    require("measured", measured, ("H", "W"), require("rgb", rgb, ("H", "W", 3)))
+    if (rgb.shape[1], rgb.shape[0]) == tuple(wh):
+        return rgb, measured
+    how = cv2.INTER_AREA if wh[0] < rgb.shape[1] else cv2.INTER_LINEAR
+    share = cv2.resize(measured.astype(np.float32), wh, interpolation=how)
+    colour = cv2.resize(rgb * measured[..., None].astype(np.float32), wh, interpolation=how)
+    return colour / np.maximum(share, 1e-6)[..., None], share > 0.5

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several videos written side by side while their frames are being made, with memory that does not grow with the
+clip."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+# Frames that may wait for a slow encoder; the maker pauses beyond that.
+_WAITING = 8
+
+Writer = Callable[[Iterator[np.ndarray]], object]
+
+
+@contextmanager
+def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
+    """A function ``put(frame_0, frame_1, …)`` that hands one frame to each writer; every writer consumes an iterator of
+    frames.
+
+    The files are complete when the block ends. When the block, or any writer, fails, every writer is stopped by an
+    error inside its iterator, so that none of them keeps a partial file, and that first error is raised.
+    """
+    queues: list[queue.Queue] = [queue.Queue(maxsize=_WAITING) for _ in writers]
+    failures: list[BaseException] = []
+
+    def frames_of(waiting: queue.Queue) -> Iterator[np.ndarray]:
+        while (frame := waiting.get()) is not None:
+            if isinstance(frame, BaseException):
+                raise frame
+            yield frame
+
+    def work(writer: Writer, waiting: queue.Queue) -> None:
+        try:
+            writer(frames_of(waiting))
+        except BaseException as error:  # handed to the caller's thread below
+            failures.append(error)
+            while waiting.get() is not None:  # keep draining, or the maker would block for ever
+                pass
+
+    threads = [threading.Thread(target=work, args=pair, daemon=True) for pair in zip(writers, queues)]
+    for thread in threads:
+        thread.start()
+
+    def put(*frames: np.ndarray) -> None:
+        if failures:
+            raise failures[0]
+        for waiting, frame in zip(queues, frames, strict=True):
+            waiting.put(frame)
+
+    try:
+        yield put
+    except BaseException:
+        for waiting in queues:
+            waiting.put(_Stopped("the maker of the frames failed"))
+        raise
+    finally:
+        for waiting in queues:
+            waiting.put(None)
+        for thread in threads:
+            thread.join()
+    if failures:
+        raise failures[0]
+
+
+class _Stopped(Exception):
+    """Ends a writer's iterator when the frames' maker has failed."""

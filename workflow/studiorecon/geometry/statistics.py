@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A number and where it lies with its uncertainty: shares, medians, and the largest of several estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# Standard errors on either side: 95 % for one number, and 99.7 % where the worst of several cameras is looked for.
+_ONE, _WORST = 2.0, 3.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value and its interval (low, high); None for both when there was nothing to measure. ``which`` names whose
+    value it is."""
+
+    value: float | None
+    interval: tuple[float, float] | None
+    which: int = 0
+
+
+NOTHING = Estimate(None, None, -1)
+
+
+def share(hits: int, count: int, independent: float | None = None) -> Estimate:
+    """Share of ``count`` that ``hits``, with Wilson's interval for ``independent`` samples (default: all are); nothing
+    for none."""
+    if count <= 0:
+        return NOTHING
+    n, p = max(float(independent if independent is not None else count), 1.0), hits / count
+    z2 = _ONE**2 / n
+    middle, half = (p + z2 / 2) / (1 + z2), np.sqrt(z2 * (p * (1 - p) + z2 / 4)) / (1 + z2)
+    return Estimate(p, (float(min(max(middle - half, 0.0), p)), float(max(min(middle + half, 1.0), p))))
+
+
+def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
+    """Median of the finite ``values`` (N,) with its standard error, 1.25 robust deviations over the root of N; nothing
+    below ``least``."""
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    if len(known) < max(least, 2):
+        return NOTHING
+    middle = float(np.median(known))
+    error = 1.25 * 1.4826 * float(np.median(np.abs(known - middle))) / np.sqrt(len(known))
+    return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
+
+
+def largest(values: Sequence[float] | np.ndarray, errors: Sequence[float] | np.ndarray) -> Estimate:
+    """The largest magnitude of several estimates with their standard errors: which is surely large, and how large any
+    may be.
+
+    The lower end is the best lower end of any of them, the upper end the worst upper end; entries that are not finite
+    take no part.
+    """
+    size, error = np.abs(np.asarray(values, dtype=np.float64)), np.asarray(errors, dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(size) & np.isfinite(error))
+    if not len(known):
+        return NOTHING
+    low, high = size[known] - _WORST * error[known], size[known] + _WORST * error[known]
+    which = int(known[low.argmax() if low.max() > 0 else size[known].argmax()])
+    return Estimate(float(size[which]), (float(max(low.max(), 0.0)), float(high.max())), which)

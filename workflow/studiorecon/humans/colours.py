@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pictures show of a person's Gaussians: which are in view, and the colours they start with."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from studiorecon.humans.crops import PERSON, Crop
+
+# A Gaussian this far behind the nearest rendered surface is hidden.
+_HIDDEN_M = 0.04
+# A Gaussian facing away more than this (cosine) shows too little to be judged.
+_GRAZING = 0.2
+
+
+def in_view(
+    crop: Crop, means_m: np.ndarray, normals: np.ndarray, nearest_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which Gaussians a picture shows: their indices (M,), pixels (M, 2) float32 and weights (M,).
+
+    ``means_m`` and ``normals`` (N, 3) are posed, ``nearest_m`` (h, w) is the depth of the person's own surface in the
+    crop. A Gaussian counts where the pixel is the person's, it is not behind that surface, and it faces the camera;
+    frontal and near views weigh more.
+    """
+    pixels, depth_m = crop.camera.project(means_m)
+    width, height = crop.camera.wh
+    inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+    index = np.flatnonzero(inside)
+    column, row = np.floor(pixels[index]).astype(np.int64).T
+    ray = means_m[index] - crop.camera.centre_m
+    facing = -np.sum(normals[index] * ray, axis=1) / np.linalg.norm(ray, axis=1)
+    good = (
+        (crop.verdict[row, column] == PERSON)
+        & (depth_m[index] < nearest_m[row, column] + _HIDDEN_M)
+        & (facing > _GRAZING)
+    )
+    index, facing = index[good], facing[good]
+    return index, pixels[index].astype(np.float32), facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]
+
+
+def sampled(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(M, C) float64 values of a picture (h, w, C) at ``pixels`` (M, 2), linear between pixel centres."""
+    if len(pixels) == 0:
+        return np.zeros((0, picture.shape[2]))
+    at = pixels - np.float32(0.5)  # cv2.remap counts pixel centres as integers
+    found = cv2.remap(picture, at[None, :, 0], at[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    return found.reshape(len(pixels), -1).astype(np.float64)
+
+
+def look(
+    crop: Crop,
+    means_m: np.ndarray,
+    normals: np.ndarray,
+    nearest_m: np.ndarray,
+    colour_sums: np.ndarray,
+    weight_sums: np.ndarray,
+) -> None:
+    """Add one picture's evidence to ``colour_sums`` (N, 3) and ``weight_sums`` (N,); see ``in_view``."""
+    index, pixels, weight = in_view(crop, means_m, normals, nearest_m)
+    np.add.at(colour_sums, index, sampled(crop.rgb, pixels) / 255 * weight[:, None])
+    np.add.at(weight_sums, index, weight)
+
+
+def nearest_surface(pixels: np.ndarray, depth_m: np.ndarray, hw: tuple[int, int], reach_px: int) -> np.ndarray:
+    """(H, W) depth of the nearest point around every pixel, infinite where none is: points (N, 2) splatted as squares
+    of ``reach_px``."""
+    surface = np.full(hw, np.inf)
+    known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    at = np.floor(pixels[known]).astype(np.int64)
+    inside = np.all((at >= 0) & (at < [hw[1], hw[0]]), axis=1)
+    np.minimum.at(surface, (at[inside, 1], at[inside, 0]), depth_m[known[inside]])
+    # Grey erosion takes the minimum over the square.
+    return cv2.erode(surface, np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)) if reach_px > 0 else surface

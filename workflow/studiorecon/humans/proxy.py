@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``humans.proxy``: the body itself as a canonical person, with a chequered texture, to stand in for somebody. On
+request only.
+
+It has the person's own build and nobody's looks: for films that must not show who was filmed, and to see the motion
+alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.errors import UserError
+from studiorecon.humans.shared import Started
+from studiorecon.humans.surface import gaussians_on, sample_surface
+from studiorecon.progress import say
+from studiorecon.scene.gaussians import sh_from_rgb
+from studiorecon.scene.gaussians_ply import write_ply
+from studiorecon.signature import Written
+
+# Colours of a body's parts, sRGB in 0..1; a part that is not listed (all of an SMPL body) is the first.
+_COLOURS = {
+    "skin": (0.80, 0.72, 0.62), "hair": (0.25, 0.22, 0.20), "shirt": (0.85, 0.55, 0.20), "trousers": (0.25, 0.45, 0.60),
+    "shoes": (0.20, 0.20, 0.22), "eyes": (0.15, 0.15, 0.18),
+}  # fmt: skip
+_SQUARE_M = 0.07
+_DARKER = 0.72
+
+
+@dataclass(frozen=True)
+class Settings(Started):
+    """How many Gaussians, and the seed of where they lie."""
+
+
+def chequered(points_m: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
+    one darker."""
+    base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])
+    dark = np.floor(points_m / _SQUARE_M).astype(int).sum(axis=1) % 2 == 0
+    return np.where(dark[:, None], _DARKER * base, base)
+
+
+def run(settings: Settings, body: Path, fit: Path, gaussians: Written) -> None:
+    """Write the body of the person of ``fit`` in its rest pose as a canonical ``.ply``."""
+    model, person = BodyModel.load(body), read_person(fit)
+    if person.body != model.identity:
+        raise UserError(
+            f"{fit} was fitted with the body model {person.body}, but {body} is "
+            f"{model.identity}; fit {person.name} again"
+        )
+    rest = model.rest_vertices(person.betas)
+    names = np.array(model.region_names)[model.region]
+    faces = model.faces[names[model.faces[:, 0]] != "inside"]
+    samples = sample_surface(rest, faces, model.weights, settings.gaussians, np.random.default_rng(settings.seed))
+    parts = names[scipy.spatial.cKDTree(rest).query(samples.points_m)[1]]
+    made = gaussians_on(samples, 0)
+    made.sh[:, 0] = sh_from_rgb(chequered(samples.points_m, parts))
+    write_ply(gaussians, made)
+    say(f"{person.name}: the bare body of this build, {made.count} Gaussians in {gaussians.name}")

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A trained person stays as trained while nothing of what the training saw has changed.
+
+Masks show everybody, so they are made again when somebody else's identity is corrected; but training sees only the
+crops around one person. The same crops, body, fit, settings and code give the same bytes, so what was trained from them
+need not be trained again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.body.avatar.files import written_from
+from studiorecon.humans.crops import Crop
+from studiorecon.scene.files import complete
+from studiorecon.splatting.train.checkpoint import fingerprint
+
+
+def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
+    """Hex digest of all that a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, and every
+    crop to the pixel."""
+    digest = hashlib.sha256(fingerprint(settings, inputs, code, *more).encode())
+    for crop in crops:
+        camera = dataclasses.asdict(crop.camera)
+        digest.update(repr((crop.frame, crop.view, crop.rgb.shape, camera.pop("name"), camera.pop("wh"))).encode())
+        for part in (*camera.values(), crop.rgb, crop.verdict):
+            digest.update(np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def still_stands(mark: str, gaussians: Path, avatar: Path, working: Path) -> bool:
+    """Whether what was last trained, kept in the folder ``working``, was trained from what ``mark`` names; then it is
+    put into place with the time of now."""
+    kept = [_kept(path, working) for path in (gaussians, avatar)]
+    if written_from(*kept) != mark:
+        return False
+    for path, last in zip((gaussians, avatar), kept):
+        _linked(last, path)
+        path.touch()
+    return True
+
+
+def keep(gaussians: Path, avatar: Path, working: Path) -> None:
+    """Remember what was trained in ``working``, because a workflow takes away the outputs of steps it runs again."""
+    for path in (gaussians, avatar):
+        _linked(path, _kept(path, working))
+
+
+def _kept(path: Path, working: Path) -> Path:
+    return working / f"last{path.suffix}"
+
+
+def _linked(source: Path, target: Path) -> None:
+    """``target`` is ``source`` under another name, or a copy of it where the file system has no such links."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with complete(target) as partial:
+        try:
+            os.link(source, partial)
+        except OSError:
+            shutil.copyfile(source, partial)

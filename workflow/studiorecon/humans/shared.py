@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studiorecon.configuration.setting import setting
+
+
+@dataclass(frozen=True)
+class Started:
+    """How a person is started."""
+
+    gaussians: int = setting(
+        10000,
+        "Gaussians per person, on the body's surface.",
+        minimum=16,
+        paper="one per SMPL vertex, 6890, then densified until iteration 1,500",
+    )
+    seed: int = setting(0, "Seed of all draws.", minimum=0)

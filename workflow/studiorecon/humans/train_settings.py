@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the training of a person is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from studiorecon.configuration.setting import setting
+from studiorecon.humans.appearance import OverTime
+from studiorecon.humans.shared import Started
+from studiorecon.humans.training import GaussianLimits, Losses, Rates
+
+
+@dataclass(frozen=True)
+class Settings(Started):
+    """How a person is started and trained; ``checkpoint_every_s`` is as in ``TrainingSettings``."""
+
+    sh_degree: int = setting(
+        1,
+        "Degree of spherical harmonics; four cameras determine degree 1 at most (G15).",
+        minimum=0,
+        maximum=2,
+        paper="2, appendix D",
+        letter=2,
+    )
+    sh_cap: bool = setting(
+        True,
+        "Lower sh_degree to what the directions tell apart from which the turning body is seen.",
+        paper="no limit",
+        letter=False,
+    )
+    skinning: Literal["surface", "grid"] = setting(
+        "surface",
+        "Where skinning weights come from: the body's own at the surface, or a voxel grid.",
+        paper="grid, appendix D; U45",
+        letter="grid",
+    )
+    grid_resolution: int = 64
+    grid_margin: float = 0.15
+    iterations: int = setting(1500, "Training steps.", minimum=1, paper="10,000, appendix D", letter=10000)
+    pose_from: int = setting(300, "Step from which poses are refined together with the Gaussians.", minimum=0)
+    margin_px: int = 12
+    edge_px: int = 1
+    occluder_px: int = 6
+    smallest_px: int = 60
+    near_m: float = 0.05
+    checkpoint_every_s: float = 30.0
+    temporal: OverTime = setting(OverTime(), "A small network for what changes over time.")
+    losses: Losses = setting(Losses(), "Weights of the loss.")
+    rates: Rates = setting(Rates(), "Learning rates (Adam).")
+    limits: GaussianLimits = GaussianLimits()

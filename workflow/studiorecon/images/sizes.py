@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures at the sizes that networks ask for, in numpy alone: stages that run without torch use them as well.
+
+The filter is PIL's and torch's (``antialias=True``), on which networks were trained. kornia's ``resize`` with antialias
+blurs with a Gaussian first: making noise smaller, it differs by up to 80 levels of 255.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def resampled(picture: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+    """(h, w, ...) float32 picture from (H, W, ...): a triangle filter, as wide as an input pixel or an output pixel,
+    whichever is larger.
+
+    Half-pixel centres: the picture's borders stay where they are. At its own size a picture comes back as it is.
+    """
+    taken = picture.astype(np.float32)
+    for axis, size in enumerate(hw):
+        if taken.shape[axis] != size:
+            weights = _shares(taken.shape[axis], size, 0.0, taken.shape[axis] / size)
+            taken = _along(axis, taken, weights / weights.sum(axis=1, keepdims=True))
+    return np.ascontiguousarray(taken)
+
+
+def placed(
+    picture: np.ndarray, hw: tuple[int, int], start: tuple[float, float], step: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w, ...) float32 part of a picture and (h, w) share of every pixel that lies inside it; what lies outside is
+    0.
+
+    Pixel (i, j) shows the picture around row ``start[0] + (i + 0.5) * step`` and column ``start[1] + (j + 0.5) *
+    step``.
+    """
+    taken, share = picture.astype(np.float32), np.ones(hw, np.float32)
+    for axis, size in enumerate(hw):
+        weights = _shares(taken.shape[axis], size, start[axis], step)
+        inside = weights.sum(axis=1)
+        taken = _along(axis, taken, weights / np.maximum(inside, 1e-6)[:, None])
+        share *= np.expand_dims(inside, 1 - axis)
+    return np.ascontiguousarray(taken), np.minimum(share, 1)
+
+
+def placed_nearest(values: np.ndarray, hw: tuple[int, int], start: tuple[float, float], step: float) -> np.ndarray:
+    """(h, w, ...) as ``placed``, every pixel taking the one its centre falls into; 0 outside."""
+    places = [np.floor(first + (np.arange(size) + 0.5) * step).astype(np.int64) for first, size in zip(start, hw)]
+    inside = [(place >= 0) & (place < size) for place, size in zip(places, values.shape[:2])]
+    rows, columns = (np.clip(place, 0, size - 1) for place, size in zip(places, values.shape[:2]))
+    both = inside[0][:, None] & inside[1]
+    return np.where(both.reshape(*hw, *[1] * (values.ndim - 2)), values[rows[:, None], columns], values.dtype.type(0))
+
+
+def _along(axis: int, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return np.moveaxis(np.tensordot(weights, values, axes=(1, axis)), 0, axis)
+
+
+def _shares(before: int, after: int, start: float, step: float) -> np.ndarray:
+    """(after, before) float32 triangle weights; a row sums to the share of its triangle that lies inside the input."""
+    reach = max(step, 1.0)
+    beyond = int(np.ceil(reach)) + 1
+    centres = start + (np.arange(after) + 0.5) * step
+    places = np.arange(before) + 0.5
+    share = np.maximum(1 - np.abs(places - centres[:, None]) / reach, 0)
+    around = centres[:, None] - (np.round(centres) - beyond + 0.5)[:, None] - np.arange(2 * beyond)
+    whole = np.maximum(1 - np.abs(around) / reach, 0).sum(axis=1)
+    return (share / whole[:, None]).astype(np.float32)
+
+
+def nearest(values: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+    """(h, w, ...) from (H, W, ...): every pixel takes the one its centre falls into; for depth and labels, which have
+    no means."""
+    rows, columns = (
+        ((np.arange(size) + 0.5) * before / size).astype(np.int64) for size, before in zip(hw, values.shape[:2])
+    )
+    return values[rows[:, None], columns]
+
+
+def grown(picture: np.ndarray, multiple: int) -> np.ndarray:
+    """(H', W', ...) picture with its last row and column repeated until both sides are multiples of ``multiple``."""
+    missing = [-side % multiple for side in picture.shape[:2]]
+    return np.pad(picture, [(0, missing[0]), (0, missing[1])] + [(0, 0)] * (picture.ndim - 2), mode="edge")
+
+
+def as_float(picture: np.ndarray) -> Float[np.ndarray, "H W 3"]:
+    """(H, W, 3) float32 RGB in [0, 1] of a uint8 or float picture.
+
+    Raises:
+        ValueError: it is no colour picture.
+    """
+    if picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+        raise ValueError(f"picture has shape {picture.shape}, expected (H, W, 3)")
+    if picture.dtype == np.uint8:
+        return picture.astype(np.float32) / np.float32(255)
+    return np.clip(np.nan_to_num(picture), 0, 1).astype(np.float32)

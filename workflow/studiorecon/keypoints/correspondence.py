@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which tracks of different cameras show the same person, from how close their rays pass: no identity, no picture
+needed.
+
+A node is one track of one camera. Two tracks of different cameras are as far apart as the median, over frames and
+shared keypoints, of the closest distance between their rays. A single pair proves little (two people of the same height
+may fit by chance, and one keypoint may lie anywhere along an epipolar line), so groups are chosen whole, by the sum of
+their affinities over all views: four agreeing views count six pairs, a chance pair one (A10, A15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.geometry.groups import groups_by_affinity
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
+# Joints that a detector places within centimetres from every side; faces are seen from the front only.
+STABLE_KEYPOINTS = tuple(
+    f"{s}_{j}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right")
+)
+_NEAR_M = 0.1
+_MIN_SHARED = 4
+
+
+@dataclass(frozen=True)
+class TrackGraph:
+    """M tracks and what is known about every two of them.
+
+    Attributes:
+        view: (M,) index of the camera.
+        track: (M,) track id in that camera.
+        detections: (M,) number of detections.
+        distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
+        together: (M, M) bool: both are seen in some common frame.
+    """
+
+    view: Num[np.ndarray, " M"]
+    track: Num[np.ndarray, " M"]
+    detections: Num[np.ndarray, " M"]
+    distance_m: Num[np.ndarray, "M M"]
+    together: Bool[np.ndarray, "M M"]
+
+
+def stable_indices(layout: str) -> list[int]:
+    """Where the stable keypoints stand in a layout; -1 for missing ones. Raises KeyError for a layout that nobody wrote
+    down.
+
+    A body's joints do where a network brings nothing else. No detector's hip is SMPL's (M07), but all cameras of a
+    capture have the one or the other, and who is who does not turn on centimetres.
+    """
+    names = LAYOUTS[layout].keypoints
+    at = {name: index for index, name in enumerate(names)}
+    return [at.get(k, at.get(f"{k}_joint", -1)) for k in STABLE_KEYPOINTS]
+
+
+def stable_detections(detections: Sequence[Detections], frames: np.ndarray | None = None) -> list[Detections]:
+    """The detections (of ``frames``, if given) with the stable keypoints only, in their order, whatever the layout of
+    each camera was."""
+    chosen = []
+    for d in detections:
+        which = np.ones(len(d.frame), dtype=bool) if frames is None else np.isin(d.frame, frames)
+        padded = np.concatenate([d.keypoints[which], np.full((int(which.sum()), 1, 3), [np.nan, np.nan, 0.0])], axis=1)
+        chosen.append(
+            Detections(d.camera, d.layout, d.frame[which], d.track[which], padded[:, stable_indices(d.layout)])
+        )
+    return chosen
+
+
+def ray_distances(
+    first_origin: Num[np.ndarray, " 3"],
+    first: Num[np.ndarray, "... 3"],
+    second_origin: Num[np.ndarray, " 3"],
+    second: Num[np.ndarray, "... 3"],
+    near_m: float = _NEAR_M,
+) -> Num[np.ndarray, " ..."]:
+    """(...,) closest distance in metres between rays with unit directions (..., 3); inf where they pass behind an
+    origin (T06).
+
+    Raises ValueError for other shapes. A direction that is not finite gives inf.
+    """
+    require("first", first, (..., 3))
+    require("second", second, (..., 3))
+    require("first_origin", first_origin, (3,))
+    require("second_origin", second_origin, (3,))
+    baseline = second_origin - first_origin
+    cosine = (first * second).sum(-1)
+    sine_squared = np.maximum(1 - cosine**2, 1e-12)
+    along_first, along_second = first @ baseline, second @ baseline
+    range_first = (along_first - cosine * along_second) / sine_squared
+    range_second = (cosine * along_first - along_second) / sine_squared
+    gap = first_origin + range_first[..., None] * first - second_origin - range_second[..., None] * second
+    return np.where((range_first > near_m) & (range_second > near_m), np.linalg.norm(gap, axis=-1), np.inf)
+
+
+def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> TrackGraph:
+    """The graph of all tracks of detections with one common order of keypoints; a pair must share four of them in a
+    frame."""
+    nodes = [(v, int(t)) for v, d in enumerate(detections) for t in np.unique(d.track)]
+    node_of = {node: i for i, node in enumerate(nodes)}
+    count = len(nodes)
+    distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
+    rays = [ray_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
+    for a in range(len(cameras)):
+        for b in range(a, len(cameras)):
+            first, second = _same_frame(detections[a].frame, detections[b].frame)
+            rows = np.array([node_of[a, int(t)] for t in detections[a].track[first]], dtype=int)
+            columns = np.array([node_of[b, int(t)] for t in detections[b].track[second]], dtype=int)
+            together[rows, columns] = together[columns, rows] = True
+            if a == b or not len(rows):
+                continue
+            apart = ray_distances(cameras[a].centre_m, rays[a][0][first], cameras[b].centre_m, rays[b][0][second])
+            shared = rays[a][1][first] & rays[b][1][second]
+            per_pair = median_over_shared(apart, shared, _MIN_SHARED)
+            for row, column in sorted(set(zip(rows.tolist(), columns.tolist()))):
+                seen = per_pair[(rows == row) & (columns == column)]
+                seen = seen[~np.isnan(seen)]
+                if len(seen):
+                    distance[row, column] = distance[column, row] = np.median(seen)
+    np.fill_diagonal(together, True)
+    sizes = np.array([int((detections[v].track == t).sum()) for v, t in nodes], dtype=int)
+    return TrackGraph(
+        np.array([v for v, _ in nodes], dtype=int),
+        np.array([t for _, t in nodes], dtype=int),
+        sizes,
+        distance,
+        together,
+    )
+
+
+def groups_of(
+    distance_m: Num[np.ndarray, "M M"], view: Num[np.ndarray, " M"], together: Bool[np.ndarray, "M M"], gate_m: float
+) -> list[list[int]]:
+    """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate.
+
+    The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that
+    are seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes
+    permutes the answer up to ties, which go to the lower node. Raises ValueError for other shapes.
+    """
+    sizes = require("distance_m", distance_m, ("M", "M"))
+    require("view", view, ("M",), sizes)
+    require("together", together, ("M", "M"), sizes)
+    finite = np.isfinite(distance_m)
+    affinity = np.where(
+        finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m),
+        1 - np.nan_to_num(distance_m, posinf=0.0) / gate_m,
+        0.0,
+    )
+    forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
+    forbidden |= (view[:, None] == view[None]) & together
+    return groups_by_affinity(affinity, forbidden)
+
+
+def group_affinity(group: Sequence[int], distance_m: np.ndarray, gate_m: float) -> float:
+    """Mean of 1 - d / gate over the measured pairs of a group, 0 when there is none."""
+    block = distance_m[np.ix_(group, group)][np.triu_indices(len(group), 1)]
+    block = block[np.isfinite(block)]
+    return float(np.clip(1 - block / gate_m, 0, 1).mean()) if len(block) else 0.0
+
+
+def ray_directions(keypoints: Num[np.ndarray, "D K 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present. Raises ValueError for
+    another shape."""
+    require("keypoints", keypoints, ("D", "K", 3))
+    present = (keypoints[..., 2] > 0) & np.isfinite(keypoints[..., :2]).all(-1)
+    pixels = np.where(present[..., None], keypoints[..., :2], 0.0)
+    directions = camera.unproject(pixels, np.ones(pixels.shape[:-1])) - camera.centre_m
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True), present
+
+
+def _same_frame(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index pairs (i, j) with first[i] == second[j]."""
+    i, j = np.nonzero(first[:, None] == second[None])
+    return i, j
+
+
+def median_over_shared(
+    values: Num[np.ndarray, "P K"], present: Bool[np.ndarray, "P K"], least: int
+) -> Num[np.ndarray, " P"]:
+    """(P,) median over the present of (P, K), NaN with fewer than ``least``; inf counts as large.
+
+    Raises ValueError for two shapes.
+    """
+    require("present", present, ("P", "K"), require("values", values, ("P", "K")))
+    count = present.sum(-1)
+    ordered = np.sort(np.where(present, values, np.inf), axis=-1)
+    middle = np.take_along_axis(ordered, np.maximum((count - 1) // 2, 0)[:, None], axis=-1)[:, 0]
+    return np.where(count >= max(least, 1), middle, np.nan)

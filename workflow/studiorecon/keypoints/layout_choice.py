@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which keypoint layout a detector used, when nobody says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
+
+_LIMBS = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (
+        ("shoulder", "elbow"),
+        ("elbow", "wrist"),
+        ("hip", "knee"),
+        ("knee", "ankle"),
+        ("eye", "ear"),
+        ("ankle", "heel"),
+    )
+)
+_CLEAR = 1.25
+
+
+def choose_layout(keypoints: np.ndarray, given: str, where: str) -> tuple[str, str | None]:
+    """Name of the layout of detections (D, K, 3), and a sentence when it was decided by the limbs.
+
+    Under the wrong order limbs run across the whole body, so the layout with the shorter limbs is right; the ratio of
+    the two must be clear. Raises UserError for an unknown name, a count that does not fit, and an unclear choice.
+    """
+    count = keypoints.shape[1]
+    if given != "auto":
+        if given not in LAYOUTS:
+            raise UserError(
+                f"{where}: keypoint_layout {given!r} is unknown; known layouts are {', '.join(sorted(LAYOUTS))}"
+            )
+        if len(LAYOUTS[given].keypoints) != count:
+            raise UserError(
+                f"{where}: has {count} keypoints per person, but keypoint_layout {given} "
+                f"has {len(LAYOUTS[given].keypoints)}"
+            )
+        return given, None
+    candidates = BY_COUNT.get(count, ())
+    if not candidates:
+        raise UserError(
+            f"{where}: no layout has {count} keypoints; name one in capture.yaml: "
+            f"keypoint_layout: {', '.join(sorted(LAYOUTS))}"
+        )
+    if len(candidates) == 1:
+        return candidates[0], None
+    lengths = {name: _limb_length(keypoints, LAYOUTS[name].keypoints) for name in candidates}
+    short, long, *_ = sorted(candidates, key=lambda name: lengths[name])
+    ratio = lengths[long] / max(lengths[short], 1e-9)
+    if not (np.isfinite(ratio) and ratio > _CLEAR):
+        raise UserError(
+            f"{where}: {count} keypoints may be {' or '.join(candidates)}, and the limbs do not tell which; "
+            "set keypoint_layout in capture.yaml"
+        )
+    return (
+        short,
+        f"{count} keypoints were read as {short}: its limbs are {ratio:.1f} times shorter than those of {long}",
+    )
+
+
+def _limb_length(keypoints: np.ndarray, names: tuple[str, ...]) -> float:
+    """Median over detections of their mean limb length in pixels; inf when the layout has none of the limbs.
+
+    The mean within one person, because the wrong order leaves some limbs short and makes others as long as the body.
+    """
+    index = {name: i for i, name in enumerate(names)}
+    ends = np.array([(index[a], index[b]) for a, b in _LIMBS if a in index and b in index], dtype=int).reshape(-1, 2)
+    first, second = keypoints[:, ends[:, 0]], keypoints[:, ends[:, 1]]
+    present = (first[..., 2] > 0) & (second[..., 2] > 0)
+    lengths = np.where(present, np.linalg.norm(first[..., :2] - second[..., :2], axis=-1), 0.0)
+    seen = present.any(-1)
+    means = lengths[seen].sum(-1) / present[seen].sum(-1)
+    return float(np.median(means)) if len(means) else np.inf

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keypoints, from files or the detector → detections in undistorted pixels of a camera, followed through time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry.lens import working_from_calibration, working_from_video
+from studiorecon.keypoints.readers import KeypointEntry
+from studiorecon.keypoints.steadying import steadied
+from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
+from studiorecon.progress import say
+from studiorecon.scene.camera import Lens
+from studiorecon.scene.capture import Footage
+from studiorecon.scene.people import Detections
+from studiorecon.scene.raw_detections import RawDetections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+@dataclass(frozen=True)
+class Detected:
+    """What counts as a detection; with fewer than ``min_keypoints`` keypoints left it is none."""
+
+    min_confidence: float = setting(0.1, "Keypoints below this confidence are dropped.", minimum=0, maximum=1)
+    min_keypoints: int = 6
+
+
+@dataclass(frozen=True)
+class Settings(Detected):
+    """How recorded keypoints are read, and when two detections are the same person.
+
+    Attributes:
+        keypoint_centres: coordinate of the first pixel's centre in the files; detectors count from 0, this project
+            from 0.5.
+    """
+
+    keypoint_pixels: Literal["auto", "video", "calibration"] = setting(
+        "auto",
+        "Picture that keypoint coordinates refer to; auto = the calibration's where the footage has a pixel "
+        "map, else the video's.",
+    )
+    keypoint_centres: float = 0.0
+    tracking: TrackingLimits = TrackingLimits()
+
+
+def to_arrays(entries: list[KeypointEntry], footage: Footage, first_frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """(D,) working frames and (D, K, 3) recorded keypoints of the detections that fall into the working frames."""
+    offset = first_frame + footage.first_source_frame
+    inside = [e for e in entries if 0 <= e.frame - offset < footage.frames]
+    inside.sort(key=lambda e: e.frame)
+    count = len(entries[0].keypoints) if entries else 0
+    frames = np.array([e.frame - offset for e in inside], dtype=np.int64)
+    return frames, np.array([e.keypoints for e in inside], dtype=np.float64).reshape(len(inside), count, 3)
+
+
+def to_working_pixels(
+    keypoints: np.ndarray, lens: Lens, footage: Footage, settings: Settings
+) -> Num[np.ndarray, "D K 3"]:
+    """(D, K, 3) undistorted working pixels of recorded keypoints; NaN with confidence 0 where missing.
+
+    Missing are keypoints at exactly (0, 0), of low or no confidence, and those beyond the lens's fold. Scores above 1
+    (some detectors give up to 6) are clipped.
+    """
+    recorded = keypoints[..., :2]
+    confidence = np.clip(np.where(np.isfinite(keypoints[..., 2]), keypoints[..., 2], 0.0), 0.0, 1.0)
+    present = (
+        (confidence >= settings.min_confidence)
+        & (confidence > 0)
+        & np.isfinite(recorded).all(-1)
+        & (recorded != 0).any(-1)
+    )
+    pixels = np.where(present[..., None], recorded, 1.0) + (0.5 - settings.keypoint_centres)
+    mapped = not np.array_equal(lens.calibration_from_video, np.eye(2, 3))
+    if settings.keypoint_pixels == "calibration" or (settings.keypoint_pixels == "auto" and mapped):
+        working, valid = working_from_calibration(pixels, lens, np.array(footage.intrinsics))
+    else:
+        working, valid = working_from_video(pixels, lens, footage.source_wh, np.array(footage.intrinsics))
+    present &= valid
+    return np.concatenate(
+        [np.where(present[..., None], working, np.nan), np.where(present, confidence, 0.0)[..., None]], axis=-1
+    )
+
+
+def unusable(keypoints: np.ndarray) -> int:
+    """How many of the recorded keypoints (D, K, 3) claim to be there and are no numbers."""
+    broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
+    return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
+
+
+def detections_of(
+    entries: list[KeypointEntry], layout: str, lens: Lens, footage: Footage, first_frame: int, settings: Settings
+) -> Detections:
+    """Detections of one camera with track ids; ``first_frame``: number in the keypoint files of the video's first
+    frame."""
+    frame, recorded = to_arrays(entries, footage, first_frame)
+    keypoints = to_working_pixels(recorded, lens, footage, settings)
+    if broken := unusable(recorded):
+        say(f"camera {footage.camera}: {broken} of {recorded[..., 0].size} keypoints are not finite, and were left out")
+    return followed(Detections(footage.camera, layout, frame, np.zeros_like(frame), keypoints), settings, footage.fps)
+
+
+def detections_of_found(found: RawDetections, lens: Lens, footage: Footage, settings: Settings) -> Detections:
+    """The same of what the detector found, whose pixels and frames are always those of the footage; steadied."""
+    rows = np.flatnonzero(
+        (found.frame >= footage.first_source_frame) & (found.frame < footage.first_source_frame + footage.frames)
+    )
+    in_video = replace(settings, keypoint_pixels="video", keypoint_centres=0.5)
+    keypoints = to_working_pixels(found.keypoints[rows], lens, footage, in_video)
+    frame = found.frame[rows] - footage.first_source_frame
+    given = Detections(
+        footage.camera, found.layout, frame, np.zeros_like(frame), keypoints, points_m=found.points_m[rows], row=rows
+    )
+    return steadied(followed(given, settings, footage.fps), footage.fps)
+
+
+def followed(given: Detections, settings: Settings, fps: float) -> Detections:
+    """``given`` without what is too little or found twice, and with track ids."""
+    kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.min_keypoints)
+    kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
+    return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keypoints of a camera's own frames → keypoints at the scene's moments, between its frames where its clock says so."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.scene.capture import Footage
+from studiorecon.scene.clocks import Clocks
+from studiorecon.scene.people import Detections
+
+# Neighbours further apart than this many working frames are not joined: nobody knows what happened between them.
+_FARTHEST = 2.5
+_SAME = 1e-9
+# A cubic reaches two frames to either side.
+_MARGIN = 2
+
+
+def part_used(footage: Footage, clocks: Clocks | None) -> Footage:
+    """The stretch of a camera's footage that keypoints are needed of: what is used, and what lies beside it if it must
+    be resampled.
+
+    Its frames are those of the footage from ``first_source_frame`` on, one after the other.
+    """
+    if clocks is None:
+        return footage
+    first, count = part_of(clocks, footage.camera)
+    return replace(footage, first_source_frame=first, frames=count)
+
+
+def part_of(clocks: Clocks, camera: str) -> tuple[int, int]:
+    """First frame and number of frames of that stretch; UserError where the footage cannot be used as it stands."""
+    if clocks.refusal:
+        raise UserError(clocks.refusal)
+    used, late = clocks.source_frames(camera), clocks.late_frames(camera)
+    margin = _MARGIN if late.any() or clocks.of(camera).readout_s else 0
+    first, last = max(int(used[0]) - margin, 0), min(int(used[-1]) + margin, clocks.of(camera).frames - 1)
+    return first, last - first + 1
+
+
+def at_the_scene_s_moments(seen: Detections, footage: Footage, clocks: Clocks | None) -> Detections:
+    """``seen``, numbered by the frames of ``part_used``, at the working frames of ``footage``."""
+    if clocks is None:
+        return seen
+    first = part_used(footage, clocks).first_source_frame
+    return on_common_clock(replace(seen, frame=seen.frame + first), clocks, footage.wh[1])
+
+
+def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
+    """``seen`` in the pictures of the working frames, which are taken up to half a frame beside their moments, at those
+    moments: each keypoint moved along its track, as in ``on_common_clock``."""
+    late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
+    if not late.any() and not readout:
+        return seen
+    keypoints = seen.keypoints.copy()
+    for track in np.unique(seen.track):
+        mine = np.flatnonzero(seen.track == track)
+        mine = mine[np.argsort(seen.frame[mine], kind="stable")]
+        frame = seen.frame[mine]
+        times = frame + late[frame]
+        keypoints[mine] = _resampled(seen.keypoints[mine], times, seen.keypoints[mine], frame, readout, height_px)
+    return replace(seen, keypoints=keypoints)
+
+
+def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
+    """``seen`` (numbered by the frames of the footage) at the working frames, in the order of time.
+
+    A working frame has the detections of the picture that is nearest to it, each keypoint moved along its track to the
+    frame's own moment: by a cubic through two samples on either side, a line where one of the outer two is missing, and
+    not at all beside a gap. Rows look one after the other where the clock has a readout: every keypoint's time is that
+    of its row of ``height_px``. Monocular bodies are those of the nearest picture.
+    """
+    clock, position = clocks.of(seen.camera), clocks.positions(seen.camera)
+    used = clocks.source_frames(seen.camera)
+    rows_of = {int(k): np.flatnonzero(seen.frame == k) for k in np.unique(seen.frame)}
+    picked = [rows_of.get(int(k), np.zeros(0, int)) for k in used]
+    at = np.concatenate(picked) if picked else np.zeros(0, int)
+    frame = np.repeat(np.arange(len(used)), [len(p) for p in picked])
+    per_detection = [
+        f.name for f in fields(seen) if f.name not in ("camera", "layout") and getattr(seen, f.name) is not None
+    ]
+    moved = replace(seen, **{name: getattr(seen, name)[at] for name in per_detection} | {"frame": frame})
+    if clock.readout_s == 0 and np.array_equal(position[used], np.arange(len(used))):
+        return moved
+    for track in np.unique(moved.track):
+        mine = np.flatnonzero(seen.track == track)
+        mine = mine[np.argsort(seen.frame[mine], kind="stable")]
+        own = np.flatnonzero(moved.track == track)
+        moved.keypoints[own] = _resampled(
+            seen.keypoints[mine],
+            position[seen.frame[mine]],
+            moved.keypoints[own],
+            frame[own],
+            clock.readout_s * clocks.fps,
+            height_px,
+        )
+    return moved
+
+
+def _resampled(
+    samples: np.ndarray, times: np.ndarray, nearest: np.ndarray, wanted: np.ndarray, readout: float, height_px: float
+) -> np.ndarray:
+    """(W, K, 3) keypoints of one track at times ``wanted`` (W,) from ``samples`` (D, K, 3) at ``times`` (D,), all in
+    working frames."""
+    found = nearest.copy()
+    for k in range(samples.shape[1]):
+        there = np.flatnonzero((samples[:, k, 2] > 0) & np.isfinite(samples[:, k, :2]).all(-1))
+        asked = np.flatnonzero((nearest[:, k, 2] > 0) & np.isfinite(nearest[:, k, :2]).all(-1))
+        if not len(there) or not len(asked):
+            continue
+        points = samples[there, k, :2]
+        when = times[there] + readout * (points[:, 1] / height_px - 0.5)
+        when = np.maximum.accumulate(when + _SAME * np.arange(len(when)))
+        found[asked, k, :2] = _interpolated(points, when, nearest[asked, k, :2], wanted[asked])
+    return found
+
+
+def _interpolated(points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(W, 2) points at times ``wanted``; ``nearest`` where no two of ``points`` (D, 2) at ``when`` (D,) lie about it
+    closely enough."""
+    last = len(when) - 1
+    after = np.searchsorted(when, wanted)
+    exact = np.isclose(when[np.minimum(after, last)], wanted, rtol=0, atol=1e-6)
+    inside = (after > 0) & (after <= last)
+    right, left = np.clip(after, 1, max(last, 1)), np.clip(after, 1, max(last, 1)) - 1
+    if not last:
+        return np.where(exact[:, None], points[np.minimum(after, last)], nearest)
+    inside &= when[right] - when[left] <= _FARTHEST
+    share = (wanted - when[left]) / np.maximum(when[right] - when[left], _SAME)
+    line = points[left] + share[:, None] * (points[right] - points[left])
+    outer = np.stack([np.clip(i, 0, last) for i in (left - 1, left, right, right + 1)])
+    spans = np.diff(when[outer], axis=0)
+    whole = inside & (left >= 1) & (right < last) & (spans.max(0) <= 1.5 * np.maximum(spans.min(0), _SAME))
+    cubic = _lagrange(points[outer], when[outer], wanted)
+    found = np.where(whole[:, None], cubic, np.where(inside[:, None], line, nearest))
+    return np.where(exact[:, None], points[np.minimum(after, last)], found)
+
+
+def _lagrange(points: np.ndarray, when: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """(W, 2) the cubic through four points (4, W, 2) at times (4, W), at ``wanted`` (W,)."""
+    total = np.zeros(points.shape[1:])
+    for i in range(4):
+        weight = np.ones(len(wanted))
+        for j in (j for j in range(4) if j != i):
+            gap = when[i] - when[j]
+            weight = weight * (wanted - when[j]) / np.where(np.abs(gap) < _SAME, 1.0, gap)
+        total += weight[:, None] * points[i]
+    return total

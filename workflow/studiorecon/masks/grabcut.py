@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GrabCut where there is no clean plate: colours learnt from the body's inside and its surroundings decide about the
+rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.images.regions import dilated
+
+# Colour models of fewer pixels than this are noise.
+_LEAST_SEEDS = 40
+# How far around the candidates colours are learnt, a square of pixels.
+_SURROUNDINGS_PX = 31
+
+
+@dataclass(frozen=True)
+class CutSettings:
+    """How GrabCut helps.
+
+    Attributes:
+        sure: log-odds beyond which a pixel seeds the colours of person or background.
+        weight: log-odds that the cut counts.
+    """
+
+    rounds: int = setting(2, "Rounds of learning colours and cutting; 0 = none.", minimum=0, maximum=50)
+    sure: float = 1.5
+    weight: float = 0.7
+
+
+def cut_unknown(rgb: np.ndarray, evidence: np.ndarray, unknown: np.ndarray, settings: CutSettings) -> np.ndarray:
+    """(H, W) float32 ``evidence`` with GrabCut's opinion added at ``unknown`` pixels; as given elsewhere.
+
+    ``rgb`` (H, W, 3) uint8; ``evidence`` (H, W) log-odds, −inf where no person can be. Without enough seeds of both
+    kinds the evidence stays as it is. Costs ~0.1 µs per pixel and round, on a box around the candidates.
+    """
+    candidates = unknown & np.isfinite(evidence)
+    if settings.rounds <= 0 or not candidates.any():
+        return evidence
+    near = dilated(candidates, _SURROUNDINGS_PX)
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    inside = evidence[box]
+    marks = np.where(inside > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    marks[inside > settings.sure] = cv2.GC_FGD
+    marks[inside < -settings.sure] = cv2.GC_BGD
+    if (marks == cv2.GC_FGD).sum() < _LEAST_SEEDS or (marks == cv2.GC_BGD).sum() < _LEAST_SEEDS:
+        return evidence
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.setRNGSeed(0)  # its k-means starts from OpenCV's global generator: the same picture must give the same mask
+    cv2.grabCut(np.ascontiguousarray(rgb[box][..., ::-1]), marks, None, *models, settings.rounds, cv2.GC_INIT_WITH_MASK)
+    person = (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
+    opinion = np.where(person, np.float32(settings.weight), np.float32(-settings.weight))
+    decided = evidence.copy()
+    decided[box] += np.where(candidates[box], opinion, 0)
+    return decided

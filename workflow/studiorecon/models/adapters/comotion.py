@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CoMotion (Newell et al., ICLR 2025): everybody's SMPL body in every frame of one camera, followed through time.
+
+Called as a class, with the camera's own intrinsics: its command line assumes a focal length of twice the longer side,
+and depth with it. Cuts are not noticed upstream, so a clip must have none. Its 2D points are projections of its own
+bodies: a monocular prior, not evidence. Upstream's demo tidies tracks once it has seen the whole clip; here they come
+as they are, short ones that follow nobody among them, and the association of cameras sorts them out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.models import smpl
+from studiorecon.models.adapters.pi3 import probability
+from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.protocols import Bodies
+
+CARD = Card(
+    name="comotion",
+    title="CoMotion",
+    kind="body estimator",
+    terms=Terms(
+        code="Apple sample code licence",
+        weights="Apple machine learning research model licence",
+        commercial="no",
+        condition="weights are for research; needs SMPL",
+        alternative="keypoints, with files of a detector whose terms allow it",
+    ),
+    weights=(
+        WeightFile(
+            "comotion/comotion_detection_checkpoint.pt",
+            "Apple, models/comotion/demo_checkpoints.tar.gz",
+            how="hand",
+        ),
+        WeightFile(
+            "comotion/comotion_refine_checkpoint.pt", "Apple, models/comotion/demo_checkpoints.tar.gz", how="hand"
+        ),
+        WeightFile("smpl/SMPL_NEUTRAL.pkl", "SMPL v1.1.0, by registration with MPI", how="hand", gated=True),
+    ),
+    runtime=Runtime(
+        image="comotion",
+        python="3.10",
+        torch="2.5.1",
+        pins=("transformers==4.48.0", "timm==1.0.13", "scenedetect<0.7", "chumpy from git"),
+        commit="adb7e22",
+    ),
+    memory=Memory(6.0, "one 512 pixel frame at a time; our estimate"),
+    tried="never",
+    unchecked="its weights, and SMPL's file behind a registration",
+)
+CARDS = (CARD,)
+
+
+JOINTS = 27
+"""SMPL's first 22, then nose, right eye, left eye, right ear, left ear."""
+UNSEEN = 0.1
+"""Confidence of a body that is carried on where nothing was detected."""
+_LOWER = "set detect.source to keypoints and bring keypoint files"
+# A detection is a track's own when their points are this near, as a share of the body's box diagonal.
+_SAME = 0.15
+_STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
+_FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (JOINTS, 3), "pred_2d": (JOINTS, 2)}
+
+
+def preprocess(frame: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3, H, W) uint8 RGB and (2, 3) float32 intrinsics; upstream's default principal point is W/2, so centres are at
+    +0.5 as here."""
+    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+        raise ValueError(f"frame is {frame.dtype} of shape {frame.shape}, expected uint8 (H, W, 3)")
+    return np.ascontiguousarray(frame.transpose(2, 0, 1)), np.asarray(intrinsics, dtype=np.float32)[:2]
+
+
+def postprocess(tracks: dict[str, np.ndarray], detected_px: np.ndarray, logits: np.ndarray) -> Bodies:
+    """The bodies of one frame from the state of all track slots, of which those with id 0 are empty.
+
+    ``detected_px`` (n, 27, 2) and ``logits`` (n,) are the frame's detections: a track is as sure as the detection it
+    lies on. Raises UserError for fields of another shape or values that are no numbers.
+    """
+    for name, shape in _FIELDS.items():
+        if name not in tracks or tracks[name].shape[1:] != shape:
+            found = tracks[name].shape if name in tracks else "nothing"
+            raise UserError(
+                f"CoMotion's tracks hold {found} as {name}, expected (slots, "
+                f"{', '.join(map(str, shape))}); use upstream at its pin"
+            )
+    used = tracks["id"] > 0
+    own = {name: finite(CARD, name, values[used]) for name, values in tracks.items()}
+    joints = own["pred_2d"].astype(np.float64)
+    sure = np.full(len(joints), UNSEEN)
+    if len(detected_px) and len(joints):
+        size = np.linalg.norm(joints.max(axis=1) - joints.min(axis=1), axis=-1)
+        apart = np.median(np.linalg.norm(joints[:, None] - detected_px[None], axis=-1), axis=-1)
+        nearest = apart.argmin(axis=1)
+        lies_on = apart[np.arange(len(joints)), nearest] <= _SAME * np.maximum(size, 1.0)
+        sure = np.where(lies_on, np.maximum(probability(logits)[nearest], UNSEEN), UNSEEN)
+    return Bodies(
+        tracks=own["id"].astype(np.int64) - 1,
+        shapes=own["betas"].astype(np.float64),
+        poses_rad=own["pose"].astype(np.float64).reshape(-1, 24, 3),
+        translations_m=own["trans"].astype(np.float64),
+        pelvises_m=own["pred_3d"][:, 0].astype(np.float64),
+        joints_px=joints,
+        confidences=sure,
+    )
+
+
+def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+    """(frame, bodies) from arrays with one row per person and frame; ``where`` names them in messages.
+
+    Needed: id, frame_idx, pose (72), betas (10), trans (3), pred_2d (27, 2) in working pixels, pred_3d (27, 3); conf
+    (logits) if there. CoMotion's own demo leaves the points out: they have to be written too. Raises UserError for what
+    is missing.
+    """
+    missing = [key for key in _STORED if key not in rows]
+    if missing:
+        raise UserError(
+            f"{where} holds no {', '.join(missing)}; write them too (CoMotion's demo drops its 2D and 3D points)"
+        )
+    count = len(rows["frame_idx"])
+    logits = rows["conf"].reshape(count) if "conf" in rows else np.full(count, 10.0)
+    found = []
+    for frame in np.unique(rows["frame_idx"]):
+        own = np.flatnonzero(rows["frame_idx"] == frame)
+        slots = {key: rows[key][own] for key in _STORED if key != "frame_idx"}
+        slots["id"] = slots["id"].reshape(len(own))
+        slots["pose"] = slots["pose"].reshape(len(own), -1)
+        found.append((int(frame), postprocess(slots, slots["pred_2d"], logits[own])))
+    return found
+
+
+@dataclass(frozen=True)
+class _Arrays:
+    """Stands for ``pickle`` where upstream reads SMPL's file: arrays come of it, whatever else it names."""
+
+    body: Path
+
+    def load(self, stream: Any, **_: Any) -> dict[str, np.ndarray]:
+        return smpl.postprocess(smpl.read_pickle(self.body), self.body)
+
+
+class Comotion:
+    """Detector and tracker, loaded once; satisfies ``BodyEstimator``. Weights: ``comotion/`` and ``smpl/`` below
+    ``weights``.
+
+    Upstream looks for its files in its own package (``comotion_demo/data``): links there have to point at the weights
+    folder.
+    """
+
+    layout = "comotion27"
+
+    def __init__(self, card: Card, weights: Path, where: str) -> None:
+        staged(card, weights)
+        try:
+            # SMPL's file is looked for when the module is imported, the checkpoints when the network is made.
+            module = upstream(card, "comotion_demo.models.comotion")
+            # Upstream unpickles SMPL's file as it comes, and with it whatever code that names.
+            body = weights / "smpl/SMPL_NEUTRAL.pkl"
+            upstream(card, "comotion_demo.utils.smpl_kinematics").pickle = _Arrays(body)
+            self._device = device(card, where, _LOWER)
+            self._network = attribute(card, module, "CoMotion")(use_coreml=False, pretrained=True)
+        except (FileNotFoundError, AssertionError) as error:
+            reason = next(iter(str(error).splitlines()), "no reason given")
+            raise UserError(
+                f"CoMotion does not find its files in its own package ({reason}); link {weights / 'comotion'}/*.pt and "
+                f"{weights / 'smpl/SMPL_NEUTRAL.pkl'} to comotion_demo/data and comotion_demo/data/smpl, which keeps "
+                "what it holds"
+            ) from None
+        self._network.to(self._device).eval()
+
+    @staticmethod
+    def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+        """See ``models.protocols.BodyEstimator``."""
+        return stored(rows, where)
+
+    def bodies(self, frames: Iterable[np.ndarray], intrinsics: np.ndarray) -> Iterator[Bodies]:
+        """See ``models.protocols.BodyEstimator``."""
+        started = False
+        for frame in frames:
+            if not started:
+                self._network.init_tracks(frame.shape[:2])
+                started = True
+            yield postprocess(*estimated(self._network, *preprocess(frame, intrinsics)))
+
+
+def estimated(
+    network: Any, picture: np.ndarray, intrinsics: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """State of the track slots, and points and logits of the detections, of the next frame of a clip."""
+    import torch
+
+    with torch.inference_mode():
+        detections, state = network(torch.from_numpy(picture), torch.from_numpy(intrinsics))
+    slots = {name: getattr(state, name)[0].float().cpu().numpy() for name in _FIELDS}
+    slots["id"] = slots["id"][:, 0]
+    points, logits = (detections[key][0].float().cpu().numpy() for key in ("pred_2d", "conf"))
+    return slots, points, logits[:, 0]
+
+
+ADAPTER = Comotion

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Difix3D+ with a reference photo (Wu et al., CVPR 2025): one denoising step on a render.
+
+Difix floors sizes to multiples of 8 and wants the reference at the picture's size; its VAE samples, so every picture
+gets a generator of its own and the same picture the same result.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.images.sizes import as_float, grown, resampled
+from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.protocols import Moment
+
+CARD = Card(
+    name="difix",
+    title="Difix3D+ (difix_ref)",
+    kind="picture enhancer",
+    terms=Terms(
+        code="NVIDIA non-commercial",
+        weights="NVIDIA non-commercial, SD-Turbo licence",
+        commercial="no",
+        condition="code and weights are for non-commercial use",
+        alternative="fixer",
+    ),
+    weights=tuple(
+        WeightFile(
+            f"difix/difix_ref/{name}",
+            HUB,
+            "nvidia/difix_ref",
+            size_gb,
+            name,
+            how,
+            revision="d4830559772a5795c9d136302c5b197d6418d3fb",
+        )
+        # The first brings the whole repository, whose code the client runs.
+        for name, size_gb, how in (
+            ("model_index.json", None, "snapshot"),
+            ("unet/diffusion_pytorch_model.safetensors", 3.46, "hub"),
+            ("vae/diffusion_pytorch_model.safetensors", 0.34, "hub"),
+            ("text_encoder/model.safetensors", None, "hub"),
+        )
+    ),
+    runtime=Runtime(
+        image="difix",
+        python=">=3.10",
+        torch=">=2.0",
+        pins=("diffusers==0.25.1", "transformers==4.38.0", "huggingface-hub==0.25.1", "peft==0.9.0", "numpy<2"),
+        commit="c76edc5",
+    ),
+    memory=Memory(10.0, "1280×704 in half precision; our estimate"),
+    tried="never",
+    unchecked="its weights and the code beside them, for which the hub alone vouches; bfloat16 on a GPU",
+)
+CARDS = (CARD,)
+
+
+PROMPT = "remove degradation"
+STEP = 199
+"""The paper's τ = 200 counted from zero."""
+MULTIPLE_PX = 8
+_LOWER = "set enhance.enhancer to residual"
+# A gap in brightness between a picture and its repair beyond which the network has failed (half precision overflows to
+# black or white).
+_LARGEST_SHIFT = 0.25
+
+
+def preprocess(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two (1, 3, h, w) float32 tensors in [0, 1], sides multiples of 8, of a render (H, W, 3) and a photo of any
+    size."""
+    picture, photo = as_float(image), as_float(reference)
+    photo = resampled(photo, picture.shape[:2])
+    return tuple(np.ascontiguousarray(grown(p, MULTIPLE_PX).transpose(2, 0, 1)[None]) for p in (picture, photo))
+
+
+def postprocess(made: np.ndarray, image: np.ndarray, card: Card = CARD) -> np.ndarray:
+    """(H, W, 3) float32 picture in [0, 1] from the network's (1, 3, h, w); UserError when it made nothing of the
+    picture."""
+    height, width = image.shape[:2]
+    if made.ndim != 4 or made.shape[:2] != (1, 3) or made.shape[2] < height or made.shape[3] < width:
+        raise UserError(
+            f"the enhancer {card.name} returned shape {made.shape}, expected (1, 3, ≥ "
+            f"{height}, ≥ {width}); use upstream at its pin"
+        )
+    picture = (
+        np.clip(finite(card, "a picture", made[0, :, :height, :width]), 0, 1).transpose(1, 2, 0).astype(np.float32)
+    )
+    shift = abs(float(picture.mean()) - float(as_float(image).mean()))
+    if shift > _LARGEST_SHIFT:
+        raise UserError(
+            f"the enhancer {card.name} changed a picture's brightness by {shift:.2f}: it "
+            "failed there; run it in full precision"
+        )
+    return np.ascontiguousarray(picture)
+
+
+class Difix:
+    """The pipeline ``difix_ref``, loaded once; satisfies ``Enhancer``. Weights: ``difix/difix_ref/`` below
+    ``weights``."""
+
+    def __init__(self, card: Card, weights: Path, where: str, seed: int) -> None:
+        folder = staged(card, weights) / "difix/difix_ref"
+        pipeline = attribute(card, upstream(card, "pipeline_difix"), "DifixPipeline")
+        import torch
+
+        self._device, self._seed = device(card, where, _LOWER), seed
+        # Upstream trains in bfloat16 and shows float32; float16 overflows to black pictures.
+        kind = torch.bfloat16 if self._device.type == "cuda" else torch.float32
+        self._pipeline = pipeline.from_pretrained(
+            str(folder), trust_remote_code=True, torch_dtype=kind, local_files_only=True
+        )
+        self._pipeline.to(self._device)
+        self._pipeline.set_progress_bar_config(disable=True)
+
+    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+        """See ``models.protocols.Enhancer``; the camera and the depth of ``moment`` are not used."""
+        return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
+
+
+def denoised(pipeline: Any, picture: np.ndarray, photo: np.ndarray, seed: int, where: Any) -> np.ndarray:
+    """(1, 3, h, w) float32 from upstream's pipeline; the generator starts anew, so a picture's result does not depend
+    on those before."""
+    import torch
+
+    made = pipeline(
+        PROMPT,
+        image=torch.from_numpy(picture).to(where),
+        ref_image=torch.from_numpy(photo).to(where),
+        num_inference_steps=1,
+        timesteps=[STEP],
+        guidance_scale=0.0,
+        generator=torch.Generator(device=where).manual_seed(seed),
+        output_type="pt",
+    )
+    return made.images.float().cpu().numpy()
+
+
+ADAPTER = Difix

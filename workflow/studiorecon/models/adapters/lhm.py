@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LHM (Qiu et al., ICCV 2025): a person's Gaussians in a rest pose from one photo.
+
+Upstream is a program with a checkout, a working directory and compiled parts, so the call is its own command line; what
+comes back is a file. Axes are SMPL-X's, which are SMPL's: x to the body's left, y up, z forward.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.pickles import vetted
+from studiorecon.models.catalogue.preflight import device, staged, upstream
+from studiorecon.scene.gaussians import Gaussians
+
+MODEL = "LHM-1B-HF"
+# Where upstream looks before it would fetch anything.
+_PLACE = f"Damo_XR_Lab/{MODEL}"
+_REVISION = "92372582f660066b9f1b9513860744357265b3d5"
+CARD = Card(
+    name="lhm",
+    title="LHM-1B",
+    kind="canonical avatar",
+    terms=Terms(
+        code="Apache-2.0, vendors MPI's smplx",
+        weights="CC BY-NC 4.0; needs SMPL-X",
+        commercial="no",
+        condition="weights are for non-commercial use; SMPL-X needs registration",
+        alternative="a trained person of another capture (replace of a shot)",
+    ),
+    weights=(
+        WeightFile(
+            f"lhm/{_PLACE}/model.safetensors",
+            HUB,
+            "3DAIGC/LHM-1B-HF",
+            6.85,
+            "model.safetensors",
+            revision=_REVISION,
+            sha256="59dc25167d1d72d57fb068445b96e2343ab550b649e9999765200502d03171b9",
+        ),
+        WeightFile(f"lhm/{_PLACE}/config.json", HUB, "3DAIGC/LHM-1B-HF", remote="config.json", revision=_REVISION),
+        *(
+            WeightFile(f"lhm/{name}", f"LHM_prior_model.tar of its authors, extracted ({what})", how="hand", gated=True)
+            for name, what in (
+                ("sapiens/pretrained/checkpoints/sapiens_1b/sapiens_1b_epoch_173_torchscript.pt2", "Sapiens"),
+                ("gagatracker/vgghead/vgg_heads_l.trcd", "faces"),
+                ("voxel_grid/human_prior_constrain.npz", "the body's surroundings"),
+                ("dense_sample_points/1_20000.ply", "points on the body"),
+                ("human_model_files/smplx/SMPLX_NEUTRAL.npz", "SMPL-X, by registration with MPI"),
+            )
+        ),
+    ),
+    runtime=Runtime(
+        image="lhm",
+        python="3.10",
+        torch="2.3.0",
+        pins=("xformers==0.0.26.post1", "numpy==1.23", "gsplat==1.4.0", "pytorch3d", "transformers==4.41.2"),
+        commit="b31e76a",
+    ),
+    memory=Memory(24.0, "LHM-1B 22 GB, 500M 18 GB, MINI 16 GB (upstream)"),
+    tried="never",
+    unchecked="parts compiled for a GPU (pytorch3d, the rasteriser, simple-knn); SMPL-X behind a registration",
+)
+CARDS = (CARD,)
+
+
+LEAST_PX = 300
+"""Least height of the person in the photo: below it a face is a few pixels."""
+_MARGIN = 0.05
+_WHITE = 255
+_LOWER = "use another canonical .ply (a trained person of another capture)"
+# Metres from sole to crown of a body in its rest pose, whose arms may add nothing to it.
+_HEIGHTS_M = (1.2, 2.3)
+
+
+def preprocess(photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the (H, W) bool mask of
+    the person in it.
+
+    Raises UserError for somebody who is cut off by the picture's border, lies or bends, or is too small.
+    """
+    if photo.dtype != np.uint8 or mask.shape != photo.shape[:2]:
+        raise ValueError(
+            f"photo is {photo.dtype} {photo.shape}, mask {mask.shape}; expected uint8 (H, W, 3) and (H, W)"
+        )
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        raise UserError("the mask shows nobody; choose another frame")
+    top, bottom, left, right = int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+    height, width = bottom - top, right - left
+    if top == 0 or left == 0 or bottom == mask.shape[0] or right == mask.shape[1]:
+        raise UserError(
+            "the person touches the picture's border: LHM needs head and feet; choose another frame or camera"
+        )
+    if height < LEAST_PX:
+        raise UserError(
+            f"the person is {height} px high and LHM needs {LEAST_PX}; raise capture.width, or choose another frame"
+        )
+    if width >= height:
+        raise UserError(
+            f"the person is {width}×{height} px: LHM needs somebody who stands upright; choose another frame"
+        )
+    full_h = round(height * (1 + 2 * _MARGIN))
+    full_w = max(round(full_h / 1.25) - 1, width + 2)
+    full_h = max(full_h, round(full_w * 1.25))
+    white = np.full((full_h, full_w, 3), _WHITE, np.uint8)
+    row, column = (full_h - height) // 2, (full_w - width) // 2
+    inside = white[row : row + height, column : column + width]
+    inside[mask[top:bottom, left:right]] = photo[top:bottom, left:right][mask[top:bottom, left:right]]
+    return white
+
+
+def postprocess(read: Gaussians) -> Gaussians:
+    """The Gaussians of LHM's file in our order of harmonics; UserError for what is no standing person.
+
+    LHM writes higher harmonics coefficient by coefficient, the common layout channel by channel; colours alone are the
+    same in both.
+    """
+    values = (read.means_m, read.quaternions, read.log_scales, read.logit_opacities, read.sh)
+    bad = np.any([~np.isfinite(v).reshape(read.count, -1).all(axis=1) for v in values], axis=0)
+    if bad.mean() > 0.01:
+        raise UserError(
+            f"LHM returned {int(bad.sum())} of {read.count} Gaussians that are no "
+            "numbers; run it again with another photo"
+        )
+    kept = read.take(~bad)
+    tall = float(np.ptp(np.percentile(kept.means_m[:, 1], [0.5, 99.5])))
+    if not _HEIGHTS_M[0] <= tall <= _HEIGHTS_M[1]:
+        raise UserError(
+            f"LHM's person is {tall:.2f} m high along y: not a body in its rest pose, or another version's axes"
+        )
+    bands = kept.sh.shape[1] - 1
+    rest = kept.sh[:, 1:].transpose(0, 2, 1).reshape(kept.count, bands, 3)
+    return Gaussians(
+        kept.means_m,
+        kept.quaternions,
+        kept.log_scales,
+        kept.logit_opacities,
+        np.concatenate([kept.sh[:, :1], rest], axis=1),
+    )
+
+
+class Lhm:
+    """Upstream's program; satisfies ``CanonicalAvatar``.
+
+    Weights: ``lhm/`` below ``weights``, linked as ``pretrained_models`` of the checkout.
+    """
+
+    def __init__(self, card: Card, weights: Path, where: str) -> None:
+        # Upstream makes this folder, which the weights that are bound into an image may refuse.
+        (staged(card, weights) / "lhm/huggingface").mkdir(exist_ok=True)
+        # Upstream unpickles bodies, hands and faces as they come.
+        vetted(p for p in sorted((weights / "lhm").rglob("*")) if p.suffix in (".pkl", ".npz"))
+        module = upstream(card, "LHM")
+        device(card, where, _LOWER)
+        self._checkout = Path(next(iter(module.__path__))).parent
+
+    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
+        """See ``models.protocols.CanonicalAvatar``."""
+        import tempfile
+
+        from studiorecon.scene.gaussians_ply import read_ply
+
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            write_picture(folder / "person.png", preprocess(photo, mask))
+            command = command_for(folder / "person.png", folder / "out")
+            return postprocess(read_ply(made(command, self._checkout, folder / "out")))
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """A PNG, by whichever library the image has."""
+    import cv2
+
+    cv2.imwrite(str(path), picture[..., ::-1])
+
+
+def command_for(picture: Path, out: Path) -> list[str]:
+    """Upstream's command line for one picture, with every place it writes to below ``out``."""
+    import sys
+
+    places = [f"{key}={out / key}" for key in ("mesh_dump", "image_dump", "video_dump", "save_tmp_dump")]
+    options = [
+        "export_mesh=True",
+        "motion_seqs_dir=None",
+        "motion_img_dir=None",
+        "vis_motion=False",
+        "motion_img_need_mask=False",
+    ]
+    return [
+        sys.executable,
+        "-m",
+        "LHM.launch",
+        "infer.human_lrm",
+        f"model_name={MODEL}",
+        f"image_input={picture}",
+        *options,
+        *places,
+    ]
+
+
+def made(command: list[str], checkout: Path, out: Path) -> Path:
+    """The one .ply a finished command has left; UserError with its last line when it left none (it skips photos it does
+    not like)."""
+    import subprocess
+
+    environment: dict[str, Any] = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(checkout), os.environ.get("PYTHONPATH", "")]),
+    }
+    done = subprocess.run(
+        command, cwd=checkout, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    found = sorted(out.rglob("*.ply"))
+    if done.returncode or len(found) != 1:
+        last = next((line for line in reversed(done.stdout.splitlines()) if line.strip()), "nothing was printed")
+        raise UserError(
+            f"LHM made no person of this photo (status {done.returncode}: {last[:200]}); choose another frame"
+        )
+    return found[0]
+
+
+ADAPTER = Lhm

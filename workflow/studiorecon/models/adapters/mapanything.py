@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MapAnything (Keetha et al. 2025): cameras and depth of a few pictures of one moment, in metres.
+
+Pictures go in and answers come out as with Pi3, whose conventions it shares: world-from-camera poses, points in the
+camera's frame, OpenCV axes, a focal length that is fitted here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.models.adapters.pi3 import LOWER, postprocess, preprocess
+from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+from studiorecon.models.protocols import Reconstruction
+
+_REVISION = "00f9c245bbcb60522d1ed7f9e9d88462c6e3f38a"
+CARD = Card(
+    name="mapanything",
+    title="MapAnything (Apache weights)",
+    kind="pose and depth",
+    terms=Terms(code="Apache-2.0", weights="Apache-2.0", commercial="yes"),
+    weights=(
+        WeightFile(
+            "mapanything/model.safetensors",
+            HUB,
+            "facebook/map-anything-apache",
+            4.91,
+            "model.safetensors",
+            revision=_REVISION,
+            sha256="fa06c0fdccefc5048e072c85935d5789b1e36b307f3859033c17f9dcb9fd5201",
+        ),
+        WeightFile(
+            "mapanything/config.json",
+            HUB,
+            "facebook/map-anything-apache",
+            remote="config.json",
+            revision=_REVISION,
+            sha256="65701d09d99ed37a21d295f0d138978b3d584ab3bccdbcb4a2853da212b676c5",
+        ),
+    ),
+    runtime=Runtime(
+        image="mapanything", python=">=3.10", torch=">=2.4", pins=("safetensors", "huggingface_hub"), commit="f7ebafb"
+    ),
+    memory=Memory(12.0, "four to sixteen views; our estimate, nobody states it"),
+    tried="never",
+    unchecked="its real weights on a GPU; its encoder is built of a checkout that only the image fetches",
+)
+CARDS = (CARD,)
+
+
+class MapAnything:
+    """The network, loaded once; satisfies ``PoseAndDepth``. Weights: ``mapanything/`` below ``weights``."""
+
+    def __init__(self, card: Card, weights: Path, where: str) -> None:
+        folder = staged(card, weights) / "mapanything"
+        self._device = device(card, where, LOWER)
+        network = attribute(card, upstream(card, "mapanything.models"), "MapAnything")
+        checkout = Path(next(iter(upstream(card, "dinov2").__path__))).parent
+        try:
+            with encoder_from(checkout):
+                # Strict: what the staged file lacks would stay random.
+                made = network.from_pretrained(str(folder), strict=True)
+        except RuntimeError as error:
+            raise UserError(f"{folder} does not fit {card.title} ({str(error).splitlines()[0]})") from None
+        self._network = made.to(self._device).eval()
+
+    def reconstruct(self, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Reconstruction:
+        """See ``models.protocols.PoseAndDepth``."""
+        tensor, taken = preprocess(pictures)
+        made = inferred(self._network, tensor, self._device)
+        for what, values in zip(("points", "confidence", "poses"), made):
+            finite(CARD, what, values)
+        return postprocess(*made, taken, names, metric=True)
+
+
+@contextmanager
+def encoder_from(checkout: Path) -> Iterator[None]:
+    """Inside, ``torch.hub.load`` builds from ``checkout`` and without weights.
+
+    Upstream's encoder asks torch's hub for the newest code of DINOv2 and for its weights, which the staged file then
+    overwrites: neither is to be fetched in a run.
+    """
+    import torch
+
+    fetched = torch.hub.load
+
+    def local(repository: str, entry: str, *given: Any, **options: Any) -> Any:
+        kept = {name: value for name, value in options.items() if name not in ("force_reload", "trust_repo", "source")}
+        return fetched(str(checkout), entry, *given, **{**kept, "pretrained": False}, source="local")
+
+    torch.hub.load = local
+    try:
+        yield
+    finally:
+        torch.hub.load = fetched
+
+
+def inferred(network: Any, tensor: np.ndarray, where: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Camera-frame points, confidence and world-from-camera poses of (N, 3, h, w) pictures; the confidence c ≥ 1
+    (upstream: 1 + exp(x)) becomes (c - 1) / c, which is the sigmoid of x, and 0 outside its mask."""
+    import torch
+
+    prepare = attribute(CARD, upstream(CARD, "mapanything.utils.image"), "preprocess_inputs")
+    views = [{"img": torch.from_numpy(picture.transpose(1, 2, 0) * 255).round().to(torch.uint8)} for picture in tensor]
+    # At the size they have: another one would crop, and intrinsics with it.
+    made = network.infer(
+        prepare(views, resize_mode="fixed_size", size=(tensor.shape[3], tensor.shape[2])),
+        apply_mask=False,
+        mask_edges=False,
+    )
+    points = np.stack([one["pts3d_cam"][0].float().cpu().numpy() for one in made])
+    sure = np.stack([one["conf"][0].float().cpu().numpy() for one in made])
+    mask = np.stack([one["non_ambiguous_mask"][0].bool().cpu().numpy() for one in made])
+    poses = np.stack([one["camera_poses"][0].float().cpu().numpy() for one in made])
+    return points, np.where(mask, (sure - 1) / np.maximum(sure, 1), 0).astype(np.float32), poses
+
+
+ADAPTER = MapAnything

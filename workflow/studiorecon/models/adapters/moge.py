@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MoGe-2 and MoGe-3 (Wang et al. 2025): depth of one picture, in metres more or less; nothing ties one picture's scale
+to the next one's.
+
+Outside its mask upstream returns +inf. A known focal length goes in as the horizontal field of view in degrees; a
+centred principal point and square pixels are assumed there.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.images.sizes import as_float
+from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.preflight import attribute, device, staged, upstream
+
+MOGE = Card(
+    name="moge",
+    title="MoGe-2 (ViT-L, normals)",
+    kind="monocular depth",
+    terms=Terms(code="MIT, DINOv2 part Apache-2.0", weights="MIT", commercial="yes"),
+    weights=(
+        WeightFile(
+            "moge/moge-2-vitl-normal.pt",
+            HUB,
+            "Ruicheng/moge-2-vitl-normal",
+            1.32,
+            "model.pt",
+            revision="cb0e8bbd6b1e243589717c78e750b1ba4c093acf",
+            sha256="280741fd09bc3f403ccff9967784c2a391b52d2c0742ae3efdb21d9f90cc1a01",
+        ),
+    ),
+    runtime=Runtime(
+        image="moge", python=">=3.10", torch=">=2.0", pins=("utils3d at the commit MoGe pins",), commit="0744441"
+    ),
+    memory=Memory(6.0, "one picture at a time, ViT-L in half precision; our estimate"),
+    tried="random weights",
+    unchecked="its real weights on a GPU",
+)
+MOGE3 = Card(
+    name="moge3",
+    title="MoGe-3 (ViT-L)",
+    kind="monocular depth",
+    terms=Terms(code="MIT", weights="MIT", commercial="yes"),
+    weights=(
+        WeightFile(
+            "moge/moge-3-vitl.pt",
+            HUB,
+            "Ruicheng/moge-3-vitl",
+            1.48,
+            "model.pt",
+            revision="184008f877d7ad1ad4c2cd2182a9bd1f63d0e5be",
+            sha256="9b41b7b9f65ad80aab7ad686f5e9cc0d1fd33f1964022618dfbcd52fc1fb7925",
+        ),
+    ),
+    runtime=Runtime(
+        image="moge3", python=">=3.10", torch=">=2.4", pins=("utils3d-moge", "FlexGEMM v2"), commit="74fbce0"
+    ),
+    memory=Memory(8.0, "one picture at a time; our estimate"),
+    tried="never",
+    unchecked="its source, newer than any that could be read; FlexGEMM's kernels, which need a GPU",
+)
+CARDS = (MOGE, MOGE3)
+
+
+_MODULES = {"moge": "moge.model.v2", "moge3": "moge.model.v3"}
+
+
+def preprocess(picture: np.ndarray) -> np.ndarray:
+    """(3, H, W) float32 RGB in [0, 1]; any size, upstream makes its own grid of tokens."""
+    return np.ascontiguousarray(as_float(picture).transpose(2, 0, 1))
+
+
+def fov_deg(focal_px: float, width: int) -> float:
+    """Horizontal field of view in degrees of a pinhole with its principal point in the middle."""
+    return float(np.degrees(2 * np.arctan(width / (2 * focal_px))))
+
+
+def postprocess(depth: np.ndarray, mask: np.ndarray, card: Card = MOGE) -> np.ndarray:
+    """(H, W) float32 depth, 0 where it is infinite, not positive or outside the mask; UserError when nothing is left or
+    much is NaN."""
+    if depth.shape != mask.shape or depth.ndim != 2:
+        raise UserError(f"{card.title} returned depth {depth.shape} and mask {mask.shape}; use upstream at its pin")
+    nan = int(np.isnan(depth).sum())
+    if nan:
+        raise UserError(
+            f"{card.title} returned {nan} depths that are no numbers; run it in full precision (device: cpu)"
+        )
+    known = np.isfinite(depth) & (depth > 0) & mask
+    if not known.any():
+        raise UserError(
+            f"{card.title} sees no surface in the whole picture; look at it, or set depth.source to embedded"
+        )
+    return np.where(known, depth, 0).astype(np.float32)
+
+
+class Moge:
+    """The network, loaded once; satisfies ``MonocularDepth``. Weights: ``moge/`` below ``weights``."""
+
+    def __init__(self, card: Card, weights: Path, where: str) -> None:
+        file = staged(card, weights) / card.weights[0].path
+        network = attribute(card, upstream(card, _MODULES[card.name]), "MoGeModel")
+        self._card, self._device = card, device(card, where, "set depth.source to embedded")
+        try:
+            self._network = network.from_pretrained(str(file)).to(self._device).eval()
+        except (KeyError, TypeError, RuntimeError) as error:
+            raise UserError(
+                f"{file} is not a checkpoint of {card.title} ({str(error).splitlines()[0]}); run snakemake weights"
+            ) from None
+
+    def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
+        """See ``models.protocols.MonocularDepth``."""
+        field = fov_deg(focal_px, picture.shape[1]) if focal_px else None
+        return postprocess(*inferred(self._network, preprocess(picture), field, self._device), self._card)
+
+
+def inferred(
+    network: Any, picture: np.ndarray, field_deg: float | None, where: Any, **options: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) depth, +inf outside the mask, and the mask, from upstream's ``infer``; half precision on a GPU only."""
+    import torch
+
+    with torch.inference_mode():
+        half = torch.device(where).type == "cuda"
+        made = network.infer(
+            torch.from_numpy(picture).to(where), fov_x=field_deg, apply_mask=True, use_fp16=half, **options
+        )
+    mask = made["mask"] if "mask" in made else torch.isfinite(made["depth"])
+    return made["depth"].float().cpu().numpy(), mask.bool().cpu().numpy()
+
+
+ADAPTER = Moge

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RAFT (Teed & Deng 2020) from torchvision: pictures at sizes it can work on, the network, its flow back at the
+pictures' own size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
+from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+
+CARD = Card(
+    name="raft",
+    title="RAFT large (torchvision)",
+    kind="flow",
+    terms=Terms(code="BSD-3-Clause", weights="BSD-3-Clause, trained on research data", commercial="yes"),
+    weights=(
+        WeightFile(
+            "raft/raft_large_C_T_SKHT_V2.pth",
+            "PyTorch model downloads, raft_large_C_T_SKHT_V2-ff5fadd5.pth",
+            size_gb=0.02,
+            remote="torchvision.models.optical_flow:Raft_Large_Weights.C_T_SKHT_V2",
+            how="torchvision",
+            sha256="ff5fadd5",
+        ),
+    ),
+    runtime=Runtime(image="vision", python=">=3.10", torch=">=2.4", pins=("torchvision",), commit="torchvision 0.29.2"),
+    memory=Memory(None, "runs on a CPU; on a GPU 1 GB at 1280×704, 5.6 GB at 1920×1080"),
+    tried="random weights",
+    unchecked="a GPU",
+)
+CARDS = (CARD,)
+
+
+# The correlation pyramid halves an eighth-size feature map three times: below 128 px its top is one value, and the
+# lookup divides by its size minus one (E12).
+SMALLEST_PX = 128
+# The encoder's stride.
+MULTIPLE_PX = 8
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """How pictures were made to fit: their size (H, W), the whole number of times they were enlarged, rows and columns
+    put before them."""
+
+    hw: tuple[int, int]
+    enlarged: int
+    before: tuple[int, int]
+
+
+def preprocess(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, Fitted]:
+    """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and how to come back.
+
+    Pictures under 128 px a side are enlarged by a whole number, by repeating pixels; the rest up to multiples of 8 is
+    filled with the border's colours on both sides, as the authors do. Raises ValueError for pictures that differ in
+    shape, are not RGB, not uint8 or empty.
+    """
+    if first.shape != second.shape or first.ndim != 3 or first.shape[2] != 3 or first.size == 0:
+        raise ValueError(f"first and second have shapes {first.shape} and {second.shape}, expected one shape (H, W, 3)")
+    if first.dtype != np.uint8 or second.dtype != np.uint8:
+        raise ValueError(f"first and second are {first.dtype} and {second.dtype}, expected uint8")
+    height, width = first.shape[:2]
+    enlarged = -(-SMALLEST_PX // min(height, width)) if min(height, width) < SMALLEST_PX else 1
+    missing = [-(side * enlarged) % MULTIPLE_PX for side in (height, width)]
+    before = (missing[0] // 2, missing[1] // 2)
+    pair = np.stack([first, second]).repeat(enlarged, axis=1).repeat(enlarged, axis=2)
+    pair = np.pad(pair, ((0, 0), *((b, m - b) for b, m in zip(before, missing)), (0, 0)), mode="edge")
+    return np.ascontiguousarray(pair.transpose(0, 3, 1, 2).astype(np.float32) / 127.5 - 1), Fitted(
+        (height, width), enlarged, before
+    )
+
+
+def postprocess(flow: np.ndarray, fitted: Fitted) -> np.ndarray:
+    """(H, W, 2) float32 flow in pixels of the pictures from the network's (2, h, w): cropped, averaged over enlarged
+    pixels, rescaled.
+
+    Raises ValueError when the flow is smaller than what ``preprocess`` handed out.
+    """
+    height, width = (side * fitted.enlarged for side in fitted.hw)
+    top, left = fitted.before
+    if flow.ndim != 3 or flow.shape[0] != 2 or flow.shape[1] < top + height or flow.shape[2] < left + width:
+        raise ValueError(f"flow has shape {flow.shape}, expected (2, h, w) with h ≥ {top + height}, w ≥ {left + width}")
+    own = flow[:, top : top + height, left : left + width].astype(np.float32)
+    blocks = own.reshape(2, fitted.hw[0], fitted.enlarged, fitted.hw[1], fitted.enlarged)
+    return np.ascontiguousarray(blocks.mean(axis=(2, 4)).transpose(1, 2, 0)) / np.float32(fitted.enlarged)
+
+
+class Raft:
+    """``raft_large``, loaded once; satisfies ``Flow``. Weights: ``raft/raft_large_C_T_SKHT_V2.pth`` below
+    ``weights``."""
+
+    def __init__(self, card: Card, weights: Path, where: str) -> None:
+        file = staged(card, weights) / card.weights[0].path
+        build = attribute(card, upstream(card, "torchvision.models.optical_flow"), "raft_large")
+        import torch
+
+        self._device = device(card, where, "set enhance.flow to dis")
+        self._network = build(weights=None, progress=False)
+        try:
+            self._network.load_state_dict(torch.load(file, map_location="cpu", weights_only=True))
+        except Exception as error:
+            raise UserError(
+                f"{file} is not RAFT's state dict ({type(error).__name__}); delete it and run snakemake weights"
+            ) from None
+        self._network.eval().to(self._device)
+
+    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """See ``models.protocols.Flow``."""
+        pair, fitted = preprocess(first, second)
+        return postprocess(finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
+
+
+def estimated(network: Any, pair: np.ndarray, where: Any, updates: int = 12) -> np.ndarray:
+    """(2, h, w) float32 flow from the first to the second of (2, 3, h, w) float32 pictures in [-1, 1], after
+    ``updates`` refinements."""
+    import torch
+
+    first, second = (torch.from_numpy(picture[None]).to(where) for picture in pair)
+    with torch.inference_mode():
+        return network(first, second, num_flow_updates=updates)[-1][0].float().cpu().numpy()
+
+
+ADAPTER = Raft

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Getting weights, each by the ordinary client of where they lie. Called by ``snakemake weights`` and by nothing
+else."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import shutil
+from pathlib import Path
+from typing import Any
+
+from studiorecon.errors import UserError
+from studiorecon.libraries import remedy
+from studiorecon.models.catalogue.card import WeightFile
+from studiorecon.models.catalogue.checksums import blob
+from studiorecon.models.catalogue.confined import may_fetch
+
+
+def fetch(file: WeightFile, folder: Path) -> str:
+    """Put one file into ``folder``; returns the SHA-256 its publisher states, or "". Raises UserError with what a
+    person has to do."""
+    may_fetch()
+    target = folder / file.path
+    target.parent.mkdir(parents=True, exist_ok=True)
+    _room_for(file, folder)
+    try:
+        if file.how in ("hub", "snapshot"):
+            return _from_hub(file, target)
+        if file.how == "torchvision":
+            return _from_torchvision(file, target)
+        if file.how == "package":
+            return _from_package(file, target)
+    except (UserError, KeyboardInterrupt):
+        raise
+    except Exception as error:  # every client has exceptions of its own: of access, of the network, of the disk
+        gate = "; agree to its terms there, and log in with the hub's client (hf auth login)" if file.gated else ""
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            gate = f"; make room in {folder}, or set weights to a folder with room: what is there is kept"
+        raise UserError(
+            f"{file.path} could not be fetched from {file.source} {file.repository} "
+            f"({type(error).__name__}: {_first_line(error)}){gate}"
+        ) from None
+    raise UserError(f"{file.path} cannot be fetched by a program: get it from {file.source} and put it to {target}")
+
+
+def _room_for(file: WeightFile, folder: Path) -> None:
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    if file.size_gb and free_gb < file.size_gb:
+        raise UserError(
+            f"{file.path} has {file.size_gb:g} GB and {folder} has room for {free_gb:.1f}; make room there, or set "
+            "weights to a folder with room"
+        )
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), "no reason given")
+
+
+def _client(name: str, file: WeightFile) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        raise UserError(
+            f"to fetch {file.path} the package {name.split('.')[0]} is needed, which "
+            f"is not installed ({remedy(name)}); "
+            f"or get the file by hand from {file.source} {file.repository}".rstrip()
+        ) from None
+
+
+def _from_hub(file: WeightFile, target: Path) -> str:
+    """A file, or its whole repository, at the card's revision; what came before an interruption is kept."""
+    hub = _client("huggingface_hub", file)
+    inner = Path(file.remote)
+    # The file's own folder structure is kept by the client, so the place it is put into is the target less that
+    # structure.
+    place = target
+    for _ in inner.parts:
+        place = place.parent
+    if file.how == "snapshot":
+        hub.snapshot_download(file.repository, revision=file.revision, local_dir=str(place))
+        _published(hub, file, place)
+    if str(target).endswith(str(inner)):
+        hub.hf_hub_download(file.repository, file.remote, revision=file.revision, local_dir=str(place))
+    else:
+        partial = target.parent / f".{target.name}.partial"
+        made = hub.hf_hub_download(file.repository, file.remote, revision=file.revision, local_dir=str(partial))
+        Path(made).replace(target)
+        _remove(partial)
+    address = hub.hf_hub_url(file.repository, file.remote, revision=file.revision)
+    stated = str(hub.get_hf_file_metadata(address).etag or "")
+    # Large files carry their SHA-256 there, small ones git's name of their content.
+    if len(stated) == 40 and stated != blob(target):
+        raise UserError(f"{target} is not what its publisher has; delete it and run this again")
+    return stated if len(stated) == 64 else ""
+
+
+def _published(hub: Any, file: WeightFile, place: Path) -> None:
+    """Raises UserError when a small file of a whole repository, code among them, is not what that revision has."""
+    about = hub.HfApi().model_info(file.repository, revision=file.revision, files_metadata=True)
+    for entry in about.siblings:
+        path = place / entry.rfilename
+        if not entry.lfs and path.is_file() and entry.blob_id != blob(path):
+            raise UserError(
+                f"{path} is not what {file.repository} has at {file.revision[:12]}; delete it and run this again"
+            )
+
+
+def _remove(folder: Path) -> None:
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    folder.rmdir()
+
+
+def _from_torchvision(file: WeightFile, target: Path) -> str:
+    module, _, member = file.remote.partition(":")
+    enum, _, name = member.partition(".")
+    address = getattr(getattr(_client(module, file), enum), name).url
+    partial = target.parent / f".{target.name}.partial"
+    _client("torch.hub", file).download_url_to_file(
+        address, str(partial), hash_prefix=file.sha256 or None, progress=True
+    )
+    partial.replace(target)
+    return ""
+
+
+def _from_package(file: WeightFile, target: Path) -> str:
+    name, _, inner = file.remote.partition(":")
+    source = Path(_client(name, file).__file__).parent / inner
+    target.write_bytes(source.read_bytes())
+    return ""

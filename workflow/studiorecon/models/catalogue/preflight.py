@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is checked before a network is loaded: its weights, its package, the memory; each in one sentence that says what
+to do.
+
+Nothing is fetched here: hubs are told to stay offline, so a missing file is a sentence and never a download.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import Card
+from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verified, write_pins
+from studiorecon.models.catalogue.confined import confine
+from studiorecon.progress import say, warn
+
+
+def staged(card: Card, folder: Path) -> Path:
+    """The weights folder, when every file on the ``card`` lies in it as it was verified; else UserError with the
+    first that does not.
+
+    A file is hashed only when it has changed since it was last seen; one that was put there by hand is held to what is
+    published of it and remembered. Also confines this process (``confined``).
+    """
+    known = read_pins(folder)
+    pins = dict(known)
+    for file in card.weights:
+        if not (folder / file.path).is_file():
+            where = f"{file.source} {file.repository}".strip()
+            gate = "; access must be asked for there" if file.gated else ""
+            raise UserError(
+                f"{card.title} needs {folder / file.path}, which is missing: get it from "
+                f"{where}{gate} (snakemake weights does what a "
+                f"program may; licence: {card.terms.weights}), or choose another back end"
+            )
+        if file.path not in pins and not (file.sha256 or file.md5):
+            say(f"{folder / file.path} is new here: from now on it is held to what it is now")
+        pins[file.path] = verified(folder, file, pins)
+    for file in code_in(folder, card.weights):
+        if file.path not in pins:
+            raise UserError(
+                f"{folder / file.path} is code that {card.title} would run, and nobody has said that it is what was "
+                "fetched; read it, and run snakemake weights, which holds it to what it is now"
+            )
+        verified(folder, file, pins)
+    if pins != known:
+        try:
+            write_pins(folder, pins)
+        except OSError as error:
+            warn(f"{folder / PINS} cannot be written ({error.strerror}): what was seen now is hashed again next time")
+    confine()
+    return folder
+
+
+def upstream(card: Card, module: str) -> Any:
+    """The upstream module, imported; UserError that names image and pins when it is not there or is of another
+    version."""
+    pins = ", ".join((f"Python {card.runtime.python}", f"torch {card.runtime.torch}", *card.runtime.pins))
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise UserError(
+            f"{card.title} needs the module {module}, which cannot be imported here "
+            f"({str(error).splitlines()[0]}); run in the image "
+            f"{card.runtime.image} (--sdm apptainer), which has {pins}, upstream at {card.runtime.commit}"
+        ) from None
+
+
+def attribute(card: Card, module: Any, wanted: str) -> Any:
+    """``module.wanted``; UserError with the pin when upstream has changed and it is not there."""
+    if not hasattr(module, wanted):
+        raise UserError(
+            f"{module.__name__} has no {wanted}, so this is another version than the "
+            f"one {card.title}'s adapter follows; "
+            f"use upstream at {card.runtime.commit}"
+        )
+    return getattr(module, wanted)
+
+
+@contextmanager
+def arrays_alone(card: Card) -> Iterator[None]:
+    """Around upstream's loading: a checkpoint that asks for more than arrays, which is refused (``confined``), is a
+    sentence."""
+    try:
+        yield
+    except pickle.UnpicklingError as error:
+        raise UserError(
+            f"a checkpoint of {card.title} holds more than arrays ({str(error).splitlines()[0]}), which would be run "
+            "when it is read; get it again from its publisher"
+        ) from None
+
+
+def device(card: Card, wanted: str, lower: str) -> Any:
+    """The torch device to run a network on, after a look at the memory; ``wanted``: "auto", "cuda" or "cpu".
+
+    "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or
+    less memory is free than the model needs; ``lower`` says which setting would help.
+    """
+    import torch
+
+    needed = card.memory.gpu_gb
+    if wanted == "cpu" or (wanted == "auto" and needed is None and not torch.cuda.is_available()):
+        return torch.device("cpu")
+    if not torch.cuda.is_available():
+        raise UserError(
+            f"{card.title} runs on a GPU and torch sees none here; run this job where there is "
+            f"one, set device to cpu and wait, or {lower}"
+        )
+    free_gb = torch.cuda.mem_get_info()[0] / 1e9
+    if needed is not None and free_gb < needed:
+        raise UserError(
+            f"{card.title} needs {needed:.0f} GB of GPU memory ({card.memory.note}) "
+            f"and {free_gb:.0f} GB are free; {lower}"
+        )
+    return torch.device("cuda")
+
+
+def finite(card: Card, what: str, values: np.ndarray) -> np.ndarray:
+    """``values``; UserError when a network has returned something that is no number."""
+    bad = int(np.size(values) - np.isfinite(values).sum())
+    if bad:
+        raise UserError(
+            f"{card.title} returned {bad} values of {what} that are no numbers; run "
+            "it in full precision or on other input"
+        )
+    return values

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The list of upstream networks: which modules hold an adapter, and the cards that they carry.
+
+A module has ``CARDS``, one per network it runs, and ``ADAPTER``, the class that runs them, where stages ask for it by
+name (``models.loading``; LPIPS and SMPL are read from folders of their own). Such a module imports nothing of
+upstream's before it is asked to run, so cards can be read everywhere.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+from studiorecon.models.catalogue.card import Card, Kind
+
+MODULES = (
+    "adapters.pi3",
+    "adapters.mapanything",
+    "adapters.moge",
+    "adapters.sam3",
+    "adapters.comotion",
+    "smpl",
+    "adapters.gen3c",
+    "adapters.difix",
+    "adapters.fixer",
+    "adapters.raft",
+    "adapters.lpips",
+    "adapters.lhm",
+)
+"""Below ``studiorecon.models``, in the order in which tables name them. A new adapter is a line here."""
+
+# Imported by name: what a step imports is part of its code's digest, and it is the chosen adapter alone that counts
+# there (``selection.modules_of``).
+_MODULE_OF: dict[str, str] = {}
+MODELS: dict[str, Card] = {}
+"""Name in settings → card."""
+for _module in MODULES:
+    for _card in importlib.import_module(f"studiorecon.models.{_module}").CARDS:
+        MODELS[_card.name], _MODULE_OF[_card.name] = _card, f"models.{_module}"
+
+
+def model(name: str) -> Card:
+    """The card of ``name``; KeyError, with what there is, when nobody has heard of it."""
+    if name not in MODELS:
+        raise KeyError(f"no model is called {name!r}; there are {', '.join(MODELS)}")
+    return MODELS[name]
+
+
+def of_kind(*kinds: Kind) -> list[Card]:
+    """All models of these kinds, kind after kind, in the order of the list."""
+    return [card for kind in kinds for card in MODELS.values() if card.kind == kind]
+
+
+def module_of(name: str) -> str:
+    """The module, below ``studiorecon``, of the adapter of model ``name``; KeyError as ``model``."""
+    return _MODULE_OF[model(name).name]

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which upstream networks a configuration asks for, what they are run by, and whether their licences are allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import Kind
+from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A setting whose value may name a network.
+
+    Attributes:
+        kinds: of the networks it may name. ``before`` and ``after``: its other values, in the order of messages.
+        steps: that run the network.
+    """
+
+    kinds: tuple[Kind, ...]
+    steps: tuple[str, ...]
+    before: tuple[str, ...]
+    after: tuple[str, ...] = ()
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Names of the networks that can be chosen."""
+        return tuple(card.name for card in of_kind(*self.kinds))
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """Everything the setting may be."""
+        return (*self.before, *self.networks, *self.after)
+
+
+CHOICES = {
+    "calibration.source": Choice(("pose and depth",), ("calibration.network",), ("auto", "files", "people")),
+    "detect.source": Choice(
+        ("body estimator",), ("tracks.bodies",), ("auto", "detector", "keypoints"), ("precomputed",)
+    ),
+    "masks.source": Choice(("person segmenter",), ("masks.network",), ("embedded",), ("precomputed",)),
+    "depth.source": Choice(("monocular depth", "pose and depth"), ("depth.network",), ("embedded",), ("precomputed",)),
+    "views.synthesizer": Choice(
+        ("view synthesizer",), ("views.request", "views.generate", "views.fitted"), ("warp",), ("precomputed",)
+    ),
+    "enhance.enhancer": Choice(
+        ("picture enhancer",), ("enhance.shot", "enhance.folder"), ("residual",), ("precomputed", "none")
+    ),
+    "enhance.flow": Choice(("flow",), ("enhance.shot", "enhance.folder", "enhance.sheet"), ("dis",)),
+}
+"""Settings that may name a network, in the order data flows."""
+CANONICAL = "lhm"
+"""Who makes canonical people. No setting names it: they are made on request only."""
+_MEASURED, _NETS = "report.lpips", {"alex": "lpips_alex", "vgg": "lpips"}
+_PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
+
+
+def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(setting, model) for every setting of a whole configuration that calls for an upstream network, in the order data
+    flows."""
+    found = [(where, str(value)) for where in CHOICES if (value := at(config, where)) in MODELS]
+    found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
+    if (net := at(config, _MEASURED)) in _NETS:
+        found.append((_MEASURED, _NETS[net]))
+    # Only the bundled body and SMPL's are understood, so one that is not the bundled one is SMPL's.
+    body = str(config.get("body", ""))
+    if body and not body.endswith("body.npz"):
+        found.append(("body", "smpl"))
+    return found
+
+
+def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
+    """Modules of the adapters that ``"stage.step"`` runs under this configuration, below ``studiorecon``: they are
+    found by name, so no import of the step leads to them."""
+    if step == "report.page":  # shows every card
+        return sorted({module_of(name) for _, name in selected(config)})
+    names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
+    names += [CANONICAL] if step == "humans.canonical" else []
+    return sorted({module_of(name) for name in names if name in MODELS})
+
+
+def at(config: Mapping[str, Any], where: str) -> Any:
+    """The value of a setting named with dots; None when there is none."""
+    value: Any = config
+    for key in where.split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return value
+
+
+def check_licences(config: Mapping[str, Any]) -> None:
+    """Raises UserError when ``licences`` is "commercial" and a selected network may not be used so; names the
+    alternative."""
+    if config.get("licences") != "commercial":
+        return
+    for where, name in selected(config):
+        terms = MODELS[name].terms
+        if terms.commercial == "no":
+            instead = terms.alternative or "the stage's own method"
+            raise UserError(
+                f"{where} is {name}, and {MODELS[name].title} may not be used commercially "
+                f"({terms.condition}); set it to {instead}, or "
+                "set licences to any"
+            )
+
+
+def licence_rows(config: Mapping[str, Any]) -> list[dict[str, str]]:
+    """For every selected network: where it is used, its title, licences of code and weights, commercial use, condition,
+    alternative."""
+    rows = []
+    for where, name in selected(config):
+        entry = MODELS[name]
+        rows.append(
+            {
+                "setting": where,
+                "model": name,
+                "title": entry.title,
+                "code": entry.terms.code,
+                "weights": entry.terms.weights,
+                "commercial": entry.terms.commercial,
+                "condition": entry.terms.condition,
+                "alternative": entry.terms.alternative,
+                "follows": entry.runtime.commit,
+            }
+        )
+    return rows

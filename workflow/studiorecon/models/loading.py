@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An upstream network by its kind and its name in settings: what stages ask for, who know kinds and Protocols only."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Literal, overload
+
+from studiorecon.gpu import claim
+from studiorecon.models import protocols
+from studiorecon.models.catalogue.card import Kind
+from studiorecon.models.catalogue.registry import model, module_of
+
+
+@overload
+def adapter(kind: Literal["pose and depth"], name: str) -> type[protocols.PoseAndDepth]: ...
+@overload
+def adapter(kind: Literal["monocular depth"], name: str) -> type[protocols.MonocularDepth]: ...
+@overload
+def adapter(kind: Literal["person segmenter"], name: str) -> type[protocols.PersonSegmenter]: ...
+@overload
+def adapter(kind: Literal["body estimator"], name: str) -> type[protocols.BodyEstimator]: ...
+@overload
+def adapter(kind: Literal["view synthesizer"], name: str) -> type[protocols.ViewSynthesizer]: ...
+@overload
+def adapter(kind: Literal["picture enhancer"], name: str) -> type[protocols.Enhancer]: ...
+@overload
+def adapter(kind: Literal["flow"], name: str) -> type[protocols.Flow]: ...
+@overload
+def adapter(kind: Literal["canonical avatar"], name: str) -> type[protocols.CanonicalAvatar]: ...
+
+
+def adapter(kind: Kind, name: str) -> Any:
+    """The class that runs network ``name``, not loaded: what it says of its input can be asked without weights.
+
+    Raises KeyError for an unknown name, ValueError for a network that is of another kind.
+    """
+    card = model(name)
+    if card.kind != kind:
+        raise ValueError(f"{card.title} is a network for {card.kind}, not for {kind}")
+    return importlib.import_module(f"studiorecon.{module_of(name)}").ADAPTER
+
+
+@overload
+def load(kind: Literal["pose and depth"], name: str, weights: Path, device: str) -> protocols.PoseAndDepth: ...
+@overload
+def load(kind: Literal["monocular depth"], name: str, weights: Path, device: str) -> protocols.MonocularDepth: ...
+@overload
+def load(
+    kind: Literal["person segmenter"], name: str, weights: Path, device: str, **options: Any
+) -> protocols.PersonSegmenter: ...
+@overload
+def load(kind: Literal["body estimator"], name: str, weights: Path, device: str) -> protocols.BodyEstimator: ...
+@overload
+def load(
+    kind: Literal["view synthesizer"], name: str, weights: Path, device: str, **options: Any
+) -> protocols.ViewSynthesizer: ...
+@overload
+def load(
+    kind: Literal["picture enhancer"], name: str, weights: Path, device: str, *, seed: int
+) -> protocols.Enhancer: ...
+@overload
+def load(kind: Literal["flow"], name: str, weights: Path, device: str) -> protocols.Flow: ...
+@overload
+def load(kind: Literal["canonical avatar"], name: str, weights: Path, device: str) -> protocols.CanonicalAvatar: ...
+
+
+def load(kind: Kind, name: str, weights: Path, device: str, **options: Any) -> Any:
+    """Network ``name``, ready to run on ``device`` ("auto", "cuda" or "cpu") with its files below ``weights``.
+
+    ``options`` are the settings of this network alone. Raises UserError when weights, package or memory are missing,
+    and what ``adapter`` raises.
+    """
+    run_by = adapter(kind, name)
+    # Before upstream is imported, whose import may ask CUDA what is there.
+    if device != "cpu":
+        claim()
+    return run_by(model(name), weights, device, **options)

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``objects.find``: loose and held things as rigid sets of Gaussians, followed through what differs from the plates
+beside all bodies.
+
+Writes ``objects/objects.npz`` (``splatting/rigid_object.py``), maybe without any object: what fewer than two cameras
+show has no place in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.body.silhouettes import grown_outlines
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.stills import read_plate, shrink
+from studiorecon.footage.video import read_frames
+from studiorecon.objects import carving
+from studiorecon.objects.following import FollowSettings, ObjectTrack, followed, held, linked
+from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, unrest
+from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, kept_apart, looks_at, made, misfit, skin
+from studiorecon.objects.rotation import NEVER_DB, TurnSettings, turned
+from studiorecon.objects.sightings import Sighting, sightings
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.factors import NONE, Factors, read_factors
+from studiorecon.scene.files import one_each
+from studiorecon.scene.people import Person
+from studiorecon.signature import Written
+from studiorecon.splatting.rigid_object import MEASURED_TURNS, RigidObject, write_objects
+
+# Pictures from which is learnt what usually differs.
+_REST_FRAMES = 16
+# A body that was only filled in may stand this many times as far off.
+_FILLED_MARGIN = 3.0
+Moments = Iterator[tuple[Sequence[np.ndarray], Sequence[np.ndarray]]]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How things are found, followed and made.
+
+    Attributes:
+        pixels: longer side of the pictures that are looked at; larger ones are shrunk.
+        gate_m: rays of one thing pass within this.
+        radius_m: least and most radius of a thing.
+        seed: of the training.
+    """
+
+    pixels: int = 480
+    loose: LooseSettings = LooseSettings()
+    gate_m: float = 0.08
+    radius_m: tuple[float, float] = (0.03, 0.35)
+    follow: FollowSettings = FollowSettings()
+    shape: ShapeSettings = ShapeSettings()
+    turn: TurnSettings = setting(TurnSettings(), "How a thing's turning is sought.")
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class ObjectView:
+    """One training camera at the size that is looked at: its film, its clean plate (H, W, 3) in [0, 1], ``measured``
+    (H, W).
+
+    ``usual`` (H, W) is how much its pictures differ from the plate when nothing is there.
+    """
+
+    camera: Camera
+    video: Path
+    plate: np.ndarray
+    measured: np.ndarray
+    usual: np.ndarray
+
+
+def objects_in(
+    moments: Moments,
+    views: Sequence[ObjectView],
+    frames: int,
+    fps: float,
+    settings: Settings,
+    threads: int,
+) -> list[RigidObject]:
+    """The things that move through a clip.
+
+    ``moments`` are, frame by frame, every view's picture (H, W, 3) uint8 and where people are in it (H, W) bool.
+    """
+    cameras = [view.camera for view in views]
+    found: list[tuple[int, list[Sighting]]] = []
+    alone = np.zeros(len(views), int)
+    for frame, (pictures, explained) in enumerate(moments):
+        shown = [
+            states(difference(p, v.plate, settings.loose), v.usual, v.measured, e, settings.loose)
+            for p, v, e in zip(pictures, views, explained)
+        ]
+        loose: list[list[ResidualRegion]] = [
+            regions(p, s, v, settings.loose.min_share) for v, (p, s) in enumerate(zip(pictures, shown))
+        ]
+        things = sightings(cameras, shown, loose, settings.gate_m, settings.radius_m)
+        paired = {id(region) for thing in things for region in thing.regions.values()}
+        alone += [any(id(region) not in paired for region in own) for own in loose]
+        found.append((frame, things))
+    for camera, count in zip(cameras, alone):
+        if count:
+            say(
+                f"{camera.name}: in {count} of {frames} frames something differs that no second "
+                "camera shows at a place; it is left out"
+            )
+    made_objects: list[RigidObject] = []
+    for track in linked(found, fps, settings.follow):
+        result = followed(track, cameras, frames, fps, settings.follow)
+        where = f"frames {track[0][0]} to {track[-1][0]}"
+        looks = looks_at(result, cameras) if isinstance(result, ObjectTrack) else []
+        if isinstance(result, ObjectTrack) and looks:
+            made_objects.append(_made(f"o{len(made_objects)}", result, looks, cameras, fps, settings, threads))
+        elif len(track) > 2:
+            say(
+                f"a thing in {where} is left out: "
+                f"{result if isinstance(result, str) else 'no look shows the whole of it'}"
+            )
+    if not made_objects:
+        say(
+            f"no thing is seen by two cameras for {settings.follow.min_s:g} s: films "
+            "show none. Clean plates of your own "
+            "(plates/CAMERA.png) and more cameras help"
+        )
+    return made_objects
+
+
+def _made(
+    name: str,
+    track: ObjectTrack,
+    looks: Sequence[ObjectCrop],
+    cameras: Sequence[Camera],
+    fps: float,
+    settings: Settings,
+    threads: int,
+) -> RigidObject:
+    apart = kept_apart(looks)
+    keys = {(look.frame, look.view) for look in apart}
+    taught = [look for look in looks if (look.frame, look.view) not in keys]
+    rng = np.random.default_rng([settings.seed, int(name[1:])])
+    start = skin(taught, track.radius_m, settings.shape.gaussians)
+    gaussians, provenance = made(taught, start, track.radius_m, settings.shape, rng, threads, name)
+    still = RigidObject(name, gaussians, provenance, track.centres_m, track.valid, track.present, track.radius_m)
+    thing, told = _turning(still, track, looks, keys, cameras, fps, settings, threads) or (
+        still,
+        "how it turns is not determined",
+    )
+    judged = [at_pose(look, cameras, thing.pose_at(look.frame)) for look in apart if thing.valid[look.frame]]
+    agreement_db = -10 * np.log10(max(misfit(thing.gaussians, judged, threads)[0], 1e-10))
+    between, unknown = int((thing.present & ~thing.valid).sum()), int((~thing.present).sum())
+    say(
+        f"{name}: radius {100 * track.radius_m:.1f} cm, measured in {int(thing.valid.sum())} "
+        f"frames, between measured ones in {between}, "
+        f"unknown and left out in {unknown}; {thing.gaussians.count} Gaussians from "
+        f"{len(looks)} looks, {agreement_db:.1f} dB in looks "
+        f"kept apart; {told}"
+    )
+    return thing
+
+
+def _turning(
+    still: RigidObject,
+    track: ObjectTrack,
+    looks: Sequence[ObjectCrop],
+    apart: Collection[tuple[int, int]],
+    cameras: Sequence[Camera],
+    fps: float,
+    settings: Settings,
+    threads: int,
+) -> tuple[RigidObject, str] | None:
+    """A thing as one that turns, and a sentence; None where ``still`` explains the looks kept ``apart`` as well, or no
+    gain is enough."""
+    if settings.turn.gain_db >= NEVER_DB:
+        return None
+    rng = np.random.default_rng([settings.seed, int(still.person[1:]), 1])
+    motion = turned(track, cameras, apart, fps, settings.turn, rng, threads)
+    if motion is None:
+        return None
+    known = [look for look in looks if motion.measured[look.frame]]
+    judged = [look for look in known if (look.frame, look.view) in apart]
+    taught = [
+        at_pose(look, cameras, motion.world_from_thing[look.frame])
+        for look in known
+        if (look.frame, look.view) not in apart
+    ]
+    start = carving.skin(taught, settings.shape.gaussians)
+    if start is None or not judged:
+        return None
+    gaussians, seen = made(
+        taught, start, carving.reach_m(taught), settings.shape, rng, threads, f"{still.person}, turning"
+    )
+    moved = [at_pose(look, cameras, motion.world_from_thing[look.frame]) for look in judged]
+    gain_db = 10 * np.log10(
+        misfit(still.gaussians, judged, threads)[1] / max(misfit(gaussians, moved, threads)[1], 1e-10)
+    )
+    if not gain_db >= settings.turn.gain_db:
+        return None
+    present = held(motion.measured, fps, settings.follow)
+    centres = np.where(present[:, None], motion.world_from_thing[:, :3, 3], np.nan)
+    turns = motion.world_from_thing[:, :3, :3]
+    thing = RigidObject(
+        still.person, gaussians, seen, centres, motion.measured, present, still.radius_m, turns, MEASURED_TURNS
+    )
+    return thing, f"it turns, which explains those looks {gain_db:.1f} dB better, outlines included"
+
+
+def rested(views: Sequence[ObjectView], moments: Moments, settings: LooseSettings) -> list[ObjectView]:
+    """The views with what their pictures usually differ by, from some moments spread over the clip."""
+    seen = list(moments)
+    found = []
+    for v, view in enumerate(views):
+        differences = [difference(pictures[v], view.plate, settings) for pictures, _ in seen]
+        found.append(replace(view, usual=unrest(differences, [explained[v] for _, explained in seen])))
+    return found
+
+
+def moments_of(
+    views: Sequence[ObjectView],
+    people: Sequence[Person],
+    body: BodyModel | None,
+    frames: int,
+    margin_m: float,
+    step: int = 1,
+    factors: Factors = NONE,
+) -> Moments:
+    """Every ``step``-th frame: every view's picture at its size, without its exposure's ``factors``, and where people
+    are in it."""
+    films = zip(*(read_frames(view.video, 0, frames) for view in views), strict=True)
+    for frame, filmed in enumerate(progress(films, "loose things", frames)):
+        if frame % step:
+            continue
+        pictures = [factors.even(view.camera.name, picture, frame) for view, picture in zip(views, filmed)]
+        yield (
+            [
+                p if p.shape[:2] == v.camera.hw else cv2.resize(p, v.camera.wh, interpolation=cv2.INTER_AREA)
+                for p, v in zip(pictures, views)
+            ],
+            [grown_outlines(people, body, view.camera, frame, margin_m, _FILLED_MARGIN) for view in views],
+        )
+
+
+def open_view(camera: Camera, video: Path, plate: Path, pixels: int, factors: Factors = NONE) -> ObjectView:
+    """A camera with its plate at the size that is looked at, without its exposure's ``factors``."""
+    share = min(1.0, pixels / max(camera.wh))
+    small = camera.resized((round(camera.wh[0] * share), round(camera.wh[1] * share)))
+    rgb, measured = read_plate(plate)
+    return ObjectView(
+        small, video, *shrink(factors.even(camera.name, rgb), measured, small.wh), np.zeros(small.hw, np.float32)
+    )
+
+
+def run(
+    settings: Settings,
+    model: Path,
+    manifest: Path,
+    videos: list[Path],
+    plates: list[Path],
+    people: list[Path],
+    body: Path | None,
+    threads: int,
+    objects: Written,
+    gains: list[Path] | None = None,
+    light: list[Path] | None = None,
+) -> None:
+    """Find, follow and make the things of a scene; ``people`` are the fitted bodies, which explain what differs from
+    the plates.
+
+    The cameras' ``gains`` and the course of the ``light`` are divided out of the pictures, the gains of the plates too.
+    """
+    cameras = read_model(model.parent)
+    footage = read_manifest(manifest)
+    one_each(cameras, videos=videos, plates=plates)
+    fits = [read_person(path) for path in people]
+    if fits and body is None:
+        raise UserError(f"{len(fits)} people are given without a body model; add --body")
+    body_model = BodyModel.load(body) if fits else None
+    for path, fit in zip(people, fits):
+        if fit.body != body_model.identity or len(fit.poses) != footage.frames:
+            raise UserError(
+                f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage "
+                f"{footage.frames} frames; run people.fit again"
+            )
+    gain, every = read_factors(gains or []), read_factors([*(gains or []), *(light or [])], footage.frames)
+    views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
+    about = (fits, body_model, footage.frames, settings.loose.margin_m)
+    step = max(1, footage.frames // _REST_FRAMES)
+    views = rested(views, moments_of(views, *about, step=step, factors=every), settings.loose)
+    moments = moments_of(views, *about, factors=every)
+    found = objects_in(moments, views, footage.frames, footage.fps, settings, threads)
+    write_objects(objects, found, footage.frames)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a thing of known shape is and how it is turned at one moment: its Gaussians drawn over what all cameras saw of
+it.
+
+Compared are colours and outlines at once: the picture before black and what covers it. Each camera's crop is drawn
+seven times a step, as the thing is and with its six freedoms varied, and the steps are Levenberg and Marquardt's; first
+on blurred pictures, which reach further.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.footage.video import to_float
+from studiorecon.geometry import rotations
+from studiorecon.objects.residual import LOOSE, UNKNOWN
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+
+# Differences that count in full; what one pixel's difference weighs: shapes are not exact, and neighbours err alike.
+_HUBER, _NOISE = 0.25, 0.4
+# Step of the derivatives, radians, and metres per metre of reach; stops at this.
+_STEP_RAD, _STEP_SHARE, _ENOUGH_RAD = 0.02, 0.03, 2e-3
+_DAMPING = (1e-2, 1e3)
+NEAR_M = 0.05
+
+
+@dataclass(frozen=True)
+class ObjectObservation:
+    """What one camera saw of a thing: a crop's ``camera`` in the world, ``rgb`` (h, w, 3) before black, ``mask`` and
+    ``weight`` (h, w)."""
+
+    camera: Camera
+    rgb: np.ndarray
+    mask: np.ndarray
+    weight: np.ndarray
+
+
+def glimpse(camera: Camera, rgb: np.ndarray, state: np.ndarray) -> ObjectObservation:
+    """From a crop's camera, ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) as in ``Region``; where somebody hides it
+    nothing counts."""
+    mask = (state == LOOSE).astype(np.float32)
+    return ObjectObservation(camera, to_float(rgb) * mask[..., None], mask, (state != UNKNOWN).astype(np.float32))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is expected of a pose: near ``world_from_thing`` (4, 4) within deviations in radians and metres."""
+
+    world_from_thing: np.ndarray
+    turn_rad: float
+    place_m: float
+
+    def residuals(self, pose: np.ndarray) -> np.ndarray:
+        """(6,) departures of a pose (4, 4) in deviations."""
+        turn = rotations.log(self.world_from_thing[:3, :3].T @ pose[:3, :3])
+        return np.concatenate([turn / self.turn_rad, (pose[:3, 3] - self.world_from_thing[:3, 3]) / self.place_m])
+
+
+def moved(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) turned about its own middle by ``step[:3]``, radians, in its own axes, and shifted by ``step[3:]``,
+    metres."""
+    new = pose.copy()
+    new[:3, :3] = pose[:3, :3] @ rotations.exp(step[:3])
+    new[:3, 3] += step[3:]
+    return new
+
+
+class Fitter:
+    """One thing's Gaussians, ready to be drawn over glimpses. ``reach_m`` is how far they reach from its middle."""
+
+    def __init__(self, gaussians: Gaussians, reach_m: float, threads: int) -> None:
+        self._gaussians, self.reach_m = gaussians, reach_m
+        self._rasteriser = Rasteriser(near_m=NEAR_M, threads=threads)
+
+    def misfit(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation]) -> tuple[float, float]:
+        """Sum of the squared differences in the crops at a pose, and how many pixels of the thing there are."""
+        squares = sum(float(np.square(self._difference(pose, g, 0.0)).sum()) for g in glimpses)
+        return squares, float(sum((g.mask * g.weight).sum() for g in glimpses))
+
+    def fit(
+        self,
+        pose: np.ndarray,
+        glimpses: Sequence[ObjectObservation],
+        prior: Prior,
+        blurs_px: Sequence[float],
+        steps: int,
+    ) -> np.ndarray:
+        """The pose (4, 4) near ``pose`` that draws what was seen, within its prior."""
+        for blur_px in blurs_px:
+            pose = self._descended(pose, glimpses, prior, blur_px, steps)
+        return pose
+
+    def cost(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float) -> float:
+        """What ``fit`` lessens."""
+        return _cost(self._residuals(pose, glimpses, blur_px)) + float(np.square(prior.residuals(pose)).sum())
+
+    def _descended(
+        self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float, steps: int
+    ) -> np.ndarray:
+        lengths = np.array([_STEP_RAD] * 3 + [_STEP_SHARE * self.reach_m] * 3)
+        damping, residual = _DAMPING[0], self._residuals(pose, glimpses, blur_px)
+        expected = prior.residuals(pose)
+        cost = _cost(residual) + float(expected @ expected)
+        for _ in range(steps):
+            varied = [moved(pose, lengths * unit) for unit in np.eye(6)]
+            slope = np.stack(
+                [(self._residuals(v, glimpses, blur_px) - residual) / h for v, h in zip(varied, lengths)], axis=1
+            )
+            pull = np.stack([(prior.residuals(v) - expected) / h for v, h in zip(varied, lengths)], axis=1)
+            robust = np.minimum(1.0, _HUBER / _NOISE / np.maximum(np.abs(residual), 1e-9))
+            normal = slope.T @ (robust[:, None] * slope) + pull.T @ pull
+            gradient = slope.T @ (robust * residual) + pull.T @ expected
+            while damping < _DAMPING[1]:
+                step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+                step[:3] *= min(1.0, 0.5 / max(float(np.linalg.norm(step[:3])), 1e-12))
+                new = moved(pose, step)
+                new_residual, new_expected = self._residuals(new, glimpses, blur_px), prior.residuals(new)
+                new_cost = _cost(new_residual) + float(new_expected @ new_expected)
+                if new_cost < cost:
+                    break
+                damping *= 10
+            else:
+                return pose
+            small = np.linalg.norm(step[:3]) < _ENOUGH_RAD and np.linalg.norm(step[3:]) < _ENOUGH_RAD * self.reach_m
+            pose, residual, expected, cost = new, new_residual, new_expected, new_cost
+            damping = max(damping / 10, 1e-4)
+            if small:
+                break
+        return pose
+
+    def _residuals(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], blur_px: float) -> np.ndarray:
+        return (
+            np.concatenate([self._difference(pose, g, blur_px).ravel() for g in glimpses]).astype(np.float64) / _NOISE
+        )
+
+    def _difference(self, pose: np.ndarray, seen: ObjectObservation, blur_px: float) -> np.ndarray:
+        """(h, w, 4) of colours before black and cover, weighted."""
+        camera = Camera(seen.camera.name, seen.camera.wh, seen.camera.intrinsics, seen.camera.camera_from_world @ pose)
+        drawn = self._rasteriser.forward(self._gaussians, camera)
+        off = (
+            np.concatenate([drawn.rgb - seen.rgb, (drawn.alpha - seen.mask)[..., None]], axis=-1)
+            * seen.weight[..., None]
+        )
+        return cv2.GaussianBlur(off, (0, 0), blur_px) if blur_px > 0 else off
+
+
+def _cost(residual: np.ndarray) -> float:
+    """Huber's, in the residuals' own unit."""
+    size, edge = np.abs(residual), _HUBER / _NOISE
+    return float(np.where(size <= edge, size**2, edge * (2 * size - edge)).sum())

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of a picture that differ from the clean plate and that no body explains: what may be a thing that somebody
+threw or holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.footage.video import to_float
+from studiorecon.images.difference import plate_difference
+
+# What a pixel shows: the room as on the plate, something loose, or no telling (a person, or an unknown plate).
+ROOM, LOOSE, UNKNOWN = 0, 1, 2
+# Width of the neighbourhood that knows how much a thing differs just inside its outline: two pixels each way.
+_EDGE_PX = 5
+_EDGE_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class LooseSettings:
+    """When a pixel shows a thing. Differences are in CIELAB units (1 = just visible).
+
+    Attributes:
+        difference: a pixel that differs more from the plate is foreground.
+        chroma_weight: colour differences count this much more than lightness.
+        shadow: darkest shadow, as a share of the unshadowed light; a darkening down to it is none.
+        margin_m: people are this much thicker than their bodies: clothes, hair and what the fit is off.
+        min_share: regions below this share of the picture are noise.
+    """
+
+    difference: float = 10.0
+    chroma_weight: float = 1.5
+    shadow: float = 0.5
+    margin_m: float = 0.05
+    min_share: float = 0.0004
+
+
+@dataclass(frozen=True)
+class ResidualRegion:
+    """One connected part of one picture that is loose.
+
+    Attributes:
+        view: index of the camera; ``centre_px`` (2,) its middle; ``area_px`` its pixels.
+        outline_px: (K, 2) points between its pixels and those of the room beside them: its true outline, where nobody
+            covers it.
+        free: whether room surrounds it: no person beside it, the whole of it in the picture.
+        corner: (2,) column and row of the crop's first pixel; ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) uint8 the
+            crop around it, with other regions as UNKNOWN.
+    """
+
+    view: int
+    centre_px: np.ndarray
+    area_px: float
+    outline_px: np.ndarray
+    free: bool
+    corner: tuple[int, int]
+    rgb: np.ndarray
+    state: np.ndarray
+
+
+def difference(rgb: np.ndarray, plate: np.ndarray, settings: LooseSettings) -> np.ndarray:
+    """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
+
+    A shadow, one factor of all channels, is taken out first.
+    """
+    picture, empty = cv2.GaussianBlur(to_float(rgb), (3, 3), 0), cv2.GaussianBlur(plate, (3, 3), 0)
+    return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
+
+
+def unrest(differences: Sequence[np.ndarray], explained: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W) float32 difference that a pixel shows in most of the pictures in which nobody is there; 0 where somebody
+    always is.
+
+    That is what compression does to fine patterns, and what the plate got wrong.
+    """
+    found = np.sort(np.where(np.stack(explained), np.inf, np.stack(differences)), axis=0)
+    middle = np.maximum(np.isfinite(found).sum(axis=0) - 1, 0) // 2
+    usual = np.take_along_axis(found, middle[None], axis=0)[0]
+    return np.where(np.isfinite(usual), usual, 0).astype(np.float32)
+
+
+def states(
+    differing: np.ndarray, usual: np.ndarray, measured: np.ndarray, explained: np.ndarray, settings: LooseSettings
+) -> np.ndarray:
+    """(H, W) uint8 what every pixel of a picture shows.
+
+    ``differing`` (H, W) is its ``difference``, ``usual`` its ``unrest``, up to twice the threshold: what differs more
+    is a thing that stood there. The plate is ``measured`` (H, W); ``explained`` (H, W) bool is where people are.
+    """
+    quiet = differing - np.minimum(usual, 2 * settings.difference)
+    plain = cv2.medianBlur((quiet > settings.difference).astype(np.uint8), 3)
+    # Blur carries a thing's colour a pixel beyond it: its outline runs where the difference has fallen to half of what
+    # it is just inside.
+    square = np.ones((_EDGE_PX, _EDGE_PX), np.uint8)
+    loose = (plain & (quiet > _EDGE_SHARE * cv2.dilate(quiet, square))) | cv2.erode(plain, square)
+    return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
+
+
+def regions(rgb: np.ndarray, state: np.ndarray, view: int, min_share: float) -> list[ResidualRegion]:
+    """Loose regions of a picture, largest first."""
+    loose = cv2.morphologyEx((state == LOOSE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels, statistics, centres = cv2.connectedComponentsWithStats(loose, connectivity=8)
+    height, width = state.shape
+    found = []
+    for k in np.argsort(-statistics[1:, cv2.CC_STAT_AREA], kind="stable") + 1:
+        left, top, wide, high, area = statistics[k]
+        if area < max(min_share * state.size, 9):
+            break
+        reach = 4 + max(wide, high) // 3
+        box = (
+            slice(max(top - reach, 0), min(top + high + reach, height)),
+            slice(max(left - reach, 0), min(left + wide + reach, width)),
+        )
+        own = labels[box] == k
+        around = np.where(own, np.uint8(LOOSE), np.where(state[box] == LOOSE, np.uint8(UNKNOWN), state[box]))
+        # What the opening took off this region is its own, not another's.
+        beside = cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        around[beside & (state[box] == LOOSE) & (labels[box] == 0)] = LOOSE
+        near = cv2.dilate(own.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        # Specks that the opening took away hide nothing; people and other regions may.
+        hidden = (state[box] == UNKNOWN) | ((labels[box] > 0) & ~own)
+        inside = left > 1 and top > 1 and left + wide < width - 1 and top + high < height - 1
+        corner = (int(box[1].start), int(box[0].start))
+        found.append(
+            ResidualRegion(
+                view,
+                centres[k] + 0.5,
+                float(area),
+                outline_of(around) + corner,
+                bool(inside and not (near & hidden).any()),
+                corner,
+                rgb[box].copy(),
+                around,
+            )
+        )
+    return found
+
+
+def outline_of(state: np.ndarray) -> np.ndarray:
+    """(K, 2) middles of the edges between loose pixels and room pixels."""
+    points = []
+    for axis in (0, 1):
+        first = state[:-1] if axis == 0 else state[:, :-1]
+        second = state[1:] if axis == 0 else state[:, 1:]
+        rows, columns = np.nonzero((first != second) & (first != UNKNOWN) & (second != UNKNOWN))
+        offset = (0.5, 1.0) if axis == 0 else (1.0, 0.5)
+        points.append(np.stack([columns + offset[0], rows + offset[1]], axis=1))
+    return np.concatenate(points)

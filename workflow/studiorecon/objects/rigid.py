@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The shape and colours of a thing that was followed: discs on the hull of its outlines over all frames, trained on
+crops around it.
+
+All pictures are taken as seen from the thing: its motion is taken out of the cameras, so that one still set of
+Gaussians is trained on all frames. Whose turning is unknown (``turning`` seeks it) is taken not to turn: its colours
+and its hull are then the mean of what was seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.footage.video import to_float
+from studiorecon.images.warp import sample
+from studiorecon.objects.following import ObjectTrack
+from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_of
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.provenance import INFERRED, MEASURED
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.discs import discs
+from studiorecon.splatting.train.schedule import TrainingSettings
+from studiorecon.splatting.train.still import train_still
+from studiorecon.splatting.train.targets import Target
+
+# Looks that are trained on, spread over the track; every so-many-th is kept apart to judge.
+_LOOKS, _JUDGED = 160, 8
+# A place lies outside when more than this share of the looks shows the room there: outlines are a pixel off, and a
+# middle a little.
+_OUTSIDE = 0.25
+# Shares of the outlines' points between whose distances from the middle the surface lies: the rest are errors.
+_BETWEEN = (0.1, 0.9)
+# How far from the middle the surface may lie, in radii, and in how many steps it is looked for.
+_REACH, _STEPS = (0.3, 2.2), 64
+# A disc's deviation over the spacing, its thickness over its width, its opacity at the start.
+_WIDTH, _FLATNESS, _OPACITY = 0.6, 0.3, 0.9
+# Cosine between the surface's normal and the way to the camera from which colours are taken.
+_FACING = 0.35
+# Areas of a thing's regions differ from its sphere's by at most this factor.
+_ONE_AREA, _ONE_AREA_OBLONG = 1.6, 6.0
+_NEAR_M = 0.05
+
+
+@dataclass(frozen=True)
+class ShapeSettings:
+    """How a thing is made: ``gaussians`` on its surface, ``iterations`` of training of one crop each."""
+
+    gaussians: int = 800
+    iterations: int = 600
+
+
+@dataclass(frozen=True)
+class ObjectCrop:
+    """A crop in which nobody covers the thing, and whose it is.
+
+    Attributes:
+        frame, view: moment and index of the camera.
+        corner: (2,) column and row of the crop's first pixel.
+        camera: the crop's camera as seen from the thing.
+        rgb: (h, w, 3) uint8; ``state`` (h, w) uint8 as in ``ResidualRegion``.
+    """
+
+    frame: int
+    view: int
+    corner: tuple[int, int]
+    camera: Camera
+    rgb: np.ndarray
+    state: np.ndarray
+
+
+def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
+    """The uncovered looks at a thing that moves without turning, at most 160 of them spread over its frames."""
+    found = []
+    for frame, sighting in track.seen:
+        if not track.valid[frame]:
+            continue
+        still = np.eye(4)
+        still[:3, 3] = track.centres_m[frame]
+        for view, region in sorted(sighting.regions.items()):
+            if region.free and _whole(region, track, frame, cameras[view]):
+                look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
+                found.append(at_pose(look, cameras, still))
+    return [found[i] for i in evenly_spread(len(found), _LOOKS, below=True)]
+
+
+def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: np.ndarray) -> ObjectCrop:
+    """A look with its camera as seen from the thing at a pose (4, 4)."""
+    camera = cameras[look.view]
+    intrinsics = camera.intrinsics.copy()
+    intrinsics[:2, 2] -= look.corner
+    wh = (look.state.shape[1], look.state.shape[0])
+    return replace(look, camera=Camera(camera.name, wh, intrinsics, camera.camera_from_world @ world_from_thing))
+
+
+def kept_apart(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
+    """Every eighth look: what a thing is judged by is not what it is made from."""
+    return list(looks[_JUDGED - 1 :: _JUDGED])
+
+
+def hull(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) the unit directions they lie in.
+
+    In each direction the surface is where the share of looks that show the room there passes a quarter, but as far away
+    as outlines are: what few cameras cannot carve away, the corners of the cones that they leave, is no part of the
+    thing; what looks like a shadow is.
+    """
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    height = 1 - (2 * np.arange(count) + 1) / count
+    level = np.sqrt(1 - height**2)
+    directions = np.stack([level * np.cos(turn), level * np.sin(turn), height], axis=1)
+    steps_m = radius_m * np.linspace(*_REACH, _STEPS)
+    points = directions[:, None] * steps_m[None, :, None]
+    outside = np.zeros(points.shape[:2])
+    for look in looks:
+        pixels, _ = look.camera.project(points)
+        outside += _sampled(look.state, pixels, ROOM) == ROOM
+    inside = np.logical_and.accumulate(outside / max(len(looks), 1) <= _OUTSIDE, axis=1)
+    last = np.maximum(inside.sum(axis=1) - 1, 0)
+    reached = np.concatenate([reached_m(look) for look in looks])
+    nearest_m, farthest_m = np.quantile(reached, _BETWEEN) if len(reached) else (radius_m, radius_m)
+    return directions * np.clip(steps_m[last], nearest_m, farthest_m)[:, None], directions
+
+
+def reached_m(look: ObjectCrop) -> np.ndarray:
+    """(K,) how far from the middle the rays through a look's outline pass."""
+    points = outline_of(look.state)
+    rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
+
+
+def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[ObjectCrop]) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) mean colours of points from the looks that face them, and (N,) bool which any look does; the others get
+    the mean colour."""
+    sums, weights = np.zeros((len(points_m), 3)), np.zeros(len(points_m))
+    for look in looks:
+        away = look.camera.centre_m - points_m
+        facing = (normals * away).sum(1) / np.linalg.norm(away, axis=1)
+        pixels, _ = look.camera.project(points_m)
+        core = cv2.erode((look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8))
+        shows = (facing > _FACING) & (_sampled(core, pixels[None], 0)[0] > 0)
+        column, row = np.floor(pixels[shows]).astype(int).T
+        sums[shows] += facing[shows, None] * to_float(look.rgb)[row, column]
+        weights[shows] += facing[shows]
+    seen = weights > 0
+    mean = sums[seen].sum(0) / weights[seen].sum() if seen.any() else np.full(3, 0.5)
+    return np.where(seen[:, None], sums / np.maximum(weights, 1e-9)[:, None], mean), seen
+
+
+def made(
+    looks: Sequence[ObjectCrop],
+    start: tuple[Gaussians, np.ndarray],
+    radius_m: float,
+    settings: ShapeSettings,
+    rng: np.random.Generator,
+    threads: int,
+    label: str,
+) -> tuple[Gaussians, np.ndarray]:
+    """Gaussians of a thing in its own frame, trained on looks from a ``start`` (``skin``), and their provenance
+    (N,)."""
+    discs_there, seen = start
+    targets = [_target(look, i) for i, look in enumerate(looks)]
+    largest_m = float(2 * np.exp(discs_there.log_scales.max()))
+    trained = train_still(
+        discs_there,
+        targets,
+        _schedule(settings.iterations, largest_m),
+        rng,
+        extent_m=radius_m,
+        threads=threads,
+        label=label,
+    )
+    provenance = np.where(seen, MEASURED, INFERRED).astype(np.uint8)[trained.source]
+    # What no look shows was trained on outlines alone.
+    sh = np.where((provenance == MEASURED)[:, None, None], trained.gaussians.sh, discs_there.sh[trained.source])
+    return replace(trained.gaussians, sh=sh), provenance
+
+
+def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, np.ndarray]:
+    """Discs on the hull of a round thing in the colours of the looks, and (N,) bool which of them any look shows."""
+    points, normals = hull(looks, radius_m, count)
+    rgb, seen = coloured(points, normals, looks)
+    width_m = _WIDTH * np.sqrt(4 * np.pi / len(points)) * np.linalg.norm(points, axis=1)
+    return discs(points, normals, rgb, width_m, _FLATNESS, _OPACITY, 0), seen
+
+
+def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> tuple[float, float]:
+    """Mean squared error of looks: inside the thing, and of the whole crop, outlines and what lies beside included; NaN
+    without any."""
+    rasteriser, squares, counts = Rasteriser(near_m=_NEAR_M, threads=threads), np.zeros(2), np.zeros(2)
+    for look in looks:
+        target = _target(look, 0)
+        drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
+        errors = np.square(drawn - target.rgb).mean(axis=-1)
+        for k, chosen in enumerate(((target.weight > 0) & (look.state == LOOSE), look.state != UNKNOWN)):
+            squares[k] += float(errors[chosen].sum())
+            counts[k] += int(chosen.sum())
+    inside, whole = np.where(counts > 0, squares / np.maximum(counts, 1), np.nan)
+    return float(inside), float(whole)
+
+
+def _whole(region: ResidualRegion, track: ObjectTrack, frame: int, camera: Camera) -> bool:
+    """Whether a region has about the area of the thing: another thing may be before it, or beside it and of one region
+    with it.
+
+    What is not round shows areas of all sizes.
+    """
+    most = _ONE_AREA if track.round else _ONE_AREA_OBLONG
+    radius_px = track.radius_m * camera.focal_px[0] / float(camera.project(track.centres_m[frame])[1])
+    return 1 / most < region.area_px / (np.pi * radius_px**2) < most
+
+
+def _sampled(picture: np.ndarray, pixels: np.ndarray, beyond: int) -> np.ndarray:
+    """Values of a picture (H, W) at pixels (N, K, 2), ``beyond`` outside of it and behind the camera."""
+    values, inside = sample(picture, pixels, "nearest")
+    return np.where(inside, values, beyond)
+
+
+def _target(look: ObjectCrop, index: int) -> Target:
+    """What training compares with: the thing before black and white by turns, the seam of its outline and what hides it
+    left out."""
+    behind = np.float32(index % 2)
+    loose, square = (look.state == LOOSE).astype(np.uint8), np.ones((3, 3), np.uint8)
+    seam = (cv2.dilate(loose, square) > 0) & (cv2.erode(loose, square, borderType=cv2.BORDER_REPLICATE) == 0)
+    rgb = np.where(loose[..., None] > 0, to_float(look.rgb), behind).astype(np.float32)
+    weight = (~seam & (look.state != UNKNOWN)).astype(np.float32)
+    return Target(look.camera, rgb, weight, background_rgb=(float(behind),) * 3)
+
+
+def _schedule(iterations: int, largest_m: float) -> TrainingSettings:
+    """Training of a small set that starts on its surface: it needs no density control, one degree of harmonics and no
+    warm-up."""
+    return TrainingSettings(
+        iterations=iterations,
+        l1=1.0,
+        ssim=0.0,
+        position_lr_start=2e-3,
+        position_lr_end=2e-5,
+        opacity_lr=2e-2,
+        sh_lr=1e-2,
+        adam_epsilon=1e-6,
+        sh_degree=0,
+        warmup_half_resolution=0.0,
+        near_m=_NEAR_M,
+        largest_scale_m=largest_m,
+    )

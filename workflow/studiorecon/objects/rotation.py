@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a thing turns: its shape from the moment that shows it best, that shape followed both ways, and both once more
+from all moments.
+
+Each moment's pose is found from colours and outlines in all views at once (``posing``), and held near what the moments
+beside it lead to expect: what a view does not tell, as the turn of a stick about its own length, does not wander.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry import rotations
+from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
+from studiorecon.objects.carving import reach_m, skin, volume_m3
+from studiorecon.objects.following import ObjectTrack
+from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, moved
+from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, looks_at, made
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+
+# What a thing looks like while poses are sought: untrained, a board's turns about its length were 9° off instead of 1.
+_SHAPE = ShapeSettings(gaussians=400, iterations=800)
+# Blurs of the pictures while a thing is followed, pixels, and steps at each; steps of later rounds.
+_BLURS_PX, _STEPS, _LATER_STEPS = (2.0, 0.0), 6, 4
+# Turns from which the first neighbour is sought, radians: nobody knows yet which way it turns.
+_FIRST_RAD = 0.4
+# A moment drawn this many times as badly as the middle one is lost.
+_LOST = 3.0
+# Deviation of a middle from where outlines alone put it, as a share of the reach.
+_PLACE = 0.15
+# A thing whose turn never differs by more than this from its middle one does not turn.
+_LEAST_RAD = np.radians(6.0)
+# Nothing gains as much as this.
+NEVER_DB = 100.0
+
+
+@dataclass(frozen=True)
+class TurnSettings:
+    """How a thing's turning is sought.
+
+    Attributes:
+        rad_s2: nothing changes the speed of its turning faster than about this.
+    """
+
+    rad_s2: float = 60.0
+    gain_db: float = setting(
+        1.0,
+        "A thing turns if that explains looks kept apart so much better; 100 = its turning is not sought, "
+        "which saves most of the time.",
+        unit="dB",
+        minimum=0,
+        maximum=100,
+    )
+
+
+@dataclass(frozen=True)
+class RigidMotion:
+    """``world_from_thing`` (T, 4, 4), and the frames (T,) in which it was measured; the other present ones lie between
+    these."""
+
+    world_from_thing: np.ndarray
+    measured: np.ndarray
+
+
+def turned(
+    track: ObjectTrack,
+    cameras: Sequence[Camera],
+    apart: Collection[tuple[int, int]],
+    fps: float,
+    settings: TurnSettings,
+    rng: np.random.Generator,
+    threads: int,
+) -> RigidMotion | None:
+    """How the thing of a track turns, without looks (frame, view) that are kept ``apart``; None when it does not or
+    nothing tells.
+
+    Some 0.1 s per frame and view; ``rng`` is for the training of its shape.
+    """
+    glimpses = _glimpses(track, cameras, apart)
+    frames = sorted(glimpses)
+    looks = [look for look in looks_at(track, cameras) if (look.frame, look.view) not in apart]
+    if len(frames) < 3 or not looks:
+        return None
+    still = np.tile(np.eye(4), (len(track.centres_m), 1, 1))
+    still[:, :3, 3] = np.nan_to_num(track.centres_m)
+    best = _best_shown(looks, cameras, still)
+    shape = _shape(best, rng, threads)
+    if shape is None:
+        return None
+    poses = _followed(Fitter(*shape, threads), still, glimpses, best[0].frame, fps, settings)
+    if _largest_rad(np.stack([poses[frame][:3, :3] for frame in frames])) < _LEAST_RAD:
+        return None
+    # Once more with the shape that all moments give; a third time changes nothing.
+    shape = _shape([at_pose(look, cameras, poses[look.frame]) for look in looks], rng, threads)
+    if shape is None:
+        return None
+    fitter = Fitter(*shape, threads)
+    poses = _refined(fitter, still, poses, glimpses, fps, settings)
+    misfits = {frame: np.divide(*fitter.misfit(poses[frame], glimpses[frame])) for frame in frames}
+    measured = np.zeros(len(still), bool)
+    measured[[frame for frame in frames if misfits[frame] <= _LOST * np.median(list(misfits.values()))]] = True
+    measured &= track.valid
+    turns = np.stack([poses[frame][:3, :3] if frame in poses else np.eye(3) for frame in range(len(still))])
+    if measured.sum() < 3 or _largest_rad(turns[measured]) < _LEAST_RAD:
+        return None
+    filled = still.copy()
+    filled[:, :3, :3] = fill_rotations(turns, measured)
+    middles = np.stack([poses[frame][:3, 3] if frame in poses else np.zeros(3) for frame in range(len(still))])
+    filled[:, :3, 3] = fill_vectors(middles, measured)
+    return RigidMotion(filled, measured)
+
+
+def _largest_rad(turns: np.ndarray) -> float:
+    """How far turns (N, 3, 3) go from their middle one."""
+    return float(rotations.angle(rotations.mean(turns)[0], turns).max())
+
+
+def _glimpses(
+    track: ObjectTrack, cameras: Sequence[Camera], apart: Collection[tuple[int, int]]
+) -> dict[int, list[ObjectObservation]]:
+    """By frame what every camera saw, also beside whoever hides a part."""
+    found: dict[int, list[ObjectObservation]] = {}
+    for frame, sighting in track.seen:
+        for view, region in sorted(sighting.regions.items()):
+            if track.valid[frame] and (frame, view) not in apart:
+                look = ObjectCrop(frame, view, region.corner, cameras[view], region.rgb, region.state)
+                crop = at_pose(look, cameras, np.eye(4)).camera
+                found.setdefault(frame, []).append(glimpse(crop, region.rgb, region.state))
+    return found
+
+
+def _best_shown(looks: Sequence[ObjectCrop], cameras: Sequence[Camera], still: np.ndarray) -> list[ObjectCrop]:
+    """The looks of the moment whose outlines leave the least: no hull is smaller than the thing. Of moments that most
+    cameras show."""
+    by_frame: dict[int, list[ObjectCrop]] = {}
+    for look in looks:
+        by_frame.setdefault(look.frame, []).append(at_pose(look, cameras, still[look.frame]))
+    most = max(map(len, by_frame.values()))
+    volumes_m3 = {frame: volume_m3(own) for frame, own in by_frame.items() if len(own) == most}
+    return by_frame[min(volumes_m3, key=volumes_m3.__getitem__)]
+
+
+def _shape(looks: Sequence[ObjectCrop], rng: np.random.Generator, threads: int) -> tuple[Gaussians, float] | None:
+    """Gaussians from looks in the thing's own frame, and their reach in metres; None where nothing is left."""
+    found, reach = skin(looks, _SHAPE.gaussians), reach_m(looks)
+    return None if found is None else (made(looks, found, reach, _SHAPE, rng, threads, "pose")[0], reach)
+
+
+def _followed(
+    fitter: Fitter,
+    still: np.ndarray,
+    glimpses: Mapping[int, list[ObjectObservation]],
+    start: int,
+    fps: float,
+    settings: TurnSettings,
+) -> dict[int, np.ndarray]:
+    """Poses (4, 4) by frame, from the moment ``start`` on, both ways."""
+    frames = sorted(glimpses)
+    poses = {start: still[start]}
+    at = frames.index(start)
+    for way in (frames[at + 1 :], frames[:at][::-1]):
+        before: list[int] = [start]
+        for frame in way:
+            last, gap = poses[before[-1]], abs(frame - before[-1])
+            expected = still[frame].copy()
+            expected[:3, :3] = last[:3, :3]
+            starts = [expected]
+            if len(before) == 1:
+                slack_rad = 2 * _FIRST_RAD * gap
+                starts += [moved(expected, sign * _FIRST_RAD * unit) for unit in np.eye(6)[:3] for sign in (1.0, -1.0)]
+            else:
+                slack_rad = settings.rad_s2 * (gap / fps) ** 2
+                first = poses[before[-2]][:3, :3]
+                share = gap / abs(before[-1] - before[-2])
+                going = expected.copy()
+                going[:3, :3] = last[:3, :3] @ rotations.exp(share * rotations.log(first.T @ last[:3, :3]))
+                starts, expected = [expected, going], going
+            prior = Prior(expected, max(slack_rad, 0.05), fitter.reach_m * _PLACE)
+            found = [fitter.fit(pose, glimpses[frame], prior, _BLURS_PX, _STEPS) for pose in starts]
+            poses[frame] = min(found, key=lambda pose: fitter.cost(pose, glimpses[frame], prior, 0.0))
+            before.append(frame)
+    return poses
+
+
+def _refined(
+    fitter: Fitter,
+    still: np.ndarray,
+    poses: Mapping[int, np.ndarray],
+    glimpses: Mapping[int, list[ObjectObservation]],
+    fps: float,
+    settings: TurnSettings,
+) -> dict[int, np.ndarray]:
+    """Poses found again with another shape, each near what its neighbours on both sides lead to expect."""
+    frames, new = sorted(glimpses), dict(poses)
+    for i, frame in enumerate(frames):
+        low, high = frames[max(i - 1, 0)], frames[min(i + 1, len(frames) - 1)]
+        share = (frame - low) / (high - low)
+        expected = still[frame].copy()
+        expected[:3, :3] = rotations.slerp(new[low][:3, :3], new[high][:3, :3], share)
+        # At an end there is one neighbour, and any turn from it is as good.
+        slack_rad = settings.rad_s2 * ((high - low) / fps) ** 2 / 2
+        prior = Prior(expected, max(slack_rad, 0.05), fitter.reach_m * _PLACE)
+        new[frame] = fitter.fit(new[frame], glimpses[frame], prior, (0.0,), _LATER_STEPS)
+    return new

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One moment's loose regions of all cameras → things at places: regions whose rays meet at one distance and with one
+size.
+
+A thing's outline is taken for that of a sphere of its size: the rays through the outline pass its middle at the radius.
+That holds for what part of the outline is seen, so a hand or a person before it takes away precision but does not pull
+the middle aside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from studiorecon.objects.residual import ROOM, ResidualRegion
+from studiorecon.scene.camera import Camera
+
+# Radii of one thing in two cameras differ by at most this factor; of a region beside a person, which hides a part, by
+# more.
+_ONE_SIZE, _ONE_SIZE_HIDDEN = 1.7, 3.5
+# Pixels that an outline is off, and how many of these count in full; steps of the fit of middle and radius.
+_OUTLINE_PX, _HUBER, _STEPS = 0.7, 2.0, 12
+# Points that a camera's outline must have to say where a thing is.
+_LEAST_POINTS = 6
+_NEAR_M = 0.1
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A thing at one moment: its middle (3,), radius, and its region by view. ``free`` counts views in which nobody
+    covers it."""
+
+    centre_m: np.ndarray
+    radius_m: float
+    regions: Mapping[int, ResidualRegion]
+
+    @property
+    def free(self) -> int:
+        return sum(region.free for region in self.regions.values())
+
+
+def sightings(
+    cameras: Sequence[Camera],
+    states: Sequence[np.ndarray],
+    regions: Sequence[Sequence[ResidualRegion]],
+    gate_m: float,
+    radius_m: tuple[float, float],
+) -> list[Sighting]:
+    """Things of one moment that at least two cameras show and that no more cameras deny than one of three or more, best
+    first.
+
+    ``states`` are every camera's ``loose.states``; rays of one thing pass within ``gate_m``.
+    """
+    candidates = []
+    for first, second in combinations(range(len(cameras)), 2):
+        for a in regions[first]:
+            for b in regions[second]:
+                centre, apart_m = _meeting(cameras[first], a, cameras[second], b)
+                if centre is not None and apart_m <= gate_m:
+                    candidates.append((centre, apart_m, (a, b)))
+    found: list[tuple[float, float, Sighting]] = []
+    for centre, apart_m, pair in candidates:
+        sizes = [_radius_m(cameras[r.view], r, centre) for r in pair]
+        size = max(sizes) if not all(r.free for r in pair) else float(np.mean(sizes))
+        if not radius_m[0] <= size <= radius_m[1] or not all(_fits(s, size, r) for s, r in zip(sizes, pair)):
+            continue
+        support = _support(cameras, regions, centre, size, gate_m)
+        if any(support.get(r.view) is not r for r in pair):
+            continue
+        against = sum(_denies(c, s, centre, size) for v, (c, s) in enumerate(zip(cameras, states)) if v not in support)
+        if len(support) >= 2 and (against == 0 or (against == 1 and len(support) >= 3)):
+            found.append((-len(support) + against, apart_m, Sighting(centre, size, support)))
+    chosen: list[Sighting] = []
+    for _, _, sighting in sorted(found, key=lambda f: f[:2]):
+        if not any(sighting.regions[v] is other.regions.get(v) for other in chosen for v in sighting.regions):
+            chosen.append(sighting)
+    return chosen
+
+
+def sphere(
+    cameras: Sequence[Camera], sighting: Sighting, radius_m: float | None = None
+) -> tuple[np.ndarray, float, float]:
+    """Middle (3,) and radius of the sphere that the outlines of a sighting call for, and their root mean square error
+    in pixels.
+
+    With ``radius_m`` the radius is held. NaN where no two cameras show enough of an outline or the fit runs away.
+    """
+    origins, rays, spread_m, weights = [], [], [], []
+    for view, region in sorted(sighting.regions.items()):
+        if len(region.outline_px) < _LEAST_POINTS:
+            continue
+        camera = cameras[view]
+        along = camera.unproject(region.outline_px, np.ones(len(region.outline_px))) - camera.centre_m
+        depth_m = float(camera.project(sighting.centre_m)[1])
+        count = len(along)
+        origins.append(np.broadcast_to(camera.centre_m, (count, 3)))
+        rays.append(along / np.linalg.norm(along, axis=1, keepdims=True))
+        spread_m.append(np.full(count, _OUTLINE_PX * depth_m / camera.focal_px[0]))
+        weights.append(np.full(count, 1 / count))
+    nothing = np.full(3, np.nan), float("nan"), float("nan")
+    if len(rays) < 2:
+        return nothing
+    origin, ray, spread, weight = (np.concatenate(part) for part in (origins, rays, spread_m, weights))
+    centre, radius = sighting.centre_m.astype(np.float64), sighting.radius_m if radius_m is None else radius_m
+    for _ in range(_STEPS):
+        away = centre - origin
+        across = away - (away * ray).sum(1, keepdims=True) * ray
+        distance = np.maximum(np.linalg.norm(across, axis=1), 1e-9)
+        error = (distance - radius) / spread
+        robust = weight * np.minimum(1.0, _HUBER / np.maximum(np.abs(error), 1e-9))
+        slope = np.concatenate(
+            [across / distance[:, None], -np.ones((len(ray), 0 if radius_m is not None else 1))], axis=1
+        )
+        slope /= spread[:, None]
+        normal = slope.T @ (robust[:, None] * slope)
+        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), -slope.T @ (robust * error))
+        centre = centre + step[:3]
+        radius = radius + float(step[3]) if radius_m is None else radius
+    if (
+        not np.isfinite(centre).all()
+        or radius <= 0
+        or np.linalg.norm(centre - sighting.centre_m) > 2 * sighting.radius_m
+    ):
+        return nothing
+    return centre, radius, float(_OUTLINE_PX * np.sqrt((robust * error**2).sum() / robust.sum()))
+
+
+def _meeting(one: Camera, a: ResidualRegion, two: Camera, b: ResidualRegion) -> tuple[np.ndarray | None, float]:
+    """(3,) middle of the shortest line between the rays of two regions, and its length; None behind a camera or for
+    parallel rays."""
+    u, v = (c.unproject(r.centre_px, np.ones(())) - c.centre_m for c, r in ((one, a), (two, b)))
+    u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
+    between, cosine = two.centre_m - one.centre_m, float(u @ v)
+    sine2 = 1 - cosine**2
+    if sine2 < 1e-3:
+        return None, np.inf
+    s, t = (u @ between - cosine * (v @ between)) / sine2, (cosine * (u @ between) - v @ between) / sine2
+    if min(s, t) < _NEAR_M:
+        return None, np.inf
+    p, q = one.centre_m + s * u, two.centre_m + t * v
+    return (p + q) / 2, float(np.linalg.norm(p - q))
+
+
+def _radius_m(camera: Camera, region: ResidualRegion, centre_m: np.ndarray) -> float:
+    return float(np.sqrt(region.area_px / np.pi) * camera.project(centre_m)[1] / camera.focal_px[0])
+
+
+def _fits(size_m: float, expected_m: float, region: ResidualRegion) -> bool:
+    low = _ONE_SIZE if region.free else _ONE_SIZE_HIDDEN
+    return expected_m / low <= size_m <= expected_m * _ONE_SIZE
+
+
+def _support(
+    cameras: Sequence[Camera],
+    regions: Sequence[Sequence[ResidualRegion]],
+    centre_m: np.ndarray,
+    size_m: float,
+    gate_m: float,
+) -> dict[int, ResidualRegion]:
+    """The region of each view that shows a thing at a place, if one does."""
+    support = {}
+    for view, (camera, own) in enumerate(zip(cameras, regions)):
+        pixel, depth_m = camera.project(centre_m)
+        if depth_m <= _NEAR_M:
+            continue
+        near = []
+        for region in own:
+            off_m = float(np.linalg.norm(region.centre_px - pixel) * depth_m / camera.focal_px[0])
+            reach_m = gate_m if region.free else max(gate_m, size_m)
+            if off_m <= reach_m and _fits(_radius_m(camera, region, centre_m), size_m, region):
+                near.append((off_m, region))
+        if near:
+            support[view] = min(near, key=lambda n: n[0])[1]
+    return support
+
+
+def _denies(camera: Camera, state: np.ndarray, centre_m: np.ndarray, size_m: float) -> bool:
+    """Whether a camera sees the room where a thing should be: in most of the square inside its disc."""
+    pixel, depth_m = camera.project(centre_m)
+    if depth_m <= _NEAR_M:
+        return False
+    half = 0.6 * size_m * camera.focal_px[0] / depth_m
+    low, high = np.floor(pixel - half).astype(int), np.ceil(pixel + half).astype(int)
+    if (low < 0).any() or (high > camera.wh).any():
+        return False
+    return bool((state[low[1] : high[1], low[0] : high[0]] == ROOM).mean() > 0.5)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks of pages: every function returns a piece of HTML with everything it shows inside it.
+
+Blocks are templates, so what they are given is escaped; where a block takes HTML, it says so.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from markupsafe import Markup, escape
+
+from studiorecon.pages.skeleton import filled, page
+
+__all__ = ["bar", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "text", "tiles"]
+
+_HEADING = """<h2>{{ title }}</h2>{% if lead %}<p class="soft">{{ lead }}</p>{% endif %}"""
+_TILES = """<div class="tiles">{% for value, words in entries -%}
+<div class="tile"><b>{{ value }}</b><span>{{ words }}</span></div>{%- endfor %}</div>"""
+_FIGURE = """<figure><img src="{{ address }}" alt="{{ caption }}"><figcaption>{{ caption }}</figcaption></figure>"""
+_ROW = """<div class="row" style="grid-template-columns: repeat({{ columns }}, 1fr)">
+{%- for figure in figures %}{{ figure }}{% endfor %}</div>"""
+_FILM = """<figure><video controls loop muted autoplay playsinline><source type="video/mp4" src="{{ address }}"></video>
+<figcaption>{{ caption }}</figcaption></figure>"""
+_TABLE = """<div class="scroll"><table><thead><tr>
+{%- for h in header %}<th{% if loop.index0 in numeric %} class=n{% endif %}>{{ h }}</th>{% endfor -%}
+</tr></thead><tbody>
+{%- for row in rows %}<tr>
+{%- for v in row %}<td{% if loop.index0 in numeric %} class=n{% endif %}>{{ v }}</td>{% endfor -%}
+</tr>{% endfor %}</tbody></table></div>"""
+_BAR = """<div class="bar"><i style="width:{{ percent }}%"></i></div>"""
+_FOLDED = """<details><summary>{{ title }}</summary><pre>{{ content }}</pre></details>"""
+
+
+def text(value: object) -> str:
+    """Escaped text."""
+    return str(escape(str(value)))
+
+
+def heading(title: str, lead: str = "") -> str:
+    """A section's heading and, below it, what the reader is looking at."""
+    return str(filled(_HEADING, title=title, lead=lead))
+
+
+def tiles(entries: Sequence[tuple[str, str]]) -> str:
+    """Large numbers with a line of explanation each."""
+    return str(filled(_TILES, entries=entries))
+
+
+def jpeg(picture: np.ndarray, width: int, quality: int = 86) -> str:
+    """Data address of an (H, W, 3) uint8 picture, shrunk to ``width`` when it is wider."""
+    if picture.shape[1] > width:
+        size = (width, max(1, round(picture.shape[0] * width / picture.shape[1])))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def figure(address: str, caption: str) -> str:
+    """A picture given by its data address, with its caption, which is also its text alternative."""
+    return str(filled(_FIGURE, address=address, caption=caption))
+
+
+def row(figures: Sequence[str], columns: int | None = None) -> str:
+    """Figures (HTML) side by side."""
+    return str(filled(_ROW, figures=[Markup(f) for f in figures], columns=columns or max(len(figures), 1)))
+
+
+def film(mp4: bytes, caption: str) -> str:
+    """A film that plays in the page."""
+    return str(filled(_FILM, address="data:video/mp4;base64," + base64.b64encode(mp4).decode(), caption=caption))
+
+
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], numeric: Sequence[int] = (), raw: Sequence[int] = ()
+) -> str:
+    """A table; columns in ``numeric`` are aligned right, cells of columns in ``raw`` are HTML already."""
+    cells = [[Markup(v) if i in raw else str(v) for i, v in enumerate(r)] for r in rows]
+    return str(filled(_TABLE, header=header, rows=cells, numeric=numeric))
+
+
+def bar(share: float) -> str:
+    """A horizontal bar for a share of 0..1."""
+    return str(filled(_BAR, percent=f"{100 * min(max(share, 0.0), 1.0):.1f}"))
+
+
+def folded(title: str, content: str) -> str:
+    """Text that opens on demand."""
+    return str(filled(_FOLDED, title=title, content=content))

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a run that is on: what is done, what runs, what is left, and what can be looked at already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from studiorecon.pages import html, skeleton
+
+RELOAD_S = 4
+# What is worth a look before the report is there, in the order in which it appears: pattern, and what it shows.
+_EARLY = (
+    ("calibration/doctor.html", "the cameras"),
+    ("plates/*.png", "the room without people"),
+    ("cameras/refinement.png", "joints projected back into the cameras"),
+    ("people/review.html", "who is who"),
+    ("depth/primitives.png", "furniture that was found"),
+    ("people/overlay/*.mp4", "skeletons over the footage"),
+    ("render/*.mkv", "films, raw"),
+    ("enhance/*.mp4", "films"),
+)
+_MOST = 8
+_BODY = """
+<h1>{{ scene }}</h1>
+<p>{{ words }}</p>
+{{ bar }}
+<p class="soft">{{ note }}</p>
+{% if failed %}
+<p class="undetermined">Failed: {{ failed | join(", ") }}. The terminal and the logs say why.</p>
+{% endif %}
+{% if running %}
+<h2>Running</h2><ul>{% for job in running %}<li>{{ job }}</li>{% endfor %}</ul>
+{% endif %}
+<h2>Stages</h2>{{ stages }}
+{% if pictures or links %}<h2>What is there already</h2>{{ pictures }}
+<ul>{% for address, about in links %}<li><a href="{{ address }}">{{ address }}</a>: {{ about }}</li>{% endfor %}</ul>
+{% endif %}
+"""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage's jobs."""
+
+    name: str
+    done: int
+    total: int
+
+
+def written(
+    folder: Path,
+    scene: str,
+    words: str,
+    note: str,
+    stages: Sequence[Stage],
+    running: Sequence[str],
+    failed: Sequence[str],
+    on: bool,
+) -> str:
+    """The page for ``folder`` (``results/<scene>``), where it looks for pictures. It loads itself again while the run
+    is ``on``, and leads to the report once that is there."""
+    done, total = sum(s.done for s in stages), sum(s.total for s in stages)
+    rows = [[s.name, f"{s.done} of {s.total}", html.bar(s.done / s.total if s.total else 1.0)] for s in stages]
+    found = early(folder)
+    pictures = [html.figure(name, f"{name}: {about}") for name, about in found.items() if name.endswith(".png")]
+    report = folder / "report/index.html"
+    over = not on and report.is_file() and not failed
+    body = skeleton.filled(
+        _BODY,
+        scene=scene,
+        words=words,
+        note=note,
+        bar=skeleton.Markup(html.bar(done / total if total else 0.0)),
+        failed=failed,
+        running=running,
+        stages=skeleton.Markup(html.table(["stage", "jobs", ""], rows, raw=(2,))),
+        pictures=skeleton.Markup(html.row(pictures, 4)) if pictures else "",
+        links=[(name, about) for name, about in found.items() if not name.endswith(".png")],
+    )
+    reload_s = RELOAD_S if on else 0 if over else None
+    return skeleton.page(f"{scene}: {words}", [body], reload_s=reload_s, then="report/index.html" if over else "")
+
+
+def early(folder: Path) -> Mapping[str, str]:
+    """What there is to look at below ``folder``: name → what it shows."""
+    found: dict[str, str] = {}
+    for pattern, about in _EARLY:
+        for path in sorted(folder.glob(pattern))[:_MOST]:
+            found[path.relative_to(folder).as_posix()] = about
+    return found

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Affinity of two detections, or of two tracks, from how far apart they are and how much their poses differ.
+
+Paper, equation of the affinity and appendix: A = w_p exp(-d/σ_p) + w_θ exp(-θ/σ_θ). d in metres (A04, A05), θ
+the mean angle over the body joints without the root (A06-A08, U27); a pair past its gate has no affinity, before any
+assignment (U29, A03).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry.rotations import angle
+
+
+@dataclass(frozen=True)
+class AssociationLimits:
+    """How tracks become people, and who counts as one.
+
+    Attributes:
+        pelvis_gate_m, pose_gate_rad: pelvises further apart are two people before any assignment (paper: 0.3, appendix;
+            U28, U29); so are poses further apart than this mean angle where the pose decides alone (paper: not given).
+        position_weight, pose_weight: of position and pose (paper: 0.9 and 0.1, appendix).
+        sigma_m, sigma_rad: scale of the affinity in position, and in pose, mean joint angle without the root (paper:
+            not given; U27).
+        undecided_margin: a track whose affinity to the next best person is nearer than this to that of its own is
+            reported as undecided (A12).
+        track_agreement: share of its keypoints that must agree with the triangulated person for a track to stay.
+        min_s: time in which at least two cameras must agree, seconds; never more than half the clip.
+        torso_m: plausible distance from the middle of the shoulders to that of the hips: children to giants.
+        reentry_speed_m_s, reentry_s: growth of the gate while nobody sees a person (A14), and for how long one is
+            looked for (U31: people may come and go at any frame).
+    """
+
+    method: Literal["tracks", "star"] = setting(
+        "tracks",
+        "tracks = whole tracks of all views together; star = one frame, a reference view, the Hungarian algorithm.",
+        paper="star, section on association; U30, U31",
+        letter="star",
+    )
+    affinity: Literal["both", "position", "pose"] = setting(
+        "both",
+        "What makes two detections alike; poses count where detections bring them.",
+        paper="both, ablation table of association",
+        letter="both",
+    )
+    position: Literal["rays", "pelvis"] = setting(
+        "rays",
+        "rays = how close the rays of shared keypoints pass; pelvis = the monocular body's pelvis at its own depth.",
+        paper="pelvis; U26, U28",
+        letter="pelvis",
+    )
+    gate_m: float = setting(
+        0.15,
+        "Tracks of two cameras can be one person only when their rays pass closer than this.",
+        unit="m",
+        above=0,
+        paper="0.3 between pelvises lifted by depth; U28",
+    )
+    pelvis_gate_m: float = 0.3
+    pose_gate_rad: float = 1.0
+    position_weight: float = 0.9
+    pose_weight: float = 0.1
+    sigma_m: float = 0.3
+    sigma_rad: float = 0.5
+    undecided_margin: float = 0.05
+    track_agreement: float = 0.5
+    camera_share: float = setting(
+        0.6,
+        "Share of the training cameras that must see a person for some time; fewer make a bystander, three never do.",
+        minimum=0,
+        maximum=1,
+    )
+    min_s: float = 0.4
+    torso_m: tuple[float, float] = (0.2, 0.8)
+    reentry_speed_m_s: float = 1.5
+    reentry_s: float = 3.0
+
+
+def pose_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(A, B) mean angle in radians over joints of body rotations (A, J, 3, 3) and (B, J, 3, 3), the root not among them
+    (A06-A08)."""
+    return angle(first[:, None], second[None]).mean(-1)
+
+
+def gated(distance: np.ndarray, gate: float) -> np.ndarray:
+    """``distance`` where it is finite and below ``gate``, else NaN: what is past its gate was never a candidate (A02,
+    A03)."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isfinite(distance) & (distance < gate), distance, np.nan)
+
+
+def affinities(distance_m: np.ndarray, pose_rad: np.ndarray, gate_m: float, limits: AssociationLimits) -> np.ndarray:
+    """The paper's affinity in [0, 1] of gated pairs (any shape); exactly 0 for pairs that must not be matched (A02,
+    A03, A13).
+
+    With ``affinity: both`` the position must pass its gate; a pair whose poses are unknown is judged by its position
+    alone, on the same scale. ``position`` and ``pose`` use one term, with its own gate (``gate_m``,
+    ``limits.pose_gate_rad``).
+    """
+    near, alike = gated(distance_m, gate_m), gated(pose_rad, np.inf)
+    position = np.exp(-near / limits.sigma_m)
+    return combined(position, np.exp(-alike / limits.sigma_rad), gated(pose_rad, limits.pose_gate_rad), limits)
+
+
+def combined(position: np.ndarray, pose: np.ndarray, pose_rad: np.ndarray, limits: AssociationLimits) -> np.ndarray:
+    """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which decides alone for
+    ``pose``."""
+    if limits.affinity == "pose":
+        return np.where(np.isfinite(pose_rad), np.nan_to_num(pose), 0.0)
+    if limits.affinity == "position":
+        return np.nan_to_num(position)
+    total = limits.position_weight + limits.pose_weight
+    both = (limits.position_weight * position + limits.pose_weight * np.nan_to_num(pose)) / total
+    return np.nan_to_num(np.where(np.isfinite(pose), both, position))
+
+
+def window_distances(positions_m: Sequence[np.ndarray]) -> np.ndarray:
+    """(M, M) distance of M tracks' positions (T, 3), NaN where unseen, averaged over the frames they share (A11); NaN
+    where none.
+
+    Averaging before the norm lets independent depth errors cancel; averaging distances would keep them.
+    """
+    count = len(positions_m)
+    distance = np.full((count, count), np.nan)
+    for i in range(count):
+        for j in range(i + 1, count):
+            shared = np.isfinite(positions_m[i]).all(-1) & np.isfinite(positions_m[j]).all(-1)
+            if shared.any():
+                offset = (positions_m[i][shared] - positions_m[j][shared]).mean(0)
+                distance[i, j] = distance[j, i] = np.linalg.norm(offset)
+    return distance

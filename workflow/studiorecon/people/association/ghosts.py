@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Things that look like people from all sides and are none: a picture on a wall, a screen, a mirror's image, somebody
+found twice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# Who stands where another person stands, within this in the median over joints and shared frames, metres, is found
+# twice.
+_SAME_PLACE_M = 0.12
+# Somebody's joints, nose, ears, heels and toes leave their common plane by more than this, metres (root mean square;
+# the bundled body with its arms hanging by 69 mm). A poster's leave it by noise.
+_FLAT_M = 0.025
+_DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
+# Joints are averaged over so long before that, seconds: noise is no depth.
+_CALM_S = 0.25
+_LEAST_JOINTS = 8
+# A mirror's image follows somebody within this, metres, who must have moved by so much across, and for so long, metres
+# and seconds.
+_MIRRORED_M, _MOVED_M, _LASTING_S = 0.1, 0.3, 1.0
+FOUND_TWICE = "it stands where somebody else stands: one person, found twice"
+"""Why somebody is nobody who is not left out either: he or she is there under another number."""
+_OTHER_SIDE = [
+    STABLE_KEYPOINTS.index(k.replace(*("left", "right") if k.startswith("left") else ("right", "left")))
+    for k in STABLE_KEYPOINTS
+]
+
+
+def found_twice(points_m: np.ndarray, other_m: np.ndarray) -> bool:
+    """Whether two skeletons (T, 12, 3) are at the same place wherever both are known."""
+    apart = np.linalg.norm(points_m - other_m, axis=-1)
+    apart = apart[np.isfinite(apart)]
+    return len(apart) >= _LEAST_JOINTS and float(np.median(apart)) < _SAME_PLACE_M
+
+
+def flatness_m(points_m: np.ndarray, fps: float) -> float:
+    """RMS distance of joints (T, K, 3) of the whole clip from the one plane that fits them best; NaN where too few are
+    known."""
+    length = max(1, round(_CALM_S * fps))
+    moments = []
+    for block in np.array_split(points_m, max(1, len(points_m) // length)):
+        known = np.isfinite(block).all(-1)
+        enough = known.sum(0) >= max(1, 0.5 * len(block))
+        if enough.sum() >= _LEAST_JOINTS:
+            moments.append(np.array([np.median(block[known[:, k], k], axis=0) for k in np.flatnonzero(enough)]))
+    if not moments:
+        return float("nan")
+    joints = np.concatenate(moments)
+    return float(np.linalg.svd(joints - joints.mean(0), compute_uv=False)[2] / np.sqrt(len(joints)))
+
+
+def is_flat(points_m: np.ndarray, deep_m: np.ndarray, fps: float) -> bool:
+    """Whether all joints (T, 12, 3) and what stands out from them (T, D, 3) lie in one plane in all frames: a picture,
+    or a screen.
+
+    Joints alone do not tell: somebody with the arms spread is flat to 8 mm.
+    """
+    told = np.isfinite(deep_m).all(-1).mean(0) >= 0.5
+    return told.any() and flatness_m(np.concatenate([points_m, deep_m[:, told]], axis=1), fps) < _FLAT_M
+
+
+def deep_points_m(
+    members: Sequence[tuple[int, int]],
+    detections: Sequence[Detections],
+    cameras: Sequence[Camera],
+    frames: int,
+    agree: Limits,
+) -> np.ndarray:
+    """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN where two cameras do not
+    tell."""
+    pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
+    for view, track in members:
+        found = detections[view]
+        which = np.flatnonzero(found.track == track)
+        for k, name in enumerate(_DEEP):
+            if name in LAYOUTS[found.layout].keypoints:
+                pixels[view, found.frame[which], k] = found.keypoints[
+                    which, LAYOUTS[found.layout].keypoints.index(name)
+                ]
+    flat = pixels.reshape(len(cameras), -1, 3)
+    return triangulate(flat[..., :2], flat[..., 2], cameras, agree).points_m.reshape(frames, len(_DEEP), 3)
+
+
+def is_image_of(points_m: np.ndarray, other_m: np.ndarray, centres_m: np.ndarray, fps: float) -> bool:
+    """Whether ``points_m`` (T, 12, 3) are what a plane mirror makes of ``other_m``, left for right, with all cameras on
+    the latter's side.
+
+    ``centres_m`` (V, 3): the cameras. Only somebody who moved before the mirror can be told from somebody who happens
+    to stand so.
+    """
+    true = other_m[:, _OTHER_SIDE]
+    known = np.isfinite(points_m).all(-1) & np.isfinite(true).all(-1)
+    if (known.sum(1) >= 3).sum() < _LASTING_S * fps:
+        return False
+    image, original = points_m[known], true[known]
+    across, middle = image - original, (image + original) / 2
+    normal = np.linalg.svd(across, full_matrices=False)[2][0]
+    normal = normal * np.sign(np.median(across @ normal))
+    offset = float(np.median(middle @ normal))
+    expected = original - 2 * ((original @ normal) - offset)[:, None] * normal
+    moved: Any = np.linalg.norm(np.ptp(np.quantile(original, [0.05, 0.95], axis=0), axis=0))
+    height = float(np.ptp(np.quantile(original[:, 2], [0.05, 0.95])))
+    beside = np.sqrt(max(moved**2 - height**2, 0.0))
+    return bool(
+        beside > _MOVED_M
+        and np.median(np.linalg.norm(image - expected, axis=-1)) < _MIRRORED_M
+        and (centres_m @ normal < offset).all()
+    )
+
+
+def why_nobody(
+    points_m: np.ndarray,
+    deep_m: np.ndarray,
+    people_m: Sequence[np.ndarray],
+    others_m: Sequence[np.ndarray],
+    centres_m: np.ndarray,
+    fps: float,
+) -> str:
+    """Why a skeleton is not somebody, as the end of a sentence; "" when it may be.
+
+    ``people_m``: skeletons that were believed before it; ``others_m``: all others that may be people.
+    """
+    if any(found_twice(points_m, other_m) for other_m in people_m):
+        return FOUND_TWICE
+    if any(is_image_of(points_m, other_m, centres_m, fps) for other_m in others_m):
+        return "it is what a mirror makes of somebody else: left for right, and behind the mirror for every camera"
+    if is_flat(points_m, deep_m, fps):
+        return "it has no depth: all its points lie in one plane, as on a poster or a screen"
+    return ""

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whom association left out though two cameras saw them for a while: told to the user, with what takes them in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.people.association.grouping import Group
+from studiorecon.progress import say, warn
+from studiorecon.scene.camera import Camera
+
+# Two cameras must have agreed for so long, seconds, or for half of a clip that is shorter than twice that.
+_LONG_S = 1.0
+# So many lines for identities.tsv are said; the page has them all.
+_SAID = 12
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Somebody, or something, that is not a person of this scene.
+
+    Attributes:
+        name: ``r0``, ``r1``, … in order of how long two cameras agreed.
+        frames: how many frames those are; seconds: the same in time.
+        cameras: names of those that see it; tracks: (camera, track id) of all of them.
+        confidence: share of its keypoints that agree; reason: why it is left out, as the end of a sentence.
+    """
+
+    name: str
+    frames: int
+    seconds: float
+    cameras: tuple[str, ...]
+    tracks: tuple[tuple[str, int], ...]
+    confidence: float
+    reason: str
+
+    def row(self) -> tuple[str, int, str, float, str, str, str]:
+        """The line of people.tsv."""
+        return (self.name, self.frames, ",".join(self.cameras), self.confidence, "keypoints", "rejected", self.reason)
+
+    def lines(self, person: str) -> list[str]:
+        """The lines of identities.tsv that make it ``person``."""
+        return [f"{camera}\t{track}\t{person}" for camera, track in self.tracks]
+
+
+def left_out(
+    rejected: Sequence[tuple[Group, str]], cameras: Sequence[Camera], frames: int, fps: float
+) -> list[LeftOut]:
+    """Those of the rejected groups, each with its reason, that two cameras agreed on for a second, or half of a shorter
+    clip."""
+    long = [(g, reason) for g, reason in rejected if len(g.frames) >= min(_LONG_S * fps, frames / 2)]
+    long.sort(key=lambda one: (-len(one[0].frames), one[0].members))
+    return [
+        LeftOut(
+            f"r{n}",
+            len(group.frames),
+            len(group.frames) / fps,
+            tuple(c.name for c, seen in zip(cameras, np.any(group.seen, axis=1)) if seen),
+            tuple((cameras[v].name, t) for v, t in group.members),
+            float(np.nanmean(group.agreement)),
+            reason,
+        )
+        for n, (group, reason) in enumerate(long)
+    ]
+
+
+def tell(those: Sequence[LeftOut], next_person: str) -> None:
+    """Say who was left out and why, and the lines that take each of them in as ``next_person``."""
+    for one in those:
+        lines = one.lines(next_person)
+        warn(
+            f"left out: {one.name}, on whom {', '.join(one.cameras)} agree for "
+            f"{one.seconds:.1f} s: {one.reason}. To take them in, copy "
+            f"people/identities.tsv into the dataset folder and put there, in place of the same tracks:"
+        )
+        for line in lines[:_SAID]:
+            say(line)
+        if len(lines) > _SAID:
+            say(f"and {len(lines) - _SAID} more lines, which people/review.html has")

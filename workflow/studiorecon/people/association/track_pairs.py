@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known about every two tracks, or every two detections, that may be one person: how far apart, how different
+in pose.
+
+Two sources of position. ``rays``: how close the rays of shared keypoints pass; needs no depth, and says nothing about
+pairs that share too few keypoints, where depth-lifted pelvises stand in if the detections bring them. ``pelvis``: the
+paper's, the pelvis joint of the monocular body at its own depth (U26), averaged over the frames that two tracks share
+(A11).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry import rotations
+from studiorecon.geometry.lifting import lift_joint
+from studiorecon.keypoints.correspondence import (
+    TrackGraph,
+    median_over_shared,
+    ray_directions,
+    ray_distances,
+    track_graph,
+)
+from studiorecon.people.association.affinity import (
+    AssociationLimits,
+    affinities,
+    combined,
+    gated,
+    pose_distances,
+    window_distances,
+)
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+_MIN_SHARED = 4
+
+
+@dataclass(frozen=True)
+class Sights:
+    """One camera's detections, ready to be compared with another's.
+
+    Attributes:
+        camera: where they were seen from; frame, track: (D,).
+        directions: (D, K, 3) unit rays of the stable keypoints, ``present`` (D, K).
+        pelvis_m: (D, 3) world pelvis joint, NaN where no monocular depth is known.
+        pose: (D, 23, 3, 3) body joints of the monocular body, NaN where there is none.
+    """
+
+    camera: Camera
+    frame: np.ndarray
+    track: np.ndarray
+    directions: np.ndarray
+    present: np.ndarray
+    pelvis_m: np.ndarray
+    pose: np.ndarray
+
+
+def sights(
+    detections: Sequence[Detections], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
+):
+    """One ``Sights`` per camera; raises UserError when the settings ask for what no detection brings."""
+    if limits.position == "pelvis" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
+        raise UserError(
+            "people.association.position is pelvis, but no detection brings the depth of its "
+            "pelvis (recorded 2D keypoints do not): "
+            "set it to rays, or use a detector that estimates bodies"
+        )
+    if limits.affinity == "pose" and not any(_some(d.body_pose) for d in detections):
+        raise UserError(
+            "people.association.affinity is pose, but no detection brings a body pose "
+            "(recorded 2D keypoints do not): set it to both or "
+            "position, or use a detector that estimates bodies"
+        )
+    return [_sights(d, s, c) for d, s, c in zip(detections, stable, cameras)]
+
+
+def _sights(detections: Detections, stable: Detections, camera: Camera) -> Sights:
+    count = len(detections.frame)
+    directions, present = ray_directions(stable.keypoints, camera)
+    pelvis = np.full((count, 3), np.nan) if detections.pelvis is None else detections.pelvis
+    poses = np.full((count, 23, 3), np.nan) if detections.body_pose is None else detections.body_pose
+    known = np.isfinite(poses).all((1, 2))
+    matrices = rotations.exp(np.where(known[:, None, None], poses, 0.0))
+    # The depth is the joint's own: nothing is added to reach inside the body (C11).
+    world = lift_joint(pelvis[:, 2], pelvis[:, :2], camera, 0.0)
+    return Sights(
+        camera,
+        detections.frame,
+        detections.track,
+        directions,
+        present,
+        world,
+        np.where(known[:, None, None, None], matrices, np.nan),
+    )
+
+
+def _some(values: np.ndarray | None) -> bool:
+    return values is not None and bool(np.isfinite(values).all(tuple(range(1, values.ndim))).any())
+
+
+def detection_affinities(
+    first: Sights, i: np.ndarray, second: Sights, j: np.ndarray, limits: AssociationLimits
+) -> np.ndarray:
+    """(A, B) affinity of the detections ``i`` (A,) of one camera and ``j`` (B,) of another, in the paper's form."""
+    if not len(i) or not len(j):
+        return np.zeros((len(i), len(j)))
+    if limits.position == "pelvis":
+        distance, gate_m = (
+            np.linalg.norm(first.pelvis_m[i][:, None] - second.pelvis_m[j][None], axis=-1),
+            limits.pelvis_gate_m,
+        )
+    else:
+        rows, columns = (grid.ravel() for grid in np.meshgrid(i, j, indexing="ij"))
+        gap = ray_distances(
+            first.camera.centre_m, first.directions[rows], second.camera.centre_m, second.directions[columns]
+        )
+        shared = first.present[rows] & second.present[columns]
+        distance, gate_m = median_over_shared(gap, shared, _MIN_SHARED).reshape(len(i), len(j)), limits.gate_m
+    return affinities(distance, pose_distances(first.pose[i], second.pose[j]), gate_m, limits)
+
+
+@dataclass(frozen=True)
+class TrackPairs:
+    """What is known about every two of M tracks.
+
+    Attributes:
+        view, track: (M,) camera number and track id; detections: (M,) how many it has.
+        affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
+        forbidden: (M, M) bool: these two are not one person.
+    """
+
+    view: np.ndarray
+    track: np.ndarray
+    detections: np.ndarray
+    measured: np.ndarray
+    affinity: np.ndarray
+    forbidden: np.ndarray
+
+
+def track_pairs(
+    seen: Sequence[Sights], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
+) -> TrackPairs:
+    """Affinities of all tracks over all frames they share.
+
+    Position counts as 1 - d / gate, not as exp(-d / σ): the affinities of whole groups are summed, and a chance
+    neighbour at the gate must add nothing (A05: "or cost -d instead of exp").
+    """
+    graph = track_graph(stable, cameras)
+    shares = graph.distance_m / limits.gate_m
+    if limits.position == "pelvis":
+        shares = _pelvis_distances(graph, seen) / limits.pelvis_gate_m
+    elif any(np.isfinite(s.pelvis_m).any() for s in seen):
+        shares = np.where(np.isnan(shares), _pelvis_distances(graph, seen) / limits.pelvis_gate_m, shares)
+    pose = _pose_differences(graph, seen) if limits.affinity != "position" else np.full(shares.shape, np.nan)
+    near = gated(shares, 1.0)
+    affinity = combined(1 - near, np.exp(-pose / limits.sigma_rad), gated(pose, limits.pose_gate_rad), limits)
+    judged = pose / limits.pose_gate_rad if limits.affinity == "pose" else shares
+    forbidden = ~np.isnan(judged) & ~(np.nan_to_num(judged, nan=0.0) < 1)
+    same_view = graph.view[:, None] == graph.view[None]
+    return TrackPairs(
+        graph.view,
+        graph.track,
+        graph.detections,
+        ~np.isnan(judged) & ~same_view,
+        np.where(same_view, 0.0, affinity),
+        forbidden | (same_view & graph.together),
+    )
+
+
+def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """(M,) a node's mean affinity to its own group less that to the best other group (A12); NaN for nodes in no
+    group."""
+    out = np.full(len(pairs.view), np.nan)
+    for g, group in enumerate(groups):
+        for node in group:
+            others = [_closeness(pairs, node, other) for k, other in enumerate(groups) if k != g]
+            out[node] = _closeness(pairs, node, [n for n in group if n != node]) - max(others, default=0.0)
+    return out
+
+
+def _closeness(pairs: TrackPairs, node: int, group: Sequence[int]) -> float:
+    """Mean affinity to the group's tracks, weighted by their length, where there is anything to compare; 0 without."""
+    known = [n for n in group if pairs.measured[node, n]]
+    return float(np.average(pairs.affinity[node, known], weights=pairs.detections[known])) if known else 0.0
+
+
+def _pelvis_distances(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
+    last = max((int(s.frame.max()) for s in seen if len(s.frame)), default=-1)
+    tracks = []
+    for v, t in zip(graph.view, graph.track):
+        positions, which = np.full((last + 1, 3), np.nan), seen[v].track == t
+        positions[seen[v].frame[which]] = seen[v].pelvis_m[which]
+        tracks.append(positions)
+    distance = window_distances(tracks)
+    distance[graph.view[:, None] == graph.view[None]] = np.nan
+    return distance
+
+
+def _pose_differences(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
+    """(M, M) median over shared frames of the mean angle between two tracks' body joints; NaN where none is known."""
+    count = len(graph.view)
+    out = np.full((count, count), np.nan)
+    for a in range(count):
+        for b in range(a + 1, count):
+            if graph.view[a] == graph.view[b]:
+                continue
+            one, other = (seen[graph.view[n]] for n in (a, b))
+            i, j = (np.flatnonzero(s.track == graph.track[n]) for s, n in ((one, a), (other, b)))
+            _, at_i, at_j = np.intersect1d(one.frame[i], other.frame[j], return_indices=True)
+            apart = rotations.angle(one.pose[i[at_i]], other.pose[j[at_j]]).mean(-1) if len(at_i) else np.zeros(0)
+            apart = apart[np.isfinite(apart)]
+            if len(apart):
+                out[a, b] = out[b, a] = np.median(apart)
+    return out

@@ -1,0 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a body is fitted to. In come everybody's detections and cameras; out come points in the world with standard
+deviations: ``points`` of keypoints, ``surface`` points of a network's bodies; ``legs`` that no camera shows.
+"""

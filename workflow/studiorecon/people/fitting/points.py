@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all cameras together say about one person: keypoints by name, and their points in the world (paper
+§triangulation)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.body.model import BodyModel
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry.triangulation import Limits, Solver, triangulate
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+
+@dataclass(frozen=True)
+class Triangulation(Limits):
+    """What counts as agreement of views, wider than for cameras: within it the Huber norm bounds what a view that is
+    off does, and bones keep their lengths better where no view comes and goes (15.5 mm instead of 16.7 on a real
+    take); see ``geometry.triangulation.triangulate``."""
+
+    solver: Solver = setting(
+        "robust",
+        "Who makes points of keypoints: robust = pairs propose and only views that agree refine; huber = weighted "
+        "Huber refinement from DLT, outliers kept; dlt = homogeneous least squares.",
+        paper="huber, section on triangulation",
+        letter="huber",
+    )
+    min_confidence: float = 0.2
+    outlier_units: float = 5.0
+
+
+@dataclass(frozen=True)
+class Points:
+    """Triangulated keypoints of one person.
+
+    Attributes:
+        names: K keypoints the body knows.
+        points_m: (T, K, 3), NaN where undetermined; ``sigma_m``: (T, K) deviation per coordinate, inf there.
+        cameras: (T,) cameras that saw the person.
+    """
+
+    names: list[str]
+    points_m: np.ndarray
+    sigma_m: np.ndarray
+    cameras: np.ndarray
+
+
+def observations(
+    person: str, detections: list[Detections], identities: dict[tuple[str, int], str], body: BodyModel, frames: int
+):
+    """Names (K) and keypoints (V, T, K, 3) of one person in every camera: x, y, confidence; NaN and 0 where there is
+    none."""
+    known = {
+        d.camera: [LAYOUTS[d.layout].keypoints[k] for k in LAYOUTS[d.layout].among(body.keypoint_names)]
+        for d in detections
+    }
+    names = sorted({n for camera_names in known.values() for n in camera_names})
+    out = np.full((len(detections), frames, len(names), 3), np.nan)
+    out[..., 2] = 0.0
+    for view, seen in enumerate(detections):
+        layout = LAYOUTS[seen.layout]
+        source, target = layout.among(body.keypoint_names), [names.index(n) for n in known[seen.camera]]
+        for d in range(len(seen.frame)):
+            frame = int(seen.frame[d])
+            if identities.get((seen.camera, int(seen.track[d])), "") != person or not 0 <= frame < frames:
+                continue
+            # Two tracks of one person may overlap for a frame where one takes over: the more confident one counts.
+            if np.nansum(seen.keypoints[d, source, 2]) > out[view, frame, :, 2].sum():
+                out[view, frame] = [np.nan, np.nan, 0.0]
+                out[view, frame, target] = seen.keypoints[d, source]
+    return names, out
+
+
+def lift(
+    names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: Triangulation, unverified_sigma_m: float
+) -> Points:
+    """World points of all frames at once from keypoints (V, T, K, 3); those of two cameras only get
+    ``unverified_sigma_m`` on top (T13)."""
+    views, frames, count = keypoints.shape[:3]
+    flat = keypoints.reshape(views, frames * count, 3)
+    result = triangulate(flat[..., :2], flat[..., 2], cameras, settings, solver=settings.solver)
+    with np.errstate(invalid="ignore"):
+        sigma = result.sigma_m / np.sqrt(3)
+    sigma = np.where(result.verified, sigma, np.hypot(sigma, unverified_sigma_m))
+    sigma = np.where(result.valid, sigma, np.inf).reshape(frames, count)
+    seen = (np.isfinite(keypoints[..., 0]) & (keypoints[..., 2] > 0)).any(-1).sum(0)
+    return Points(names, result.points_m.reshape(frames, count, 3), sigma, seen)

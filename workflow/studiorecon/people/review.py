@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.review``: one page that shows who is who, doubtful tracks first, so that a person can correct identities.tsv
+by eye."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.footage.video import read_frames
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.pages import skeleton
+from studiorecon.people.association.evidence import sampled_frames
+from studiorecon.progress import progress
+from studiorecon.scene.files import read_json, read_table, write_text
+from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, read_detections, read_identities
+from studiorecon.signature import Written
+
+# Colours that colour-blind readers tell apart; one per person, again from the start after eight.
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#4d4d4d")
+_NOBODY = "#999999"
+_MARGIN_SHARE = 0.18  # how much more than the keypoints' box is shown
+_SOURCES = {
+    "keypoints": "found by keypoints",
+    "corrected": "corrected by hand",
+    "hull": "found by its silhouette against the plates: no keypoints, no tracks to correct",
+}
+_STYLE = """
+main { max-width: 76rem; }
+.strip { display: flex; flex-wrap: wrap; gap: 4px; } .strip figure { margin: 0; }
+.strip img { width: auto; border-bottom: 4px solid var(--c); border-radius: 0; }
+table { width: auto; } th, td { border: 0; } th { white-space: nowrap; }
+.who { color: var(--c); font-weight: 700; } pre { max-height: 16rem; }
+.doubt { border-left: 4px solid var(--warn); padding: .5rem .8rem; background: var(--wash); }
+"""
+_STRIP = """{% if figures %}<div class="strip">{% for figure in figures -%}
+<figure><img src="{{ figure.address }}" style="--c:{{ colour }}" alt="{{ where }}, frame {{ figure.frame }}">
+<figcaption>{{ figure.frame }}: track {{ figure.track }}</figcaption></figure>
+{%- endfor %}</div>{% else %}<span class="soft">not seen</span>{% endif %}"""
+_BODY = """
+{% macro cameras_of(name) %}
+<table>
+{% for camera in cameras %}
+<tr><th>{{ camera }}</th><td>{{ shown[name ~ " " ~ camera] }}</td></tr>
+{% endfor %}
+</table>
+{% endmacro %}
+{% macro track(t) %}
+{% set where = t.camera ~ "/" ~ t.track %}
+<div{% if t.person %} class="doubt"{% endif %} style="--c:{{ colour_of(t.person) }}">
+<p>{% if t.person %}<span class="who">{{ t.person }}</span>, {% endif %}<b>{{ where }}</b>,
+frames {{ t.first }}–{{ t.last }}
+({{ t.detections }} detections): <span class="soft">{{ t.reason }}</span></p>{{ shown[where] }}</div>
+{% endmacro %}
+<h1>Who is who</h1>
+<p>{{ rows | length }} people; {{ doubtful | length }} doubtful and {{ rejected | length }} rejected of
+{{ told.tracks | length }} tracks.
+{% if told.corrected %}These identities were corrected by hand and are taken as they stand. {% endif %}
+Numbers below the pictures are frames and track ids.</p>
+<p>To correct: copy <code>people/identities.tsv</code> (below) into the dataset folder as <code>identities.tsv</code>,
+or name the copy in <code>people.identities</code>; change the person of a line (empty = nobody) and run again. Only
+people whose lines changed are fitted again.</p>
+<h2>Doubtful tracks first</h2>
+{% for t in doubtful %}{{ track(t) }}{% else %}
+<p class="soft">None: every track clearly prefers its person.</p>
+{% endfor %}
+{% for row in rows %}
+<h2 style="--c:{{ colour_of(row.person) }}"><span class="who">{{ row.person }}</span>
+<span class="soft">{{ row.frames }} frames,
+confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.cameras }}</span></h2>
+{% if row.source != "hull" %}{{ cameras_of(row.person) }}{% endif %}
+{% endfor %}
+{% for one in told.left_out %}
+<h2 style="--c:{{ nobody }}"><span class="who">{{ one.name }}</span>
+<span class="soft">left out: {{ one.reason }}</span></h2>
+{{ cameras_of(one.name) }}
+<p>If this is somebody, these lines of <code>identities.tsv</code> take them in, in place of those of the same tracks
+(with the next free number where you take in several):</p><pre>{{ one.lines | join("\n") }}</pre>
+{% endfor %}
+<h2>Rejected tracks</h2>
+{% for t in rejected[:most] %}{{ track(t) }}{% endfor %}
+{% if rejected | length > most %}
+<p class="soft">and {{ rejected | length - most }} shorter ones (people.review.rejected shows more)</p>
+{% endif %}
+<h2>identities.tsv</h2><pre>{{ listing }}</pre>
+"""
+
+
+@dataclass(frozen=True)
+class Desk:
+    """``pictures`` per person and camera, ``height_px`` of each, and at most ``rejected`` tracks of nobody."""
+
+    pictures: int = setting(6, "Pictures per person and camera.", minimum=1)
+    height_px: int = setting(150, "Height of these pictures.", unit="px", minimum=32)
+    rejected: int = 40
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The keys of the section ``people`` that this step uses."""
+
+    review: Desk = setting(Desk(), "The identity page.")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One picture to cut out: detection number ``index`` of camera number ``view``."""
+
+    view: int
+    index: int
+
+
+def wanted_of(found: Detections, view: int, tracks: Sequence[int], pictures: int) -> list[Wanted]:
+    """Evenly spread detections of ``tracks``, one per frame, the surer one where two share a frame."""
+    mine = np.flatnonzero(np.isin(found.track, tracks))
+    chosen = []
+    for t in sampled_frames(found.frame[mine], pictures):
+        here = mine[found.frame[mine] == t]
+        chosen.append(Wanted(view, int(here[np.argmax(found.keypoints[here, :, 2].sum(1))])))
+    return chosen
+
+
+def cut_out(
+    picture: np.ndarray, keypoints: np.ndarray, edges: Sequence[tuple[int, int]], colour: str, height_px: int
+) -> np.ndarray:
+    """(height_px, w, 3) uint8: the part of ``picture`` (H, W, 3) around the keypoints (K, 3), with limbs drawn in
+    ``colour``."""
+    present = (keypoints[:, 2] > 0) & np.isfinite(keypoints[:, :2]).all(1)
+    points = keypoints[present, :2]
+    # A stray keypoint far away must not shrink the person to nothing: the box holds the middle nine tenths.
+    low, high = (np.percentile(points, q, axis=0) for q in (5, 95))
+    around = _MARGIN_SHARE * max(high - low) + 4
+    x0, y0 = np.maximum(np.floor(low - around), 0).astype(int)
+    x1, y1 = np.minimum(np.ceil(high + around), picture.shape[1::-1]).astype(int)
+    x1, y1 = max(x1, x0 + 2), max(y1, y0 + 2)
+    part = picture[y0:y1, x0:x1]
+    if part.size == 0:
+        part, x0, y0 = picture, 0, 0
+    scale = height_px / part.shape[0]
+    width = int(np.clip(round(part.shape[1] * scale), 24, 2 * height_px))
+    shown = cv2.resize(part, (width, height_px), interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    at = (np.where(present[:, None], keypoints[:, :2], 0) - [x0, y0]) * [width / part.shape[1], scale]
+    rgb = tuple(int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    for a, b in edges:
+        if present[a] and present[b]:
+            start, end = (tuple(int(v) for v in np.clip(at[k], -999, 9999)) for k in (a, b))
+            cv2.line(shown, start, end, rgb, 1, cv2.LINE_AA)
+    return shown
+
+
+def pictures_of(
+    wanted: Sequence[tuple[Wanted, str]], detections: Sequence[Detections], videos: Sequence[Path], height_px: int
+) -> list[str]:
+    """Data addresses (JPEG) of all wanted pictures, each video decoded once."""
+    out = [""] * len(wanted)
+    for v, found in enumerate(progress(detections, "cameras")):
+        by_frame: dict[int, list[int]] = {}
+        for n, (one, _) in enumerate(wanted):
+            if one.view == v:
+                by_frame.setdefault(int(found.frame[one.index]), []).append(n)
+        if not by_frame:
+            continue
+        for t, picture in enumerate(read_frames(videos[v], 0, max(by_frame) + 1)):
+            for n in by_frame.get(t, []):
+                one, colour = wanted[n]
+                cut = cut_out(picture, found.keypoints[one.index], LAYOUTS[found.layout].edges, colour, height_px)
+                jpeg = cv2.imencode(".jpg", cut[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+                out[n] = "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
+    return out
+
+
+def colour_of(person: str) -> str:
+    return _COLOURS[int(person[1:]) % len(_COLOURS)] if person else _NOBODY
+
+
+def ordered(tracks: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Doubtful tracks, narrowest margin first, and rejected ones, longest first; a rejected one is not doubtful."""
+    doubtful = [t for t in tracks if t["person"] and t["reason"]]
+    rejected = [t for t in tracks if not t["person"]]
+    doubtful.sort(key=lambda t: (t["margin"] if t["margin"] is not None else 1.0, t["camera"], t["track"]))
+    return doubtful, sorted(rejected, key=lambda t: (-t["detections"], t["camera"], t["track"]))
+
+
+def run(
+    settings: Settings,
+    association: Path,
+    people: Path,
+    identities: Path,
+    detections: list[Path],
+    videos: list[Path],
+    page: Written,
+) -> None:
+    """Write ``page`` (html that needs no network) from who was found, and why, in ``association``."""
+    told, rows = (
+        read_json(association),
+        [row for row in read_table(people, PEOPLE_COLUMNS) if row["status"] == "person"],
+    )
+    found = [read_detections(p) for p in detections]
+    view = {d.camera: v for v, d in enumerate(found)}
+    doubtful, rejected = ordered(told["tracks"])
+    keys = settings.review
+    strips: list[tuple[str, str, list[Wanted]]] = []  # where it belongs, colour, pictures
+    for row in rows:
+        for v, d in enumerate(found):
+            tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
+            strips.append(
+                (f"{row['person']} {d.camera}", colour_of(row["person"]), wanted_of(d, v, tracks, keys.pictures))
+            )
+    for one in told["left_out"]:
+        for v, d in enumerate(found):
+            mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], keys.pictures)
+            strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
+    for t in [*doubtful, *rejected[: keys.rejected]]:
+        v = view[t["camera"]]
+        strips.append(
+            (
+                f"{t['camera']}/{t['track']}",
+                colour_of(t["person"]),
+                wanted_of(found[v], v, [t["track"]], min(3, keys.pictures)),
+            )
+        )
+    flat = [(one, colour) for _, colour, some in strips for one in some]
+    images = iter(pictures_of(flat, found, videos, keys.height_px))
+    shown = {}
+    for where, colour, some in strips:
+        figures = [
+            {
+                "address": next(images),
+                "frame": found[o.view].frame[o.index],
+                "track": found[o.view].track[o.index],
+            }
+            for o in some
+        ]
+        shown[where] = skeleton.filled(_STRIP, where=where, colour=colour, figures=figures)
+    write_text(
+        page, _page(told, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities), keys)
+    )
+
+
+def _page(
+    told: dict[str, Any],
+    rows: list[dict[str, str]],
+    doubtful: list[dict[str, Any]],
+    rejected: list[dict[str, Any]],
+    cameras: list[str],
+    shown: Mapping[str, str],
+    identities: dict[tuple[str, int], str],
+    keys: Desk,
+) -> str:
+    body = skeleton.filled(
+        _BODY,
+        told=told,
+        rows=rows,
+        doubtful=doubtful,
+        rejected=rejected,
+        most=keys.rejected,
+        cameras=cameras,
+        shown=shown,
+        sources=_SOURCES,
+        colour_of=colour_of,
+        nobody=_NOBODY,
+        listing="\n".join(["camera\ttrack\tperson", *(f"{c}\t{t}\t{p}" for (c, t), p in sorted(identities.items()))]),
+    )
+    return skeleton.page("Identity page", [body], _STYLE)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry.smoothing import Smoothing
+from studiorecon.people.fitting.points import Triangulation
+from studiorecon.people.silhouettes.people import HullSettings
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """How points are made of keypoints."""
+
+    triangulation: Triangulation = setting(Triangulation(), "What counts as agreement of views.")
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """How motion is smoothed."""
+
+    smooth: Smoothing = setting(
+        Smoothing(), "Both-way exponential, then Gaussian smoothing of the fitted motion (U40 to U42)."
+    )
+
+
+@dataclass(frozen=True)
+class Hulled:
+    """How people without keypoints are found."""
+
+    hull: HullSettings = setting(HullSettings(), "People without keypoints, found against the user's clean plates.")

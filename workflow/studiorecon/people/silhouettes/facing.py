@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Front or back: what a silhouette hardly tells, walking and feet do.
+
+Three witnesses, each in nats for one facing against the opposite one. The whole outline: on a real take the right
+facing agrees by 0.01 to 0.03 more, and once 0.01 less. The feet, whose toes stick out to the front: the same over their
+surroundings alone, where they are a tenth of the pixels and not a hundredth. The way: who moves through the room mostly
+walks forwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from studiorecon.body.fitting.basis import State
+from studiorecon.keypoints.layouts import JOINT_NAMES
+from studiorecon.people.silhouettes.contour import Silhouette, Targets
+from studiorecon.people.silhouettes.foreground import FOREGROUND, UNKNOWN
+
+# Differences of agreement worth one nat: of the whole outline, and around the feet.
+_OUTLINE_UNIT, _FEET_UNIT = 0.01, 0.03
+# Walking this far forwards is worth all that walking can say: one in twenty such ways is walked backwards or sideways.
+_WALK_M, _WALK_NATS = 0.5, 3.0
+# Around each foot this far is looked at, metres.
+_FOOT_M = 0.2
+_FEET = tuple(JOINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("ankle", "foot"))
+# Less sure than this, a facing is called undetermined.
+SURE = 0.95
+
+
+@dataclass(frozen=True)
+class Facing:
+    """How sure a person's facing is.
+
+    Attributes:
+        outline, feet: by how much the opposite facing agrees less with the silhouettes, and around the feet.
+        ahead_m: way walked forwards, less backwards, in the frames that were looked at.
+        probability: of this facing against the opposite one.
+    """
+
+    outline: float
+    feet: float
+    ahead_m: float
+    probability: float
+
+    @property
+    def determined(self) -> bool:
+        return self.probability >= SURE
+
+    def sentence(self) -> str:
+        """What it rests on, for the log."""
+        verdict = "sure" if self.determined else "undetermined, sure only"
+        return (
+            f"facing {verdict} to {self.probability:.0%} (turned round, silhouettes agree "
+            f"by {self.outline:.3f} less and feet by "
+            f"{self.feet:.3f}; the person went {self.ahead_m:.2f} m ahead)"
+        )
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What one followed facing is supported by: agreement of outline and feet (0..1), way ahead in metres."""
+
+    outline: float
+    feet: float
+    ahead_m: float
+
+    @property
+    def nats(self) -> float:
+        return (
+            self.outline / _OUTLINE_UNIT
+            + self.feet / _FEET_UNIT
+            + 0.5 * _WALK_NATS * float(np.clip(self.ahead_m / _WALK_M, -1, 1))
+        )
+
+
+def witness(
+    surface: Silhouette, targets: Mapping[int, Targets], followed: Mapping[int, tuple[State, float]]
+) -> Witness:
+    """What speaks for the facing of a body ``followed`` (frame → state, agreement) over some frames."""
+    frames = sorted(followed)
+    states = [followed[t][0] for t in frames]
+    feet = [feet_agreement(surface, state, targets[t]) for t, state in zip(frames, states)]
+    known = [share for share in feet if np.isfinite(share)]
+    outline = float(np.mean([followed[t][1] for t in frames]))
+    return Witness(outline, float(np.mean(known)) if known else 0.0, ahead_m(states))
+
+
+def ahead_m(states: Sequence[State]) -> float:
+    """Way of the pelvis along the body's own forward direction, over consecutive states, metres."""
+    places = np.array([s.trans[0, :2] for s in states])
+    forward = np.array([(s.local[0, 0] @ np.array([0.0, 0.0, 1.0]))[:2] for s in states])
+    forward /= np.maximum(np.linalg.norm(forward, axis=1, keepdims=True), 1e-9)
+    return float((np.diff(places, axis=0) * (forward[1:] + forward[:-1]) / 2).sum())
+
+
+def feet_agreement(surface: Silhouette, state: State, targets: Targets) -> float:
+    """Mean over cameras of intersection over union around the feet; NaN where no camera shows them."""
+    joints = surface.joints(state)[list(_FEET)]
+    shares = []
+    for camera, region, label in zip(surface.cameras, surface.regions(state), targets.labels):
+        pixels, depth_m = camera.project(joints)
+        near = np.zeros(label.shape, np.uint8)
+        for (x, y), z in zip(pixels, depth_m):
+            if z > 0.1 and abs(x) < 1e5 and abs(y) < 1e5:
+                cv2.circle(near, (int(x), int(y)), max(2, round(_FOOT_M * camera.focal_px[0] / z)), 1, cv2.FILLED)
+        heard = (near > 0) & (label != UNKNOWN)
+        there = label == FOREGROUND
+        union = int(((region | there) & heard).sum())
+        if union:
+            shares.append(int((region & there & heard).sum()) / union)
+    return float(np.mean(shares)) if shares else float("nan")
+
+
+def compare(winner: Witness, opposite: Witness | None) -> Facing:
+    """The winner against the best body that faces the other way; None when there was none that could be followed."""
+    if opposite is None:
+        return Facing(winner.outline, winner.feet, winner.ahead_m, 1 / (1 + np.exp(-min(winner.nats, 30.0))))
+    nats = float(np.clip(winner.nats - opposite.nats, -30, 30))
+    return Facing(
+        winner.outline - opposite.outline, winner.feet - opposite.feet, winner.ahead_m, float(1 / (1 + np.exp(-nats)))
+    )

@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of a run: what is decided from the configuration and the dataset before anything runs.
+
+In: the configuration and the workflow's folder. Out: a frozen ``Plan``, and the paths that rules ask for. Rules are
+data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). In the order to read:
+
+* ``dataset``: the user's dataset (found by ``discovery``), or the synthetic studio that is filmed first;
+* ``sight``: in whose pictures people are looked for, and by what;
+* ``networks``: the upstream networks that are asked for, their images and GPUs;
+* ``decisions``: the ``Plan`` that these make up; ``refusals``: what cannot be run; ``make``: all of it together;
+* ``command``: the shell line of a rule, from the signature of its step;
+* ``told``: which settings a step is told, with what ``survey.force`` decides;
+* ``brought``, ``files``: the files that rules take where these hang on the plan, on who was found or on the survey.
+
+Decodes no pictures and compiles nothing: Snakemake reads it at every start. (``planner`` is about where cameras stand.)
+"""

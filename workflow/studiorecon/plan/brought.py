@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that rules take from the user or from the workflow's own folder, or that a network makes in their place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from studiorecon.errors import UserError
+from studiorecon.plan.decisions import Plan
+from studiorecon.scene.dataset import colmap_files
+
+
+class Brought:
+    """Input functions: each takes a rule's wildcards, as Snakemake calls it, and names files; none where nothing is to
+    be taken.
+
+    Args:
+        plan, config, home: what was decided, the whole configuration, the workflow's folder.
+        local: marks a path that lies on this machine, whatever storage results go to: Snakemake's ``local``.
+    """
+
+    def __init__(self, plan: Plan, config: Mapping[str, Any], home: Path, local: Callable[[str], str]) -> None:
+        self.plan, self.config, self.home, self.local = plan, config, home, local
+        self.shots: Mapping[str, Mapping[str, Any]] = config["render"]["shots"]
+
+    def bundled(self, name: str) -> str:
+        """A file of the workflow's own folder."""
+        return self.local(str(self.home / name))
+
+    def in_dataset(self, path: Path | str) -> str:
+        """A file of the dataset: a synthetic studio's is a result like others, a user's own lies where it lies."""
+        return str(path) if self.plan.studio else self.local(str(path))
+
+    def brought(self, setting: str, stem: str, suffixes: Sequence[str]) -> str:
+        """What the user made elsewhere: a file of the folder that ``setting`` names, by its conventional name."""
+        section, _, key = setting.partition(".")
+        folder = self.config[section][key]
+        found = [path for suffix in suffixes if (path := Path(folder) / f"{stem}{suffix}").exists()]
+        if not found:
+            endings = ", ".join(suffixes)
+            raise UserError(f"{setting} is {folder!r}, which has no {stem} with one of the endings {endings}")
+        return self.local(str(found[0]))
+
+    def earlier(self, file: str) -> list[str]:
+        """A file of the earlier run that ``survey.earlier`` names, for the hysteresis of decisions."""
+        folder = self.config["survey"]["earlier"]
+        return [self.local(str(Path(folder) / file))] if folder else []
+
+    @cached_property
+    def given_body(self) -> str:
+        return self.local(self.plan.given_body)
+
+    @cached_property
+    def body(self) -> str:
+        """The body model as plain arrays."""
+        return self.plan.body if self.plan.body != self.plan.given_body else self.given_body
+
+    @cached_property
+    def detector(self) -> list[str]:
+        return [self.bundled(f"resources/detector/{name}") for name in self.plan.sight.detector]
+
+    @cached_property
+    def player(self) -> list[str]:
+        """The player's page and scripts."""
+        parts = sorted((self.home / "resources" / "player").iterdir())
+        return [self.bundled(str(part.relative_to(self.home))) for part in parts]
+
+    @cached_property
+    def calibration(self) -> list[str]:
+        written = bool(self.plan.networks.cameras)
+        return [file if written else self.in_dataset(file) for file in self.plan.calibration]
+
+    @cached_property
+    def all_footage(self) -> list[str]:
+        """The footage of every camera, in their order."""
+        return [self.in_dataset(self.plan.dataset.footage[camera]) for camera in self.plan.cameras]
+
+    @cached_property
+    def corrected(self) -> list[str]:
+        """The user's own say on who is who."""
+        named = self.config["people"]["identities"]
+        return [(self.local if named else self.in_dataset)(self.plan.identities)] if self.plan.identities else []
+
+    @cached_property
+    def sweeps(self) -> list[str]:
+        """Records of the sweeps that were run on this scene."""
+        return sorted(map(str, Path(f"results/{self.plan.scene}/sweep").glob("*/records.jsonl")))
+
+    def footage(self, wildcards: Any) -> str:
+        """Video file or folder of pictures of one camera."""
+        return self.in_dataset(self.plan.dataset.footage[wildcards.camera])
+
+    def keypoints(self, wildcards: Any) -> str:
+        """Keypoints of one camera: recorded ones, or what the detector found."""
+        if wildcards.camera in (*self.plan.sight.detected, *self.plan.sight.measured):
+            return f"results/{wildcards.scene}/detect/found/{wildcards.camera}.npz"
+        return self.in_dataset(self.plan.dataset.keypoints[wildcards.camera])
+
+    def given_bodies(self, wildcards: Any) -> list[str]:
+        """The user's file of a network's bodies of one camera, if that is where they come from."""
+        if self.plan.sight.bodies != "precomputed":
+            return []
+        return [self.brought("detect.precomputed", wildcards.camera, (".npz", ".pt"))]
+
+    def given_plate(self, wildcards: Any) -> list[str]:
+        """The user's clean plate of one camera, if there is one."""
+        plates = self.plan.dataset.plates
+        return [self.in_dataset(plates[wildcards.camera])] if wildcards.camera in plates else []
+
+    def given_masks(self, wildcards: Any) -> list[str]:
+        """The user's person masks of one camera, if there are any."""
+        if wildcards.camera in self.plan.dataset.masks:
+            return [self.in_dataset(self.plan.dataset.masks[wildcards.camera])]
+        if self.config["masks"]["source"] == "precomputed":
+            return [self.brought("masks.precomputed", wildcards.camera, (".mkv", ".mp4", ""))]
+        return []
+
+    def given_depth(self, wildcards: Any) -> str:
+        """The user's depth map of one camera."""
+        return self.in_dataset(self.plan.dataset.depth[wildcards.camera])
+
+    def truth(self, wildcards: Any) -> list[str]:
+        """The folder of exact truth of a synthetic studio."""
+        return [self.in_dataset(self.plan.dataset.truth)] if self.plan.dataset.truth else []
+
+    # ---- what a network makes, or was made elsewhere ----
+
+    def estimated_depth(self, wildcards: Any) -> str:
+        """Depth of one camera in any unit."""
+        if self.plan.networks.depth != "precomputed":
+            return f"results/{wildcards.scene}/depth/{wildcards.camera}.estimate.exr"
+        return self.brought("depth.precomputed", wildcards.camera, (".exr", ".npy", ".npz", ".png"))
+
+    def generated_film(self, wildcards: Any) -> str:
+        """Film of one segment's views."""
+        if self.plan.networks.views != "precomputed":
+            return f"results/{wildcards.scene}/views/{wildcards.segment}.film.mkv"
+        return self.brought("views.precomputed", wildcards.segment, (".mkv", ".mp4"))
+
+    def tracked_masks(self, wildcards: Any) -> list[str]:
+        """A network's film of numbers for one camera, where one is asked and the user brought no masks."""
+        wanted = self.plan.networks.masks and wildcards.camera not in self.plan.dataset.masks
+        return [f"results/{wildcards.scene}/masks/{wildcards.camera}.tracks.mkv"] if wanted else []
+
+    def film_of_elsewhere(self, wildcards: Any) -> list[str]:
+        """The film of a shot that was enhanced elsewhere, if that is where films come from."""
+        if self.config["enhance"]["enhancer"] != "precomputed" or self.plan.forced.get("enhancement") == "off":
+            return []
+        return [self.brought("enhance.precomputed", wildcards.shot, (".mkv", ".mp4"))]
+
+    # ---- what a shot asks for ----
+
+    def shot_path(self, wildcards: Any) -> list[str]:
+        """The camera path that a shot follows, if it is of that kind, and what belongs to it: a COLMAP model is several
+        files."""
+        file = self.shots.get(wildcards.shot, {}).get("file")
+        parts = colmap_files(Path(file)) if file and Path(file).stem == "images" else [file] if file else []
+        return [self.local(str(part)) for part in parts]
+
+    def stand_ins(self, wildcards: Any) -> list[str]:
+        """Files of the people who stand in for others in a shot; people of this scene are inputs anyway."""
+        wanted = self.shots.get(wildcards.shot, {}).get("replace", {})
+        files = [Path(source) for source in wanted.values() if not re.fullmatch(r"p\d+|nobody", source)]
+        return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
+
+    def truth_of_replaced(self, wildcards: Any) -> list[str]:
+        """The truth film of a shot in which somebody stands in for a person: photos of that person correct nothing
+        there."""
+        replaced = self.shots.get(wildcards.shot, {}).get("replace")
+        return [f"results/{wildcards.scene}/render/{wildcards.shot}.truth.mkv"] if replaced else []
+
+    def edited_reference(self, wildcards: Any) -> list[str]:
+        """The edited picture that a network takes as its reference for a shot, if one is named."""
+        file = self.shots.get(wildcards.shot, {}).get("reference")
+        return [self.local(file)] if file else []

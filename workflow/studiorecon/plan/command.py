@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of a rule, from the signature of its step's ``run``: what it takes is said once.
+
+``run(settings, person: str, model: Path, detections: list[Path], body: Path, fit: Written)`` of ``people.fit`` becomes
+
+    python -m studiorecon people.fit --settings {params.settings:q} --log {log:q} --person {wildcards.person:q}
+    --model {input.model[0]:q} --detections {input.detections:q} --body {input.body:q} --fit {output.fit:q}
+
+so the rule names its inputs, outputs and params as the step does. Signatures are read, not imported: numbers and
+pictures have no place in a plan.
+"""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+
+from studiorecon.code import module_path
+
+_WILDCARDS = {"scene", "camera", "person", "segment", "shot", "picture"}
+_THREADS = {"threads", "processes", "cores"}
+# A COLMAP model is several files: the step is told the first, and reads the others beside it.
+_FIRST_OF_SEVERAL = {"model", "heldout_model"}
+
+
+@cache
+def command(step: str) -> str:
+    """The shell line of the rule that runs ``"stage.step"``; FileNotFoundError when there is no such step."""
+    options = [f"--{name.replace('_', '-')} {_value(name, kind)}" for name, kind in signature(step)]
+    return " ".join([f"python -m studiorecon {step}", *options])
+
+
+def signature(step: str) -> list[tuple[str, str]]:
+    """Names and annotations of what ``run`` takes, in order, with the log, which every step has."""
+    path = module_path(step)
+    if path is None:
+        raise FileNotFoundError(f"no module studiorecon.{step}")
+    tree = ast.parse(path.read_bytes())
+    run = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "run")
+    taken = [(a.arg, ast.unparse(a.annotation)) for a in (*run.args.args, *run.args.kwonlyargs) if a.annotation]
+    first = 1 if taken[0][0] == "settings" else 0
+    return [*taken[:first], ("log", "log"), *taken[first:]]
+
+
+def _value(name: str, kind: str) -> str:
+    if name == "log":
+        return "{log:q}"
+    if name in _THREADS:
+        return "{threads}"
+    if name in _WILDCARDS and kind in ("str", "int"):
+        return f"{{wildcards.{name}:q}}"
+    if "Written" in kind:
+        return f"{{output.{name}:q}}"
+    if "Path" in kind:
+        return f"{{input.{name}[0]:q}}" if name in _FIRST_OF_SEVERAL else f"{{input.{name}:q}}"
+    return f"{{params.{name}:q}}"

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which dataset a run is about: a user's own, or a synthetic studio that is filmed first."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from studiorecon.plan.discovery import open_dataset
+from studiorecon.scene.dataset import Dataset
+from studiorecon.studio.description import planned_dataset, read_description
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenDataset:
+    """The dataset of a run.
+
+    Attributes:
+        dataset: where everything of it lies.
+        studio: the synthetic studio's name; "" for a user's own dataset.
+        description: the file that describes that studio; "" for a user's own dataset.
+    """
+
+    dataset: Dataset
+    studio: str
+    description: str
+
+
+def beside(path: str | Path, home: Path) -> str:
+    """A path of the configuration: as given when it is a file from here, else in the workflow's folder ``home``."""
+    return str(path) if Path(path).is_file() else str(home / path)
+
+
+def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
+    """What ``dataset`` names, without people where ``survey.force`` says so; UserError when there is none."""
+    given = Path(config["dataset"])
+    if given.suffix in (".yaml", ".yml"):
+        description = Path(beside(given, home))
+        folder = Path("results/studio") / description.stem
+        planned = planned_dataset(read_description(description), folder / "dataset", folder / "truth")
+        chosen = ChosenDataset(planned, description.stem, str(description))
+    else:
+        capture_yaml = Path(config["capture_yaml"]) if config["capture_yaml"] else None
+        chosen = ChosenDataset(open_dataset(given, capture_yaml), "", "")
+    if config["survey"]["force"].get("people") == "off":
+        return dataclasses.replace(chosen, dataset=dataclasses.replace(chosen.dataset, people=False))
+    return chosen

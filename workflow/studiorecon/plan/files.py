@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that rules take, where these hang on the plan, on who was found, or on what the survey decided."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from studiorecon.plan.brought import Brought
+from studiorecon.plan.decisions import Plan
+from studiorecon.scene.people import read_people
+
+
+class Files(Brought):
+    """Input functions of all rules: what was brought, and what other rules make.
+
+    What asks one of Snakemake's ``checkpoints`` raises Snakemake's own exception until that has run.
+    """
+
+    def __init__(
+        self, plan: Plan, config: Mapping[str, Any], home: Path, local: Callable[[str], str], checkpoints: Any
+    ) -> None:
+        super().__init__(plan, config, home, local)
+        self.checkpoints = checkpoints
+
+    # ---- what cameras saw of people ----
+
+    def first_detection(self, wildcards: Any) -> list[str]:
+        """What one camera alone says of people; none when nobody can be there, or only plates show who is."""
+        return [f"results/{wildcards.scene}/tracks/{wildcards.camera}.npz"] if self._somebody else []
+
+    def first_detections(self, wildcards: Any) -> list[str]:
+        """The same of every training camera."""
+        cameras = self.plan.training if self._somebody else []
+        return [f"results/{wildcards.scene}/tracks/{camera}.npz" for camera in cameras]
+
+    def detection(self, wildcards: Any) -> list[str]:
+        """The same of one camera after the second look, which recorded keypoints do not have."""
+        return [self._looked_at(wildcards.scene, wildcards.camera)] if self._somebody else []
+
+    def detections(self, wildcards: Any) -> list[str]:
+        """The same of every training camera after the second look."""
+        cameras = self.plan.training if self._somebody else []
+        return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
+
+    @property
+    def _somebody(self) -> bool:
+        return bool(self.plan.people and self.plan.sight.somebody)
+
+    def _looked_at(self, scene: str, camera: str) -> str:
+        if camera in self.plan.sight.detected:
+            return f"results/{scene}/people/detections/{camera}.npz"
+        return f"results/{scene}/tracks/{camera}.npz"
+
+    def seen_people(self, wildcards: Any) -> list[str]:
+        """The detector's masks of one camera, its detections, and who is who; nothing where it did not look."""
+        if wildcards.camera not in self.plan.sight.detected:
+            return []
+        folder = f"results/{wildcards.scene}/people"
+        masks = f"{folder}/seen/{wildcards.camera}.npz"
+        return [masks, *self.detection(wildcards), f"{folder}/identities.tsv"]
+
+    # ---- who was found ----
+
+    def people_table(self, wildcards: Any) -> list[str]:
+        """The table of people; none when the room is known to be empty."""
+        return [f"results/{wildcards.scene}/people/people.tsv"] if self.plan.people else []
+
+    def identities(self, wildcards: Any) -> list[str]:
+        """Whose every track is; none when the room is known to be empty."""
+        return [f"results/{wildcards.scene}/people/identities.tsv"] if self.plan.people else []
+
+    def people_with_keypoints(self, wildcards: Any) -> list[str]:
+        """Ids of the people that association found; none, without asking, when the room is known to be empty."""
+        if not self.plan.people:
+            return []
+        return read_people(Path(self._associated(wildcards).people))
+
+    def people(self, wildcards: Any) -> list[str]:
+        """Ids of everybody: also of those who have no keypoints and stand out from clean plates."""
+        if not self.plan.people or not self.plan.sight.plated:
+            return self.people_with_keypoints(wildcards)
+        return read_people(Path(self._without_keypoints(wildcards).people))
+
+    def tracks_of(self, wildcards: Any) -> list[str]:
+        """Which tracks are this person's: a file of their own, so that a change of somebody else's is none of theirs;
+        none of somebody without keypoints."""
+        has_keypoints = wildcards.person in self.people_with_keypoints(wildcards)
+        return [f"{self._associated(wildcards).who}/{wildcards.person}.tsv"] if has_keypoints else []
+
+    def silhouettes_of(self, wildcards: Any) -> list[str]:
+        """Silhouettes of this person, if no keypoints are there."""
+        if self.tracks_of(wildcards):
+            return []
+        return [f"{self._without_keypoints(wildcards).silhouettes}/{wildcards.person}.npz"]
+
+    def fits_with_keypoints(self, wildcards: Any) -> list[str]:
+        """Body file of everybody with keypoints."""
+        return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people_with_keypoints(wildcards)]
+
+    def fits(self, wildcards: Any) -> list[str]:
+        """Body file of every person."""
+        return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
+
+    def walkers(self, wildcards: Any) -> list[str]:
+        """Bodies of the people whose ways are kept free of furniture; none unless ``depth.solids_walked`` asks."""
+        return self.fits(wildcards) if self.config["depth"]["solids_walked"] else []
+
+    def sightings(self, wildcards: Any) -> list[str]:
+        """What cameras saw of those people, which nothing can stand in front of."""
+        return self.detections(wildcards) if self.walkers(wildcards) else []
+
+    def sighted(self, wildcards: Any) -> list[str]:
+        """Whose those sightings are."""
+        return self.identities(wildcards) if self.sightings(wildcards) else []
+
+    def filmed_people(self, wildcards: Any) -> list[str]:
+        """Training cameras, if anybody was found whom they can show."""
+        return self.plan.training if self.people(wildcards) else []
+
+    def masks(self, wildcards: Any) -> list[str]:
+        """Person masks of every training camera; none when there are no people."""
+        return [f"results/{wildcards.scene}/masks/{camera}.mkv" for camera in self.filmed_people(wildcards)]
+
+    def human_gaussians(self, wildcards: Any) -> list[str]:
+        """Canonical Gaussians of every person."""
+        return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]
+
+    def human_avatars(self, wildcards: Any) -> list[str]:
+        """Skinning and motion of every person."""
+        return [f"results/{wildcards.scene}/humans/{person}.npz" for person in self.people(wildcards)]
+
+    # ---- what the survey decided ----
+
+    def verdict(self, effect: str, wildcards: Any) -> str:
+        """What the survey says of one effect: on, off or undetermined; without asking it where ``survey.force`` has."""
+        if effect in self.plan.forced:
+            return self.plan.forced[effect]
+        decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
+        decisions = json.loads(Path(decided).read_text(encoding="utf-8"))["decisions"]
+        return next(decision["verdict"] for decision in decisions if decision["effect"] == effect)
+
+    def gains(self, wildcards: Any) -> list[str]:
+        """What the cameras' exposures are divided by: a file, where the survey calls for it."""
+        wanted = self.verdict("exposure", wildcards) == "on"
+        return [f"results/{wildcards.scene}/survey/gains.json"] if wanted else []
+
+    def specularity(self, wildcards: Any) -> list[str]:
+        """A file where the survey calls for colours that change with the direction of view."""
+        wanted = self.verdict("view_dependent_colour", wildcards) == "on"
+        return [f"results/{wildcards.scene}/survey/specularity.json"] if wanted else []
+
+    def brightness(self, wildcards: Any) -> list[str]:
+        """What every frame's brightness is divided by: a file, where the survey says that the light changes."""
+        wanted = self.verdict("changing_light", wildcards) == "on"
+        return [f"results/{wildcards.scene}/survey/brightness.json"] if wanted else []
+
+    def exposure(self, wildcards: Any) -> list[str]:
+        """All that pictures are divided by before they are compared: gains of cameras, brightness of frames."""
+        return [*self.gains(wildcards), *self.brightness(wildcards)]
+
+    def segments(self, wildcards: Any) -> list[str]:
+        """Gaps between cameras that get new views; none unless the survey calls for views."""
+        return self.plan.segments if self.verdict("view_synthesis", wildcards) == "on" else []
+
+    def views(self, wildcards: Any) -> list[str]:
+        """The new views of every segment."""
+        return [f"results/{wildcards.scene}/views/{segment}.mkv" for segment in self.segments(wildcards)]
+
+    def view_masks(self, wildcards: Any) -> list[str]:
+        """Where those views show what cameras saw."""
+        return [f"results/{wildcards.scene}/views/{segment}.mask.mkv" for segment in self.segments(wildcards)]
+
+    def loose_objects(self, wildcards: Any) -> list[str]:
+        """Loose and held things; none unless the survey finds some."""
+        wanted = self.verdict("dynamic_objects", wildcards) == "on"
+        return [f"results/{self._scene(wildcards)}/objects/objects.npz"] if wanted else []
+
+    def room_light(self, wildcards: Any) -> list[str]:
+        """The light by which people shade the room; none unless the survey calls for moving shadows and somebody is
+        there to throw them."""
+        wanted = self.people(wildcards) and self.verdict("moving_shadows", wildcards) == "on"
+        return [f"results/{wildcards.scene}/render/room.light.json"] if wanted else []
+
+    def room_shade(self, wildcards: Any) -> list[str]:
+        """The shadows in that light, for the player."""
+        return [f"results/{wildcards.scene}/render/room.shade.npz"] if self.room_light(wildcards) else []
+
+    # ---- asked of Snakemake ----
+
+    def _scene(self, wildcards: Any) -> str:
+        """The rule's scene; the run's own for a rule without one."""
+        return getattr(wildcards, "scene", self.plan.scene)
+
+    def _associated(self, wildcards: Any) -> Any:
+        return self.checkpoints.people_associate.get(scene=self._scene(wildcards)).output
+
+    def _without_keypoints(self, wildcards: Any) -> Any:
+        return self.checkpoints.people_without_keypoints.get(scene=self._scene(wildcards)).output

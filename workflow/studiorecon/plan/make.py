@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of a configuration: each part decided by itself, put together, and refused where it cannot be run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from studiorecon.plan.dataset import beside, chosen_dataset
+from studiorecon.plan.decisions import Plan
+from studiorecon.plan.networks import networks_of
+from studiorecon.plan.refusals import refuse
+from studiorecon.plan.sight import sight_of
+
+
+def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
+    """The plan of a whole, valid configuration; ``home`` is the workflow's folder.
+
+    Raises UserError, in a sentence, when the dataset is not there or cannot be run so.
+    """
+    chosen = chosen_dataset(config, home)
+    dataset, sight, networks = chosen.dataset, sight_of(chosen.dataset, config), networks_of(config, home)
+    scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
+    given_body = beside(config["body"], home)
+    gaps = len(dataset.training) - (0 if config["views"]["closed"] else 1)
+    source = config["calibration"]["source"]
+    written = [f"results/{scene}/calibration/network/{name}.txt" for name in ("cameras", "images")]
+    plan = Plan(
+        dataset=dataset,
+        studio=chosen.studio,
+        description=chosen.description,
+        scene=scene,
+        given_body=given_body,
+        # SMPL's own pickle becomes plain arrays first.
+        body=f"results/body/{Path(given_body).stem}.npz" if given_body.endswith(".pkl") else given_body,
+        # A file named in the configuration counts before the dataset's.
+        identities=str(config["people"]["identities"] or dataset.identities or ""),
+        sight=sight,
+        networks=networks,
+        from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sight.watched)),
+        calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
+        segments=[f"{i:02d}" for i in range(gaps)],
+        films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],
+        forced=config["survey"]["force"],
+    )
+    refuse(plan, config)
+    return plan

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What cannot be run as it stands, in a sentence that says where, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from studiorecon.calibration.formats import accepted
+from studiorecon.errors import UserError
+from studiorecon.people.silhouettes import MIN_CAMERAS
+from studiorecon.plan.decisions import Plan
+
+
+def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
+    """Raises UserError for the first thing that is missing or contradicts another."""
+    _calibration(plan)
+    if plan.identities and not Path(plan.identities).is_file():
+        raise UserError(
+            f"people.identities names {plan.identities}, which does not exist; copy "
+            f"results/{plan.scene}/people/identities.tsv there"
+        )
+    if plan.people:
+        _keypoints(plan, MIN_CAMERAS)
+    if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.sight.watched]):
+        raise UserError(
+            f"dataset {plan.dataset.folder} has no calibration, so its cameras are found from people, and camera "
+            f"{unseen[0]} has no keypoints: add {unseen[0]}/*.json, set detect.source to auto, leave the camera out "
+            "with train: [...] in capture.yaml, or bring a calibration"
+        )
+
+
+def _calibration(plan: Plan) -> None:
+    if plan.networks.cameras and plan.dataset.pixel_maps:
+        raise UserError(
+            f"calibration.source is {plan.networks.cameras}, which looks at the footage itself, but capture.yaml has "
+            "pixel_maps, which belong to a calibration: take them out, or set calibration.source to files"
+        )
+    if not plan.from_people and not plan.networks.cameras and not plan.dataset.calibration:
+        raise UserError(
+            f"dataset {plan.dataset.folder} has no calibration: put one there ({accepted()}), or name it in "
+            "capture.yaml (calibration: FILE)"
+        )
+
+
+def _keypoints(plan: Plan, least_plates: int) -> None:
+    sight, dataset = plan.sight, plan.dataset
+    if not sight.somebody and not sight.plated:
+        plates = sum(camera in dataset.plates for camera in plan.training)
+        raise UserError(
+            f"dataset {dataset.folder} has no 2D keypoints and detect.source is keypoints: set it to auto, put "
+            "keypoints/<camera>/*.json (OpenPose, AlphaPose, MMPose, …) there, or clean plates of "
+            f"{least_plates} training cameras (plates/<camera>.png; there are {plates}), or write people: 0 into "
+            "capture.yaml for an empty room"
+        )
+    blind = [c for c in plan.training if c not in sight.watched]
+    if sight.watched and not sight.bodies and blind:
+        raise UserError(
+            f"camera {blind[0]} of dataset {dataset.folder} has no keypoints in "
+            f"{next(iter(dataset.keypoints.values())).parent}: add {blind[0]}/*.json there, leave the camera out with "
+            "train: [...] in capture.yaml, or set detect.source to auto"
+        )

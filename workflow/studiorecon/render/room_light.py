@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The light of a room, as far as people stand in its way: ``render/room.light.json``.
+
+Lamps are patches of the room's ceiling and walls, and of a far sky. What a surface that faces up loses is, as a share
+of all its light,
+
+    (sky · S + contact · C + Σ_k share_k · g_k · H_k) / (1 + Σ_k share_k · (g_k - 1))
+
+with H_k the hidden share of lamp k, g_k its fall-off relative to where it was measured, S the hidden share of the light
+from everywhere above and C how near a body is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.render.occlusion import Groups, lost, nearness, sky_discs
+from studiorecon.scene.files import read_json, write_json
+
+# However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
+# dominate.
+_LEAST_FACTOR, _LEAST_TOTAL = 0.05, 0.25
+
+
+@dataclass(frozen=True)
+class Lamps:
+    """K patches that may give light.
+
+    Attributes:
+        positions_m: (K, 3).
+        facing: (K, 3) unit normals into the room; zeros for the sky, which is equally bright everywhere.
+        radius_m: (K,) of the disc that stands for the patch.
+    """
+
+    positions_m: np.ndarray
+    facing: np.ndarray
+    radius_m: np.ndarray
+
+    @property
+    def discs(self) -> np.ndarray:
+        """(K, 4) position and radius."""
+        return np.concatenate([self.positions_m, self.radius_m[:, None]], axis=1)
+
+    def take(self, index: np.ndarray) -> Lamps:
+        """The lamps at ``index`` (integers or a boolean mask)."""
+        return Lamps(self.positions_m[index], self.facing[index], self.radius_m[index])
+
+    def falloff(self, points_m: np.ndarray) -> np.ndarray:
+        """(N, K) light on points (N, 3) that face up from lamps of equal strength: both cosines over distance squared;
+        1 from the sky."""
+        towards = self.positions_m[None] - np.asarray(points_m, np.float64)[:, None]
+        distance = np.maximum(np.linalg.norm(towards, axis=-1), 0.1)
+        cosines = (
+            np.maximum(towards[..., 2], 0) * np.maximum(-np.einsum("nkx,kx->nk", towards, self.facing), 0) / distance**2
+        )
+        return np.where(self.facing.any(axis=1), cosines / distance**2, 1.0)
+
+
+@dataclass(frozen=True)
+class Light:
+    """What was estimated.
+
+    Attributes:
+        kept: whether it predicts pictures that it was not fitted to; films leave it out otherwise.
+        reason: one sentence.
+        lamps: patches that give light.
+        share: (K,) of the light of a floor in the open, on average over where it was measured.
+        usual: (K,) mean fall-off there.
+        sky, contact: strengths of the two other terms; ``contact_m``: reach of the latter.
+        floor_m: height of the floor.
+        figures: what the fit was judged by.
+    """
+
+    kept: bool
+    reason: str
+    lamps: Lamps
+    share: np.ndarray
+    usual: np.ndarray
+    sky: float
+    contact: float
+    contact_m: float
+    floor_m: float
+    figures: Mapping[str, float] = field(default_factory=dict)
+
+    def factor(self, points_m: np.ndarray, bodies: Sequence[np.ndarray]) -> np.ndarray:
+        """(N,) float32 share of its light that is left to points (N, 3) that face up, beside bodies of capsules (C, 7)
+        each."""
+        return LitPoints(self, points_m).left(bodies)
+
+
+class LitPoints:
+    """N points that face up under a light, for whatever bodies come by: what does not depend on these, once."""
+
+    def __init__(self, light: Light, points_m: np.ndarray) -> None:
+        part = light.share * light.lamps.falloff(points_m) / light.usual
+        self._light, self._groups = light, Groups.of(points_m)
+        self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _LEAST_TOTAL)
+        self._discs = light.lamps.discs
+        # Most fits find that there is no light from everywhere; it would cost as much as the lamps.
+        if light.sky:
+            sky = sky_discs()
+            self._discs = np.concatenate([self._discs, sky])
+            part = np.concatenate([part, np.full((len(part), len(sky)), light.sky / len(sky))], axis=1)
+        self._parts = self._groups.grouped(part)
+
+    def left(self, bodies: Sequence[np.ndarray]) -> np.ndarray:
+        """(N,) float32 share of their light that is left to the points beside bodies of capsules (C, 7) each."""
+        if not any(len(body) for body in bodies):
+            return np.ones(len(self._total), np.float32)
+        gone = lost(self._groups, self._parts, self._discs, bodies)
+        if self._light.contact:
+            gone = gone + self._light.contact * nearness(self._groups, bodies, self._light.contact_m)
+        return np.clip(1 - gone / self._total, _LEAST_FACTOR, 1).astype(np.float32)
+
+
+def write_light(path: Path, light: Light) -> None:
+    """Write the light; its lamps as a list of what each one is."""
+    lamps = [
+        {"position_m": p, "facing": f, "radius_m": r, "share": s, "usual": u}
+        for p, f, r, s, u in zip(
+            light.lamps.positions_m, light.lamps.facing, light.lamps.radius_m, light.share, light.usual
+        )
+    ]
+    others = ("kept", "reason", "sky", "contact", "contact_m", "floor_m", "figures")
+    write_json(path, {name: getattr(light, name) for name in others} | {"lamps": lamps})
+
+
+def read_light(path: Path) -> Light:
+    """Read what ``write_light`` wrote; raises UserError when it is missing or holds numbers that are not finite."""
+    value = read_json(path)
+    made = value.pop("lamps")
+    arrays = {n: np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual")}
+    places = {n: np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")}
+    others = [value[n] for n in ("sky", "contact", "contact_m", "floor_m")]
+    if None in others or not all(np.isfinite(a).all() for a in (*arrays.values(), *places.values())):
+        raise UserError(f"{path} holds numbers that are not finite; make the light again")
+    lamps = Lamps(places["position_m"], places["facing"], arrays["radius_m"])
+    return Light(lamps=lamps, share=arrays["share"], usual=arrays["usual"], **value)

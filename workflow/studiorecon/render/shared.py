@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from studiorecon.configuration.setting import setting
+from studiorecon.render.kinds import KINDS
+
+# Of a film the kind is what must be said; what else may be said of it stands in the schema's $defs, kind by kind.
+_FILMS = {
+    "type": "object",
+    "propertyNames": {
+        "pattern": "^[a-z][a-z0-9_-]*$",
+        "not": {"const": "train"},
+        "description": "Names of films are small letters, digits, - and _; train is taken.",
+    },
+    "additionalProperties": {
+        "description": "A film; its kind says what else may be said of it.",
+        "type": "object",
+        "required": ["kind"],
+        "properties": {"kind": {"enum": list(KINDS), "description": "Kind of camera path."}},
+        "allOf": [
+            {
+                "if": {"required": ["kind"], "properties": {"kind": {"const": kind}}},
+                "then": {"$ref": f"#/$defs/{kind}"},
+            }
+            for kind in KINDS
+        ],
+    },
+}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The films, and the depth in metres nearer than which no Gaussian is drawn (G01)."""
+
+    shots: dict[str, Any] = setting(
+        {"orbit": {"kind": "orbit"}, "heldout": {"kind": "heldout"}},
+        "Films to make, by name; a film needs only its kind. orbit goes once around the scene inside the ring of "
+        "training cameras, heldout is every held-out camera at every frame: what metrics are measured on. The training "
+        "cameras' own views are always rendered.",
+        shape=_FILMS,
+        paper="4 cameras at 45 degrees between the training ones held out",
+    )
+    near_m: float = 0.2

@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures. In come results, photos and truth; out come numbers with intervals.
+
+* pictures: ``measures``, ``distance`` (LPIPS), ``folders`` (any method's), ``truth`` (a synthetic studio's);
+* people: ``bodies``, ``identities`` and ``identity_scores``, ``keypoints``, ``motion``;
+* ``rendered_effects``: what the audit decides; ``bootstrap``: intervals; ``definitions``: what every number means.
+"""

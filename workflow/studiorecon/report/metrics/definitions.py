@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every printed number means: unit, better direction, variant, mask, library; and what else makes two numbers
+comparable."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+import scipy
+
+from studiorecon import code
+
+PROTOCOL = (
+    "held-out cameras; 8-bit pictures; mean over frames, then over cameras, "
+    "unweighted, never pooled; intervals of 95 % by "
+    "bootstrap over blocks of frames"
+)
+NO_LPIPS = "report.lpips is none: the weights of its network are not part of this project"
+NO_PCK = "needs a 2D keypoint detector run on the rendered pictures; none is part of this project"
+_NETS = {"none": "AlexNet", "alex": "AlexNet", "vgg": "VGG16"}
+_SSIM = (
+    "11×11 Gaussian, σ 1.5, K 0.01/0.03, range 1, population covariance, per channel, float64, variances clamped at 0"
+)
+_REGIONS = {
+    "people": "true person mask of the photo, undilated",
+    "people_wide": "true person mask dilated by 10 px, silhouettes included",
+    "background": "outside the true person mask",
+    "seen": "surfaces of the room that a training camera sees at that time, by the true depth, within seen_tolerance",
+    "unseen": "surfaces of the room that no training camera sees at that time",
+    "people_seen": "pixels of people whose surface a training camera sees at that "
+    "time, by the true depth of that frame",
+    "people_unseen": "pixels of people whose surface no training camera sees at that time",
+    "seen_strict": "as seen, at the first value of seen_sensitivity",
+    "unseen_strict": "as unseen, at the first value of seen_sensitivity",
+    "seen_loose": "as seen, at the second value of seen_sensitivity",
+    "unseen_loose": "as unseen, at the second value of seen_sensitivity",
+}
+_CHANGE = (
+    "O(t) − warp(O(t−1), F(t→t−1)), mean over channels; DIS flow of the true video; pixels where the flow leads back"
+)
+
+
+def definitions(net: str) -> dict[str, dict[str, str]]:
+    """measure → definition, unit, better (up or down), mask, library; ``net`` is what LPIPS was measured with."""
+    ours, with_flow = "studiorecon, exact", f"studiorecon; DIS flow of OpenCV {cv2.__version__}"
+    found = {
+        "psnr": _entry(
+            "10 log10(1/MSE), MSE over H·W·3, range 1; identical pictures count 100 dB", "dB", "up", "none", ours
+        ),
+        "ssim": _entry(f"{_SSIM}; mean over windows inside the picture", "", "up", "none", ours),
+        "ssim_3dgs": _entry(
+            f"{_SSIM}; zero padding, mean over the whole picture, as the 3DGS lineage", "", "up", "none", ours
+        ),
+        "psnr_colour_corrected": _entry(
+            "PSNR after the best affine map of colours, least squares", "dB", "up", "none", ours
+        ),
+        "temporal_l1": _entry(f"mean absolute value of {_CHANGE}", "", "down", "none", with_flow),
+        "warp_square": _entry(f"mean square of {_CHANGE}", "", "down", "none", with_flow),
+        "warp_rms": _entry(
+            f"root of the mean square of {_CHANGE}: what papers call Warp-L2", "", "down", "none", with_flow
+        ),
+        "flicker_excess": _entry(
+            "temporal_l1 minus that of the photos on the same pixels", "", "down", "none", with_flow
+        ),
+    }
+    for region, mask in _REGIONS.items():
+        found[f"psnr_{region}"] = _entry(
+            "10 log10(1/MSE), MSE over the mask's pixels; at least 256", "dB", "up", mask, ours
+        )
+        found[f"ssim_{region}"] = _entry(f"{_SSIM}; windows wholly inside the mask (eroded 5 px)", "", "up", mask, ours)
+    for region in ("seen", "unseen"):
+        found[f"temporal_l1_{region}"] = _entry(
+            f"mean absolute value of {_CHANGE}", "", "down", _REGIONS[region], with_flow
+        )
+    for region in ("seen", "seen_strict", "seen_loose", "people_seen"):
+        found[f"share_{region}"] = _entry(
+            "share of seen among seen and unseen pixels", "", "up", _REGIONS[region], ours
+        )
+    found["lpips"] = _entry(f"LPIPS 0.1, {_NETS[net]}, inputs in [−1, 1], float32", "", "down", "none", _library(net))
+    return found
+
+
+def _library(net: str) -> str:
+    if net == "none":
+        return "not measured"
+    import torch
+
+    return f"studiorecon on torch {torch.__version__}"
+
+
+def provenance(settings: Mapping[str, Any], masks: str) -> dict[str, Any]:
+    """What must agree before two results may be compared: libraries, code, settings, where masks came from."""
+    return {
+        "code": code.digest("report.metrics.measures"),
+        "revision": _revision(),
+        "settings": dict(settings),
+        "masks": masks,
+        "libraries": {
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "numba": numba.__version__,
+            "opencv": cv2.__version__,
+        },
+    }
+
+
+def _entry(definition: str, unit: str, better: str, mask: str, library: str) -> dict[str, str]:
+    return {"definition": definition, "unit": unit, "better": better, "mask": mask, "library": library}
+
+
+def _revision() -> str | None:
+    """The commit of the code; None where it does not come from a repository, as inside an image."""
+    try:
+        told = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+        )
+    except FileNotFoundError:
+        return None
+    return told.stdout.strip() or None

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Folders of pictures or videos that any method may have written, one video or one folder of pictures per camera."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames
+from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+
+# The camera's name when a single film or a bare folder of pictures is given.
+ONLY = "camera"
+
+
+def cameras_in(place: Path) -> dict[str, Path]:
+    """camera → its video or folder of pictures; a single video, or pictures without folders, is one camera. UserError
+    when there is none."""
+    if place.is_file() and place.suffix.lower() in VIDEO_SUFFIXES:
+        return {ONLY: place}
+    if not place.is_dir():
+        raise UserError(f"{place} is not a folder; give one with a video or a folder of pictures per camera")
+    found: dict[str, Path] = {}
+    for entry in sorted(place.iterdir()):
+        name = entry.name if entry.is_dir() else entry.stem
+        is_film = entry.suffix.lower() in VIDEO_SUFFIXES and "." not in entry.stem
+        if not (_pictures(entry) if entry.is_dir() else is_film):
+            continue
+        if name in found:
+            raise UserError(
+                f"camera {name} of {place} is there twice, as {found[name].name} and "
+                f"as {entry.name}; remove one of them"
+            )
+        found[name] = entry
+    if not found and _pictures(place):
+        return {ONLY: place}
+    if not found:
+        raise UserError(
+            f"{place} holds neither videos nor folders of pictures; put <camera>.mkv or <camera>/*.png there"
+        )
+    return found
+
+
+def frames_of(source: Path) -> Iterator[np.ndarray]:
+    """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
+    for frame in _stored(source):
+        yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
+
+
+def masks_of(source: Path) -> Iterator[np.ndarray]:
+    """(H, W) bool: where a mask video or picture is not black."""
+    for frame in _stored(source):
+        yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
+
+
+def _stored(source: Path) -> Iterator[np.ndarray]:
+    if source.is_file():
+        yield from read_frames(source)
+        return
+    for path in _pictures(source):
+        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
+        if picture is None:
+            raise UserError(f"{path} is not a readable picture")
+        yield np.ascontiguousarray(picture[..., ::-1])
+
+
+def digest(source: Path) -> str:
+    """SHA-256 of a file, or of a folder's pictures with their names, in name order."""
+    hashed = hashlib.sha256()
+    for path in [source] if source.is_file() else _pictures(source):
+        hashed.update(path.name.encode())
+        with open(path, "rb") as file:
+            while part := file.read(1 << 20):
+                hashed.update(part)
+    return hashed.hexdigest()
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURE_SUFFIXES]

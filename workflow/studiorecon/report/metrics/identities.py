@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is who, against a synthetic studio's truth: association of the detections in the training cameras, and bodies
+seen from held-out ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from studiorecon.footage.video import read_frames
+from studiorecon.images.warp import sample
+from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
+from studiorecon.report.metrics.identity_scores import identity_scores
+from studiorecon.report.metrics.keypoints import TruePerson, score
+from studiorecon.report.metrics.truth import TrueView, true_pixels
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# A detection whose limbs are off from a true person's by more than this share of the person's height is nobody's.
+_SAME = 0.25
+_LIMBS = [
+    f"{side}_{limb}" for side in ("left", "right") for limb in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+]
+NOBODY = -1
+
+
+def true_person_of(points: np.ndarray, people: np.ndarray) -> int:
+    """Index of the true person (P, K, 2) whose points lie closest to ``points`` (K, 2) in the median; -1 when all are
+    far or unknown.
+
+    Far: beyond a quarter of the person's height in the picture. Points that are NaN on either side are left out.
+    """
+    best, nearest = NOBODY, math.inf
+    for index, person in enumerate(people):
+        both = np.isfinite(points).all(axis=-1) & np.isfinite(person).all(axis=-1)
+        if both.sum() < 3:
+            continue
+        gap = float(np.median(np.linalg.norm(points[both] - person[both], axis=-1)))
+        height = float(np.ptp(person[np.isfinite(person).all(axis=-1)], axis=0).max())
+        if gap <= _SAME * height and gap < nearest:
+            best, nearest = index, gap
+    return best
+
+
+def score_identities(
+    detections: Sequence[Detections],
+    identities: Mapping[tuple[str, int], str],
+    cameras: Mapping[str, Camera],
+    joints_m: Mapping[str, np.ndarray],
+) -> dict[str, Any]:
+    """Accuracy, precision, IDF1 and switches of the identities that the detections were given; ``joints_m`` are true
+    (T, 24, 3).
+
+    A detection's true person is whose projected limbs it lies on. Numbers that cannot be taken are None.
+    """
+    names = sorted(set(identities.values()))
+    people = [joints_m[name] for name in sorted(joints_m)]
+    rows: list[tuple[int, int, int, int]] = []
+    for view, found in enumerate(detections):
+        keypoints = LAYOUTS[found.layout].keypoints
+        limbs = [name for name in _LIMBS if name in keypoints or f"{name}_joint" in keypoints]
+        columns = [keypoints.index(name if name in keypoints else f"{name}_joint") for name in limbs]
+        joints = [JOINT_NAMES.index(name) for name in limbs]
+        projected = [cameras[found.camera].project(person[:, joints])[0] for person in people]
+        for frame, track, points in zip(found.frame, found.track, found.keypoints):
+            here = np.array([p[frame] for p in projected if frame < len(p)])
+            given = identities.get((found.camera, int(track)))
+            rows.append(
+                (
+                    frame,
+                    view,
+                    true_person_of(points[columns, :2], here),
+                    names.index(given) if given is not None else NOBODY,
+                )
+            )
+    if not rows:
+        return {"accuracy": None, "precision": None, "idf1": None, "reason": "there are no detections"}
+    values = asdict(identity_scores(*np.array(rows).T))
+    values["idf1_per_view"] = {detections[view].camera: value for view, value in values["idf1_per_view"].items()}
+    plain = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values.items()}
+    return plain | {"reason": None if plain["accuracy"] is not None else "nobody was seen by two cameras at once"}
+
+
+def true_people(
+    view: TrueView, camera: Camera, joints_m: Mapping[str, np.ndarray], first_frame: int, frames: int
+) -> list[list[TruePerson]]:
+    """Per working frame the true people in one picture, with joints where they can be seen and the box of their mask.
+
+    A joint counts when the pixel it projects to shows that person: what others, props and the picture's edge hide does
+    not. Person k of the truth (in order of name) has mask value k + 1.
+    """
+    pixels = true_pixels(camera, view.camera)
+    projected = [camera.project(joints_m[name])[0] for name in sorted(joints_m)]
+    found = []
+    for frame, mask in enumerate(read_frames(view.masks, first_frame, first_frame + frames)):
+        labels, inside = sample(mask, pixels, "nearest")
+        here = []
+        for index, points in enumerate(projected):
+            mine = inside & (labels == index + 1)
+            if frame >= len(points) or not mine.any():
+                continue
+            rows, columns = np.flatnonzero(mine.any(axis=1)), np.flatnonzero(mine.any(axis=0))
+            box_wh = (float(columns[-1] - columns[0] + 1), float(rows[-1] - rows[0] + 1))
+            hit, on_picture = sample(mine, points[None, frame], "nearest")
+            here.append(TruePerson(points[frame], (hit & on_picture)[0], box_wh))
+        found.append(here)
+    return found
+
+
+def score_bodies_in_pictures(
+    views: Mapping[str, TrueView],
+    cameras: Sequence[Camera],
+    fitted: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    joints_m: Mapping[str, np.ndarray],
+    first_frame: int,
+    frames: int,
+) -> dict[str, Any]:
+    """PCK and detection rate of the fitted joints (T, 24, 3), valid (T,), projected into the held-out cameras, against
+    the true ones.
+
+    Not the paper's PCK, which runs a detector on the rendered pictures: this says where the bodies are, not how they
+    look.
+    """
+    pictures = []
+    for camera in cameras:
+        projected = [(camera.project(joints)[0], valid) for joints, valid in fitted.values()]
+        for frame, people in enumerate(true_people(views[camera.name], camera, joints_m, first_frame, frames)):
+            pictures.append(([p[frame] for p, valid in projected if frame < len(valid) and valid[frame]], people))
+    return score(pictures)

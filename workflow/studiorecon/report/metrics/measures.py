@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Picture measures of one view against its photo, frame by frame, and how they are averaged.
+
+Per frame → mean over frames → mean over cameras, unweighted, each level stored; squared errors are never pooled over
+frames. What was not measured is None with a reason, never 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from studiorecon.images.flow import dis_flow, grey_levels
+from studiorecon.images.metrics import (
+    PSNR_CAP_DB,
+    change_maps,
+    colour_corrected_psnr,
+    error_map,
+    levels,
+    mean_inside,
+    mean_of,
+    psnr_of,
+    ssim,
+    ssim_3dgs,
+    ssim_map,
+)
+from studiorecon.images.temporal import leads_back
+from studiorecon.models.protocols import PerceptualDistance
+from studiorecon.report.metrics.bootstrap import Bootstrap, mean_interval
+
+FULL = ("psnr", "ssim", "ssim_3dgs", "psnr_colour_corrected")
+TEMPORAL = ("temporal_l1", "warp_rms", "warp_square", "flicker_excess", "temporal_l1_seen", "temporal_l1_unseen")
+REGIONS = ("people", "people_wide", "background", "seen", "unseen", "people_seen", "people_unseen")
+# Only for the sensitivity of the seen test to its tolerance: their PSNR and share.
+SENSITIVITY = ("seen_strict", "unseen_strict", "seen_loose", "unseen_loose")
+SHARES = ("share_seen", "share_seen_strict", "share_seen_loose", "share_people_seen")
+NOT_FINITE = "not_finite"
+NAMES = (
+    *FULL,
+    "lpips",
+    *(f"{measure}_{region}" for region in REGIONS for measure in ("psnr", "ssim")),
+    *(f"psnr_{region}" for region in SENSITIVITY),
+    *SHARES,
+    *TEMPORAL,
+)
+# Below this a flow has no pyramid to search; the temporal measures are then not taken.
+_SMALLEST_FLOW_PX = 24
+
+
+def measure_picture(
+    prediction: np.ndarray,
+    photo: np.ndarray,
+    regions: Mapping[str, np.ndarray],
+    distance: PerceptualDistance | None = None,
+) -> dict[str, float | None]:
+    """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name. Without a
+    ``distance`` there is no LPIPS.
+
+    A float prediction's values that are not finite count as black (white for +inf), as a stored video would have them,
+    and ``not_finite`` says how many there were.
+    """
+    similarity, errors = ssim_map(prediction, photo), error_map(prediction, photo)
+    values = {
+        "psnr": psnr_of(errors),
+        "ssim": ssim(similarity),
+        "ssim_3dgs": ssim_3dgs(similarity),
+        "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
+        "lpips": None if distance is None else distance.measured(levels(prediction), levels(photo)),
+        NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
+    }
+    for name, mask in regions.items():
+        values[f"psnr_{name}"] = psnr_of(errors, mask)
+        if name in REGIONS:
+            values[f"ssim_{name}"] = ssim(similarity, mask)
+    for share in SHARES:
+        seen = share.removeprefix("share_")
+        unseen = seen.replace("seen", "unseen")
+        if seen in regions and unseen in regions:
+            yes, no = int(regions[seen].sum()), int(regions[unseen].sum())
+            values[share] = yes / (yes + no) if yes + no else None
+    return values
+
+
+class Flicker:
+    """Temporal measures of a sequence: each picture against the previous one, moved by the flow of the *photos*."""
+
+    def __init__(self, flow_preset: str) -> None:
+        self._preset = flow_preset
+        self._grey: np.ndarray | None = None
+        self._photo: np.ndarray | None = None
+        self._pictures: dict[str, np.ndarray] = {}
+
+    def measure(
+        self, photo: np.ndarray, pictures: Mapping[str, np.ndarray], regions: Mapping[str, np.ndarray]
+    ) -> dict[str, dict[str, float | None]]:
+        """The ``TEMPORAL`` measures of every named picture and, as ``"photo"``, of the photos; None for the first
+        frame.
+
+        Pixels count where the flow leads back; ``regions`` belong to the current photo.
+        """
+        grey = grey_levels(photo)
+        values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
+        if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
+            backward = dis_flow(grey, self._grey, self._preset)
+            valid = leads_back(backward, dis_flow(self._grey, grey, self._preset))
+            assert self._photo is not None
+            values["photo"] = self._changed(photo, self._photo, backward, valid, regions)
+            for name, picture in pictures.items():
+                found = self._changed(picture, self._pictures[name], backward, valid, regions)
+                if found["temporal_l1"] is not None:
+                    of_photo = values["photo"]["temporal_l1"]
+                    assert of_photo is not None
+                    found["flicker_excess"] = found["temporal_l1"] - of_photo
+                values[name] = found
+        self._grey, self._photo, self._pictures = (
+            grey,
+            photo,
+            {name: levels(picture) for name, picture in pictures.items()},
+        )
+        return values
+
+    def _changed(
+        self,
+        picture: np.ndarray,
+        previous: np.ndarray,
+        backward: np.ndarray,
+        valid: np.ndarray,
+        regions: Mapping[str, np.ndarray],
+    ) -> dict[str, float | None]:
+        absolute, square = change_maps(picture, previous, backward, valid)
+        mean_square = mean_inside(square, valid)
+        found = {name: mean_inside(absolute, valid & regions[name]) for name in ("seen", "unseen") if name in regions}
+        return {
+            "temporal_l1": mean_inside(absolute, valid),
+            "warp_rms": None if mean_square is None else float(np.sqrt(mean_square)),
+            "warp_square": mean_square,
+            "flicker_excess": None,
+            "temporal_l1_seen": found.get("seen"),
+            "temporal_l1_unseen": found.get("unseen"),
+        }
+
+
+def measure_sequence(
+    frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]],
+    flow_preset: str,
+    distance: PerceptualDistance | None = None,
+) -> dict[str, list[dict[str, float | None]]]:
+    """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the
+    photo).
+
+    ``"photo"`` is the photos' own flicker. Call inside ``one_thread``: the flow's result depends on OpenCV's number of
+    threads.
+    """
+    flicker = Flicker(flow_preset)
+    found: dict[str, list[dict[str, float | None]]] = {}
+    for photo, versions, masks in frames:
+        moving = flicker.measure(photo, versions, masks)
+        for name, picture in versions.items():
+            found.setdefault(name, []).append({**measure_picture(picture, photo, masks, distance), **moving[name]})
+        found.setdefault("photo", []).append(moving["photo"])
+    return found
+
+
+def summary(
+    frames: Mapping[str, Iterable[float | None]], reason: str, bootstrap: Bootstrap | None = None
+) -> dict[str, Any]:
+    """One measure over cameras: value, 95 % interval, per-camera means, raw values per frame, counts of used, skipped,
+    capped frames.
+
+    ``frames`` maps camera → values; ``reason`` is given when nothing at all was measured. Values that are not finite
+    are skipped.
+    """
+    cameras: dict[str, dict[str, Any]] = {}
+    for camera, values in frames.items():
+        listed = [None if value is None or not np.isfinite(value) else float(value) for value in values]
+        used = [value for value in listed if value is not None]
+        cameras[camera] = {
+            "value": mean_of(used),
+            "used": len(used),
+            "skipped": len(listed) - len(used),
+            "frames": listed,
+        }
+    value = mean_of(entry["value"] for entry in cameras.values())
+    interval = mean_interval({c: entry["frames"] for c, entry in cameras.items()}, bootstrap) if bootstrap else None
+    return {"value": value, "interval": interval, "reason": None if value is not None else reason, "cameras": cameras}
+
+
+def summaries(
+    per_camera: Mapping[str, Iterable[Mapping[str, float | None]]],
+    names: Iterable[str],
+    reasons: Mapping[str, str],
+    bootstrap: Bootstrap | None = None,
+) -> dict[str, Any]:
+    """The summary of each named measure; ``per_camera`` maps camera → values per frame, ``reasons`` says why one may be
+    missing."""
+    result = {}
+    for name in names:
+        found = summary(
+            {camera: [f.get(name) for f in frames] for camera, frames in per_camera.items()},
+            reasons.get(name, ""),
+            bootstrap,
+        )
+        if name.startswith("psnr"):
+            for entry in found["cameras"].values():
+                entry["capped"] = sum(value == PSNR_CAP_DB for value in entry["frames"])
+        result[name] = found
+    return result
+
+
+def unmeasured(reason: str) -> dict[str, Any]:
+    """The entry of a measure that could not be taken."""
+    return {"value": None, "interval": None, "reason": reason, "cameras": {}}

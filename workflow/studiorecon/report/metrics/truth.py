@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exact truth of a synthetic studio, which no other stage may read: who is where in a held-out picture, and what was
+seen of the room.
+
+The folder holds ``cameras.json`` (ideal pinholes), ``depth/<camera>.exr`` (the empty room), ``masks/<camera>.mkv`` (0
+room, k + 1 person k, 255 props), ``bodies/<person>.npz`` and, when the studio was told to keep it,
+``depth_frames/<camera>.mkv``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.person_files import read_person
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.video import read_frames
+from studiorecon.images.regions import dilated
+from studiorecon.images.warp import sample
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import read_json
+
+_PROPS = 255
+# The people mask's second variant, 10 px wider all around, takes the silhouettes in (evaluation 1.2).
+_WIDE_PX = 21
+# The studio keeps depth with people as whole millimetres.
+_DEPTH_UNITS_PER_M = 1000
+
+
+@dataclass(frozen=True)
+class TrueView:
+    """Truth of one camera: its ideal pinhole, the empty room's depth (H, W) in metres, and the video of its masks."""
+
+    camera: Camera
+    room_depth_m: np.ndarray
+    masks: Path
+
+
+def read_views(folder: Path) -> dict[str, TrueView]:
+    """camera → truth, of every camera of the studio."""
+    cameras = [Camera.from_json(value) for value in read_json(folder / "cameras.json")]
+    return {
+        c.name: TrueView(c, read_depth(folder / "depth" / f"{c.name}.exr")[0], folder / "masks" / f"{c.name}.mkv")
+        for c in cameras
+    }
+
+
+def true_joints(folder: Path) -> dict[str, np.ndarray]:
+    """person → (T, 24, 3) world joints of every source frame, metres."""
+    return {path.stem: read_person(path).joints for path in sorted((folder / "bodies").glob("*.npz"))}
+
+
+def true_pixels(working: Camera, true: Camera) -> np.ndarray:
+    """(H, W, 2) pixels of the true pinhole that show what the working pixels show: both look the same way, only sizes
+    differ."""
+    rays = (working.pixel_centres() - np.array(working.principal_px)) / np.array(working.focal_px)
+    return rays * np.array(true.focal_px) + np.array(true.principal_px)
+
+
+def seen_by(
+    points_m: np.ndarray, known: np.ndarray, camera: Camera, depth_m: np.ndarray, tolerances: Sequence[float]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees, and its pixels
+    (..., 2) of them.
+
+    Seen: in front, inside the picture, and |z − z_n| ≤ tolerance · z_n with the camera's own depth z_n (relative to
+    that one: 5 m read as 4.75 m is 5.3 % or 5.0 % by the choice, V02), which must be a finite positive number
+    (V01: inf passes ``<=``) and away from depth edges, judged by the first tolerance.
+    """
+    usable = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, 0).astype(np.float32)
+    window = np.ones((3, 3), np.uint8)
+    edge = cv2.dilate(usable, window) - cv2.erode(usable, window) > tolerances[0] * np.maximum(usable, 1e-6)
+    pixels, distance = camera.project(points_m)
+    found, inside = sample(np.where(edge, np.float32(0), usable), pixels, "nearest")
+    possible = known & inside & (distance > 0) & (found > 0)
+    gap = np.where(possible, np.abs(found - np.where(possible, distance, 0)), np.inf)
+    return [possible & (gap <= tolerance * found) for tolerance in tolerances], pixels
+
+
+def regions(
+    views: dict[str, TrueView],
+    camera: Camera,
+    training: Sequence[str],
+    first_frame: int,
+    frames: int,
+    tolerance: float,
+    sensitivity: tuple[float, float],
+) -> Iterator[dict[str, np.ndarray]]:
+    """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen,
+    unseen, ….
+
+    A background pixel is seen when at that time some training camera sees the same surface with nobody in front of it;
+    ``_strict`` and ``_loose`` are the same at the two tolerances of ``sensitivity``. A person's pixel needs that
+    frame's depth, which the studio keeps when told to (``truth: depth_frames``); without it ``people_seen`` and
+    ``people_unseen`` are absent.
+    """
+    own = views[camera.name]
+    pixels = true_pixels(camera, own.camera)
+    depth_m, inside = sample(own.room_depth_m, pixels, "nearest")
+    known = inside & np.isfinite(depth_m) & (depth_m > 0)
+    points = own.camera.unproject(pixels, np.where(known, depth_m, 1.0).astype(np.float64))
+    tolerances = (tolerance, *sensitivity)
+    others = [seen_by(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
+    stop = first_frame + frames
+    streams = [read_frames(views[name].masks, first_frame, stop) for name in training]
+    moving = _depth_frames(views, [camera.name, *training], first_frame, stop)
+    for mask in read_frames(own.masks, first_frame, stop):
+        labels = np.where(inside, sample(mask, pixels, "nearest")[0], _PROPS)
+        background = labels == 0
+        seen = [np.zeros(labels.shape, bool) for _ in tolerances]
+        for (visible, where), stream in zip(others, streams):
+            clear = sample(next(stream), where, "nearest")[0] == 0
+            for total, each in zip(seen, visible):
+                total |= each & clear
+        people = (labels > 0) & (labels < _PROPS)
+        found = {"people": people, "people_wide": dilated(people, _WIDE_PX), "background": background}
+        for suffix, each in zip(("", "_strict", "_loose"), seen):
+            found |= {f"seen{suffix}": background & each, f"unseen{suffix}": background & ~each}
+        if moving is not None:
+            found |= _people_seen(
+                people, pixels, own.camera, [views[n].camera for n in training], next(moving), tolerance
+            )
+        yield found
+
+
+def _people_seen(
+    people: np.ndarray,
+    pixels: np.ndarray,
+    own: Camera,
+    training: Sequence[Camera],
+    depths_m: Sequence[np.ndarray],
+    tolerance: float,
+) -> dict[str, np.ndarray]:
+    """People's pixels (H, W) that some training camera sees in the same frame, and those that none does."""
+    where = pixels[people][None]
+    depth_m = sample(depths_m[0], where, "nearest")[0].astype(np.float64)
+    known = np.isfinite(depth_m) & (depth_m > 0)
+    points = own.unproject(where, np.where(known, depth_m, 1.0))
+    covered = np.zeros(known.shape, bool)
+    for camera, depth in zip(training, depths_m[1:]):
+        covered |= seen_by(points, known, camera, depth, (tolerance,))[0][0]
+    seen, unseen = np.zeros(people.shape, bool), np.zeros(people.shape, bool)
+    seen[people], unseen[people] = covered[0], (known & ~covered)[0]
+    return {"people_seen": seen, "people_unseen": unseen}
+
+
+def _depth_frames(
+    views: dict[str, TrueView], names: Sequence[str], start: int, stop: int
+) -> Iterator[list[np.ndarray]] | None:
+    """Depth in metres of the named cameras, frame by frame; None when the studio did not keep it."""
+    paths = [views[name].masks.parent.parent / "depth_frames" / f"{name}.mkv" for name in names]
+    if not all(path.is_file() for path in paths):
+        return None
+    streams = zip(*(read_frames(path, start, stop) for path in paths))
+    return ([depth.astype(np.float32) / _DEPTH_UNITS_PER_M for depth in depths] for depths in streams)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of the page: every warning of the run, what it ran with, and where the numbers lie as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from studiorecon.pages import html
+from studiorecon.progress import WARNING
+from studiorecon.scene.files import read_table
+
+# What a reader may want to open, below results/<scene>/, and what it holds.
+_FILES = {
+    "report/metrics.json": "every measure, per camera and frame, with its definition",
+    "report/cost.json": "seconds and memory of every rule",
+    "survey/decisions.json": "effects decided before training",
+    "report/audit.json": "effects decided on the trained scene",
+    "cameras/refinement.json": "reprojection before and after refinement",
+    "people/identities.tsv": "which track of which camera is whom; edit a copy to correct it",
+    "people/review.html": "everybody's pictures per camera and time",
+    "depth/room.json": "the fitted room",
+    "deliver/manifest.json": "everything delivered, with checksums",
+    "deliver/player.html": "the scene to move through, in space and time",
+}
+
+
+def read_warnings(logs: Path) -> list[tuple[str, str]]:
+    """(step, sentence) of every warning in the logs of a scene's latest jobs; each sentence once, in the order of the
+    files' names."""
+    found: dict[tuple[str, str], None] = {}
+    for log in sorted(logs.rglob("*.log")):
+        step = ".".join(log.relative_to(logs).with_suffix("").parts)
+        for line in log.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith(WARNING):
+                found[step, line.removeprefix(WARNING)] = None
+    return list(found)
+
+
+def film_warnings(ledgers: Sequence[Path], min_measured: float, max_angle_deg: float) -> list[tuple[str, str]]:
+    """(step, sentence) about where films show what nobody filmed, or go through something; ``ledgers`` are
+    ``render/<shot>.tsv``."""
+    found = []
+    for path in ledgers:
+        rows = read_table(path, ("picture", "measured", "angle_deg", "near"))
+        stretches = {
+            f"shows less than {100 * min_measured:.0f} % measured surfaces": [
+                float(r["measured"]) < min_measured for r in rows
+            ],
+            f"stands more than {max_angle_deg:.0f} degrees from every training camera": [
+                float(r["angle_deg"]) > max_angle_deg for r in rows
+            ],
+        }
+        for near in sorted({r["near"] for r in rows} - {""}):
+            through = "walls or furniture" if near == "background" else near
+            stretches[f"passes through {through}"] = [r["near"] == near for r in rows]
+        for what, chosen in stretches.items():
+            pictures = [int(r["picture"]) for r, there in zip(rows, chosen) if there]
+            if pictures:
+                where = f"in {len(pictures)} of {len(rows)} pictures ({_ranges(pictures)})"
+                found.append((f"render.shot.{path.stem}", f"shot {path.stem} {what} {where}"))
+    return found
+
+
+def _ranges(pictures: Sequence[int]) -> str:
+    """``0-3, 7, 9-12``; at most five stretches are named."""
+    starts = [i for i, p in enumerate(pictures) if i == 0 or p != pictures[i - 1] + 1]
+    ends = [*(s - 1 for s in starts[1:]), len(pictures) - 1]
+    parts = [f"{pictures[a]}-{pictures[b]}" if a < b else str(pictures[a]) for a, b in zip(starts, ends)]
+    return ", ".join(parts[:5]) + (" …" if len(parts) > 5 else "")
+
+
+def warnings(found: Sequence[tuple[str, str]]) -> str:
+    """The section on what a reader should know before trusting the result."""
+    title = "Warnings"
+    if not found:
+        return html.heading(title, "No step warned of anything.")
+    return html.heading(title, f"{len(found)} sentences that steps of this run marked as warnings.") + html.table(
+        ["step", "what"], found
+    )
+
+
+def versions(provenance: Mapping[str, Any], machine: Mapping[str, str]) -> str:
+    """What the numbers were computed with."""
+    told = machine | provenance["libraries"]
+    told |= {
+        "commit of the code": provenance["revision"] or "not from a repository",
+        "masks of people": provenance["masks"],
+    }
+    return html.heading("Versions") + html.table(["what", "which"], [[k, str(v)] for k, v in told.items()])
+
+
+def links(results: Path, page: Path, files: Sequence[Path], ledgers: Sequence[Path]) -> str:
+    """Relative links to data of the scene in ``results``; they work where the page lies in its folder."""
+    told = [(path, _FILES[path.relative_to(results).as_posix()]) for path in files]
+    told += [(path, f"what every picture of shot {path.stem} is made of") for path in ledgers]
+    items = []
+    for path, what in told:
+        address, name = Path(os.path.relpath(path, page.parent)).as_posix(), path.relative_to(results).as_posix()
+        items.append(f'<li><a href="{html.text(address)}">{html.text(name)}</a>: {html.text(what)}</li>')
+    return (
+        html.heading("The numbers as files", "Beside this page, in the results folder.") + f"<ul>{''.join(items)}</ul>"
+    )

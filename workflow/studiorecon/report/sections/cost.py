@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run cost, from Snakemake's benchmark files: seconds and memory per stage and rule."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+# Stages in the order data flows, which is how a reader looks for them; anything else comes after them.
+STAGES = (
+    *("studio", "detect", "clocks", "calibration", "capture", "tracks", "plates", "cameras", "people", "depth"),
+    *("survey", "objects", "masks", "views", "background", "humans", "render", "enhance", "deliver", "report"),
+)
+_COLUMNS = {"seconds": "s", "cpu_seconds": "cpu_time", "peak_memory_mb": "max_rss"}
+
+
+def read_benchmark(path: Path) -> dict[str, float | None]:
+    """Seconds, CPU seconds and peak memory (MB) of one job; None where Snakemake could not measure (very short jobs).
+
+    A repeated benchmark has several rows; the median time and the largest memory are taken.
+    """
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file, delimiter="\t"))
+    measured = {
+        name: sorted(v for row in rows if (v := _number(row.get(column))) is not None)
+        for name, column in _COLUMNS.items()
+    }
+    return {
+        name: (v[-1] if name == "peak_memory_mb" else v[len(v) // 2]) if v else None for name, v in measured.items()
+    }
+
+
+def cost(folder: Path) -> dict[str, Any]:
+    """Cost of a scene from ``benchmarks/<scene>``: per stage, per rule, per job; files are
+    ``<stage>/<step>[/<job>].tsv``.
+
+    Seconds are sums over jobs (jobs may have run side by side), peak memory is the largest single job's.
+    """
+    jobs: dict[str, dict[str, dict[str, dict[str, float | None]]]] = {}
+    for path in sorted(folder.rglob("*.tsv")):
+        stage, step, *rest = (
+            path.relative_to(folder).with_suffix("").parts
+            if len(path.relative_to(folder).parts) > 1
+            else ("run", path.stem)
+        )
+        jobs.setdefault(stage, {}).setdefault(step, {})["/".join(rest) or "scene"] = read_benchmark(path)
+    stages = {}
+    for stage, steps in sorted(
+        jobs.items(), key=lambda entry: (entry[0] not in STAGES, STAGES.index(entry[0]) if entry[0] in STAGES else 0)
+    ):
+        rules = {step: {**_total(list(entries.values())), "jobs": entries} for step, entries in steps.items()}
+        stages[stage] = {**_total([job for entries in steps.values() for job in entries.values()]), "rules": rules}
+    everything = _total([job for steps in jobs.values() for entries in steps.values() for job in entries.values()])
+    return {"stages": stages, "total": everything, "reason": None if stages else "no benchmark files were found"}
+
+
+def _total(entries: list[dict[str, float | None]]) -> dict[str, float | None]:
+    total: dict[str, float | None] = {"count": float(len(entries))}
+    for name in _COLUMNS:
+        values = [v for entry in entries if (v := entry[name]) is not None]
+        total[name] = (max(values) if name == "peak_memory_mb" else sum(values)) if values else None
+    return total
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        return float(text) if text not in (None, "", "-", "NA") else None
+    except ValueError:
+        return None

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's sections made of numbers: head, measures, people, cameras, cost, settings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from studiorecon.pages import html
+from studiorecon.report.sections.paper import table as paper_table
+from studiorecon.scene.capture import Manifest
+from studiorecon.scene.decisions import Decision
+
+MISSING = "not measured"
+# name in metrics.json, name for readers, unit, digits, what it means. Arrows say which way is better.
+_MEASURES = (
+    ("psnr", "PSNR ↑", "dB", 2, "whole picture"),
+    ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
+    ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as papers on Gaussian splatting print it"),
+    ("lpips", "LPIPS ↓", "", 4, "perceptual distance, whole picture"),
+    ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
+    ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
+    ("psnr_people_wide", "PSNR, people and edges ↑", "dB", 2, "pixels of people and 10 px around them"),
+    ("psnr_background", "PSNR, room ↑", "dB", 2, "everything else"),
+    ("ssim_background", "SSIM, room ↑", "", 4, "everything else"),
+    ("psnr_seen", "PSNR, seen ↑", "dB", 2, "surfaces of the room that some training camera sees at that time"),
+    ("psnr_unseen", "PSNR, unseen ↑", "dB", 2, "surfaces of the room that none sees"),
+    (
+        "share_seen",
+        "share seen",
+        "",
+        3,
+        "of the room's pixels; at a stricter and a looser depth agreement in metrics.json",
+    ),
+    ("psnr_people_seen", "PSNR, people seen ↑", "dB", 2, "surfaces of people that some training camera sees"),
+    ("psnr_people_unseen", "PSNR, people unseen ↑", "dB", 2, "surfaces of people that none sees"),
+    (
+        "psnr_colour_corrected",
+        "PSNR, colours matched ↑",
+        "dB",
+        2,
+        "after the best affine map of colours: exposure taken out",
+    ),
+    (
+        "temporal_l1",
+        "flicker ↓",
+        "",
+        5,
+        "change against the previous picture moved along the photos' flow, mean absolute",
+    ),
+    ("warp_rms", "Warp-RMS ↓", "", 5, "the same, root mean square (papers: Warp-L2)"),
+    ("warp_square", "flicker, squared ↓", "", 6, "the same, mean square"),
+    ("flicker_excess", "flicker excess", "", 5, "flicker minus that of the photos; below 0 is too smooth"),
+)
+
+
+def shown(value: float | None, digits: int, unit: str = "") -> str:
+    """A number for readers; what was not measured is never a zero."""
+    return MISSING if value is None else f"{value:.{digits}f} {unit}".strip()
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as minutes and seconds."""
+    if seconds is None:
+        return MISSING
+    return f"{seconds:.1f} s" if seconds < 60 else f"{int(seconds // 60)} min {round(seconds % 60):02d} s"
+
+
+def head(scene: str, capture: Manifest, cameras: int, metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    """Title, one sentence on the capture, and the numbers a reader asks for first."""
+    people = metrics["bodies"].get("people") or {}
+    held_out = len(capture.held_out)
+    lead = f"{cameras} training cameras, {held_out} held out, {capture.frames} frames at {capture.fps:g} per second."
+    raw, final = (metrics["pictures"].get(name, {}).get("psnr", {}) for name in ("raw", "enhanced"))
+    entries = [
+        (shown(final.get("value"), 2, "dB"), "PSNR at held-out cameras, enhanced"),
+        (shown(raw.get("value"), 2, "dB"), "PSNR at held-out cameras, raw render"),
+        (
+            shown(metrics["bodies"]["mpjpe_world_mm"], 0, "mm"),
+            f"mean joint error in the world, {len(people)} people" if people else "mean joint error",
+        ),
+        (duration(spent["total"]["seconds"]), "all jobs together, one after the other"),
+    ]
+    return f"<h1>{html.text(scene)}</h1><p class=soft>{html.text(lead)}</p>" + html.tiles(entries)
+
+
+def measures(metrics: Mapping[str, Any]) -> str:
+    """The table of picture measures, raw beside enhanced, and the values per camera on demand."""
+    rows = []
+    reasons: dict[str, list[str]] = {}
+    pictures = metrics["pictures"]
+    for name, title, unit, digits, meaning in _MEASURES:
+        raw, final = (
+            pictures.get(version, {}).get(name, {"value": None, "reason": ""}) for version in ("raw", "enhanced")
+        )
+        photo = pictures.get("photo", {}).get(name, {}).get("value")
+        change = (
+            "" if raw["value"] is None or final["value"] is None else f"{final['value'] - raw['value']:+.{digits}f}"
+        )
+        rows.append([title, shown(raw["value"], digits, unit), shown(final["value"], digits, unit), change, meaning])
+        if photo is not None:
+            rows[-1][-1] += f" (the photos themselves: {photo:.{digits}f})"
+        if final["value"] is None and final["reason"]:
+            reasons.setdefault(final["reason"], []).append(title.rstrip(" ↑↓"))
+    notes = "".join(
+        f"<p class=soft>Not measured: {html.text(', '.join(n))}: {html.text(r)}.</p>" for r, n in reasons.items()
+    )
+    each = [
+        [
+            camera,
+            *(
+                shown(_camera(pictures, version, measure, camera), d)
+                for version in ("raw", "enhanced")
+                for measure, d in (("psnr", 2), ("ssim", 4))
+            ),
+        ]
+        for camera in pictures.get("raw", {}).get("psnr", {}).get("cameras", {})
+    ]
+    per_camera = (
+        html.table(["camera", "raw PSNR", "raw SSIM", "enhanced PSNR", "enhanced SSIM"], each, numeric=range(1, 5))
+        if each
+        else ""
+    )
+    # A camera that was moved, or that nobody could check: what its scores are worth.
+    notes += "".join(
+        f"<p class=soft>{html.text(c['sentence'][:1].upper() + c['sentence'][1:])}.</p>"
+        for c in metrics.get("held_out_cameras", ())
+        if c["turned_deg"] or not c["checked"]
+    )
+    return html.table(["measure", "raw", "enhanced", "change", "of what"], rows, numeric=(1, 2, 3)) + per_camera + notes
+
+
+def paper(metrics: Mapping[str, Any], rows: Path) -> str:
+    """This run as a row of the paper's tables. The paper's methods ran on other captures, which no reader may
+    overlook."""
+    lead = (
+        "The paper's methods were measured on other data, so that no column says which "
+        "is better here; it shows what is usual."
+    )
+    header, lines = paper_table(metrics, rows)
+    return html.heading("Beside the paper", lead) + html.table(header, lines, numeric=range(1, len(header) - 1))
+
+
+def people(metrics: Mapping[str, Any]) -> str:
+    """Joint errors per person."""
+    bodies = metrics["bodies"]
+    parts = [
+        html.heading(
+            "People",
+            "Joint errors against the true bodies: in the world, pelvis on pelvis, and after the best similarity.",
+        )
+    ]
+    names = ("mpjpe_world_mm", "mpjpe_pelvis_mm", "mpjpe_similarity_mm")
+    rows = [
+        [name, entry["true_person"], str(entry["frames"]), *(shown(entry[n], 1, "mm") for n in names)]
+        for name, entry in bodies["people"].items()
+    ]
+    if rows:
+        parts.append(
+            html.table(["person", "is", "frames", "world", "pelvis", "similarity"], rows, numeric=(2, 3, 4, 5))
+        )
+    else:
+        parts.append(f"<p>Joint errors are {MISSING}: {html.text(bodies['reason'])}.</p>")
+    for key, sentence in (("missed", "True people without a fit"), ("invented", "Fitted people who are nobody")):
+        if bodies[key]:
+            parts.append(f"<p>{sentence}: {html.text(', '.join(bodies[key]))}.</p>")
+    return "".join(parts)
+
+
+def cameras(doctor: Any, sheet: str) -> str:
+    """The camera doctor's sheet and what it found."""
+    found = json.dumps(doctor, indent=1, sort_keys=True)
+    lead = "How well the calibration explains what the cameras saw."
+    errors = zip(
+        doctor.get("cameras", ()), doctor.get("before_px_per_camera") or (), doctor.get("after_px_per_camera") or ()
+    )
+    rows = [[name, shown(before, 2, "px"), shown(after, 2, "px")] for name, before, after in errors]
+    header = ["camera", "keypoints off their projection, as calibrated", "as used"]
+    return (
+        html.heading("Cameras", lead)
+        + (html.table(header, rows, numeric=(1, 2)) if rows else "")
+        + html.figure(sheet, "contact sheet of all cameras")
+        + html.folded("Everything the doctor found", found)
+    )
+
+
+def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
+    """How much of the stage one, two, … training cameras see, by the survey's measurement; empty where it has none."""
+    shares = next((d["view_synthesis"].detail.get("seen_by") for d in decided if "view_synthesis" in d), None)
+    if not shares:
+        return ""
+    rows = [[f"{count} or more", f"{share:.0%}", html.bar(share)] for count, share in enumerate(shares, start=1)]
+    lead = "Share of the stage, from the floor to the height of people, that so many training cameras see."
+    return f"<p>{html.text(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
+
+
+def costs(spent: Mapping[str, Any]) -> str:
+    """Seconds per stage as bars, with memory and the rules on demand."""
+    lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."
+    if spent["reason"]:
+        return html.heading("Where the time went") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
+    longest = max((stage["seconds"] or 0 for stage in spent["stages"].values()), default=0) or 1
+    rows = [
+        [
+            name,
+            f"{stage['count']:.0f}",
+            duration(stage["seconds"]),
+            html.bar((stage["seconds"] or 0) / longest),
+            shown(stage["peak_memory_mb"], 0, "MB"),
+        ]
+        for name, stage in spent["stages"].items()
+    ]
+    total = spent["total"]
+    rows.append(
+        ["all", f"{total['count']:.0f}", duration(total["seconds"]), "", shown(total["peak_memory_mb"], 0, "MB")]
+    )
+    by_rule = [
+        [
+            f"{stage}.{rule}",
+            f"{entry['count']:.0f}",
+            duration(entry["seconds"]),
+            shown(entry["peak_memory_mb"], 0, "MB"),
+        ]
+        for stage, parts in spent["stages"].items()
+        for rule, entry in parts["rules"].items()
+    ]
+    table = html.table(["stage", "jobs", "time", "", "largest job"], rows, numeric=(1, 2, 4), raw=(3,))
+    return (
+        html.heading("Where the time went", lead)
+        + table
+        + "<details><summary>Per step</summary>"
+        + (html.table(["step", "jobs", "time", "largest job"], by_rule, numeric=(1, 2, 3)) + "</details>")
+    )
+
+
+def settings(configuration: str) -> str:
+    """Every setting of the run."""
+    return html.heading("Settings") + html.folded(
+        "All settings of this run", json.dumps(json.loads(configuration), indent=1, sort_keys=True)
+    )
+
+
+def _camera(pictures: Mapping[str, Any], version: str, measure: str, camera: str) -> float | None:
+    return pictures.get(version, {}).get(measure, {}).get("cameras", {}).get(camera, {}).get("value")

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several cameras at once: found, checked and moved by the people they see.
+
+In come cameras and detections nobody has named; out come cameras, the world's up and floor, and how sure all of it
+is.
+
+* ``correspondences``: points that several cameras see; ``gravity``: up and the floor;
+* ``from_people``: cameras from nothing but people; ``given_lengths``: their metres; ``certainty``: how well they are
+  known;
+* ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out``: those that only judge;
+  ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``sheet``: the picture of it all.
+"""

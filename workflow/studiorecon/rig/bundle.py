@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bundle adjustment of calibrated cameras on people's keypoints, and the test whether their lenses may move too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, without_drift
+from studiorecon.geometry.distortion import undistort
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import Observations
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+_LOOSE = 3.0
+_POSES_ONLY = LensPrior(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """When cameras agree with people; every step that judges or moves cameras on people is told.
+
+    Tracks of two cameras may be one person when their rays pass within ``gate_m``, generous, since poses may be off.
+    """
+
+    max_error_share: float = setting(
+        0.01,
+        "A calibration is refused when people's keypoints are off by more than this share of the longer image side; "
+        "the worst real one that refinement could still use was 0.7 % off, one that was shuffled 1.2 %.",
+        above=0,
+    )
+    gate_m: float = 0.25
+    limits: Limits = Limits()
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How far the given cameras are trusted where people call for others."""
+
+    bundle: BundleSettings = setting(BundleSettings(), "How far bundle adjustment may move the cameras.")
+
+
+@dataclass(frozen=True)
+class LensSettings:
+    """When people may change a lens.
+
+    Attributes:
+        focal_sigma, radial_sigma: standard deviations of a given focal length, as a share, and of its radial term k1.
+        min_sigmas: a change must be this many of its own standard deviations, all frames of a joint counting as one
+            observation.
+        gain: and lower the median error on frames it has not seen by this share beyond what poses can do.
+    """
+
+    focal_sigma: float = 0.1
+    radial_sigma: float = 0.3
+    min_sigmas: float = 3.0
+    gain: float = 0.03
+
+
+def error_medians(
+    cameras: Sequence[Camera], seen: Observations, limits: Limits
+) -> tuple[float, list[float | None], np.ndarray]:
+    """Median reprojection error in pixels over all views and per camera (None: nothing seen), and the points (N, 3)
+    valid there.
+
+    Points need three views where there are three cameras: the residual of a pair says nothing (T13).
+    """
+    found = triangulate(
+        seen.pixels, seen.confidence, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+    )
+    counted = found.verified if len(cameras) > 2 else found.valid
+    error = np.where(counted, found.error_px, np.nan)
+    per_camera = [float(np.median(row[np.isfinite(row)])) if np.isfinite(row).any() else None for row in error]
+    pooled = error[np.isfinite(error)]
+    return (float(np.median(pooled)) if len(pooled) else float("nan")), per_camera, found.points_m[counted]
+
+
+def contradicted(
+    cameras: Sequence[Camera], seen: Observations, detections: Sequence[Detections], limits: Limits
+) -> float:
+    """Share of the points of two views that lie in a third one's picture, where people were seen in that frame, but not
+    there."""
+    found = triangulate(
+        seen.pixels, seen.confidence, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+    )
+    elsewhere = np.zeros(len(seen.frame), dtype=bool)
+    for v, (camera, d) in enumerate(zip(cameras, detections)):
+        pixels, depth = camera.project(np.where(found.valid[:, None], found.points_m, np.nan))
+        inside = (
+            (np.nan_to_num(depth) > 0)
+            & (np.nan_to_num(pixels, nan=-1.0) >= 0).all(-1)
+            & (np.nan_to_num(pixels) < camera.wh).all(-1)
+        )
+        elsewhere |= inside & np.isin(seen.frame, d.frame) & ~found.inliers[v]
+    return float(elsewhere[found.valid].mean()) if found.valid.any() else 0.0
+
+
+def fitted(
+    cameras: Sequence[Camera],
+    seen: Observations,
+    limits: Limits,
+    bundle: BundleSettings,
+    lens: LensPrior = _POSES_ONLY,
+    close: bool = False,
+) -> Adjusted | None:
+    """Cameras bundle-adjusted on ``seen`` without their common drift; None where people show too little.
+
+    Loose agreement first, so that a camera that is off can come in (unless all are ``close``), then the usual one. A
+    detector misplaces the same joint in the same way in every frame, so all frames of a joint count as one observation.
+    If they counted fully, that bias would outvote the calibration in the directions that people hardly determine, such
+    as all cameras pitching together: seen as 10 px on marks of a real floor, for no gain on the keypoints.
+    """
+    result: Adjusted | None = None
+    current = list(cameras)
+    for loose in (1.0,) if close else (_LOOSE, 1.0):
+        wide = replace(limits, outlier_units=limits.outlier_units * loose)
+        bent = straightened(seen, current, result.radial) if result is not None else seen
+        found = triangulate(bent.pixels, bent.confidence, current, wide)
+        used = found.verified
+        if used.sum() < 10 * len(cameras):
+            return None
+        joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
+        weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
+        # Every round starts at the given lenses with the poses of the last: their priors are about what was given.
+        start = [replace(c, intrinsics=g.intrinsics) for c, g in zip(current, cameras)]
+        result = adjust_with_lenses(
+            start, seen.pixels[:, used], weights, found.points_m[used], unit_px(start, limits), bundle, lens
+        )
+        current = result.cameras
+    return replace(result, cameras=without_drift(current, cameras)[0]) if result is not None else None
+
+
+def straightened(seen: Observations, cameras: Sequence[Camera], radial: np.ndarray) -> Observations:
+    """The observations without a radial term k1 (V,) beyond what was already removed; pixels that no ray explains are
+    dropped."""
+    pixels, confidence = seen.pixels.copy(), seen.confidence.copy()
+    for v in map(int, np.flatnonzero(radial)):
+        focal, principal = np.array(cameras[v].focal_px), np.array(cameras[v].principal_px)
+        known = confidence[v] > 0
+        rays, valid = undistort(
+            (pixels[v, known] - principal) / focal, "opencv", np.array([radial[v], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        )
+        pixels[v, known] = np.where(valid[:, None], rays * focal + principal, np.nan)
+        confidence[v, known] = np.where(valid, confidence[v, known], 0.0)
+    return replace(seen, pixels=pixels, confidence=confidence)
+
+
+@dataclass(frozen=True)
+class LensVerdict:
+    """What people say about the lenses: which terms they call for, and why."""
+
+    focal: bool
+    radial: bool
+    report: dict[str, Any]
+
+
+def lenses_called_for(
+    cameras: Sequence[Camera],
+    fit_on: Observations,
+    judge_on: Observations,
+    limits: Limits,
+    bundle: BundleSettings,
+    lens: LensSettings,
+) -> LensVerdict:
+    """Whether focal lengths, or focal lengths and a radial term, explain frames that the fit has not seen better than
+    ``cameras``.
+
+    ``cameras``: the best that poses alone can do, fitted on ``fit_on``. A term is called for when some camera's change
+    is ``min_sigmas`` of its own standard deviations and the median error on ``judge_on`` falls by a further ``gain``.
+    """
+    before = error_medians(cameras, judge_on, limits)[0]
+    report: dict[str, Any] = {"unseen_poses_only_px": before, "focal": False, "radial": False}
+    best = before
+    for name, prior, column in (
+        ("focal", LensPrior(lens.focal_sigma, 0.0), 6),
+        ("radial", LensPrior(lens.focal_sigma, lens.radial_sigma), 7),
+    ):
+        result = fitted(cameras, fit_on, limits, bundle, prior, close=True)
+        if result is None:
+            break
+        after = error_medians(result.cameras, straightened(judge_on, result.cameras, result.radial), limits)[0]
+        longer = np.array([c.focal_px[0] / g.focal_px[0] for c, g in zip(result.cameras, cameras)])
+        change = result.radial if name == "radial" else np.log(longer)
+        sigmas = float(np.max(np.abs(change) / np.maximum(result.sigma[:, column], 1e-9)))
+        report |= {f"unseen_with_{name}_px": after, f"{name}_sigmas": sigmas}
+        if after < best * (1 - lens.gain) and sigmas >= lens.min_sigmas:
+            report[name], best = True, after
+    return LensVerdict(bool(report["focal"]), bool(report["radial"]), report)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Points that several cameras see, taken from people's keypoints before anybody knows who is who."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.keypoints.correspondence import (
+    STABLE_KEYPOINTS,
+    TrackGraph,
+    group_affinity,
+    groups_of,
+    stable_detections,
+    track_graph,
+)
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+
+@dataclass(frozen=True)
+class Observations:
+    """N points as V cameras saw them.
+
+    Attributes:
+        pixels: (V, N, 2), NaN where not seen.
+        confidence: (V, N), 0 where not seen.
+        frame: (N,) working frame.
+        keypoint: (N,) index into ``STABLE_KEYPOINTS``.
+        group: (N,) which group of tracks.
+        affinity: summed affinity of all groups, 0..1 per pair: how well the cameras fit the people.
+    """
+
+    pixels: Num[np.ndarray, "V N 2"]
+    confidence: Num[np.ndarray, "V N"]
+    frame: Num[np.ndarray, " N"]
+    keypoint: Num[np.ndarray, " N"]
+    group: Num[np.ndarray, " N"]
+    affinity: float
+
+    def of(self, which: np.ndarray) -> Observations:
+        """Those points only (N,) bool."""
+        return Observations(
+            self.pixels[:, which],
+            self.confidence[:, which],
+            self.frame[which],
+            self.keypoint[which],
+            self.group[which],
+            self.affinity,
+        )
+
+
+def observe(
+    detections: Sequence[Detections], cameras: Sequence[Camera], frames: np.ndarray, gate_m: float
+) -> tuple[Observations, TrackGraph]:
+    """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""
+    stable = stable_detections(detections, frames)
+    graph = track_graph(stable, cameras)
+    groups = groups_of(graph.distance_m, graph.view, graph.together, gate_m)
+    count, times = len(STABLE_KEYPOINTS), len(frames)
+    pixels = np.full((len(cameras), len(groups), times, count, 2), np.nan)
+    confidence = np.zeros((len(cameras), len(groups), times, count))
+    place = {int(f): i for i, f in enumerate(frames)}
+    for g, group in enumerate(groups):
+        for node in group:
+            view = int(graph.view[node])
+            for d in np.flatnonzero(stable[view].track == graph.track[node]):
+                t = place[int(stable[view].frame[d])]
+                pixels[view, g, t], confidence[view, g, t] = (
+                    stable[view].keypoints[d, :, :2],
+                    stable[view].keypoints[d, :, 2],
+                )
+    group, frame, keypoint = (
+        i.reshape(-1) for i in np.meshgrid(np.arange(len(groups)), frames, np.arange(count), indexing="ij")
+    )
+    flat, sure = pixels.reshape(len(cameras), -1, 2), confidence.reshape(len(cameras), -1)
+    seen = (sure > 0).sum(0) >= 2
+    affinity = sum(group_affinity(g, graph.distance_m, gate_m) * len(g) for g in groups)
+    return Observations(flat[:, seen], sure[:, seen], frame[seen], keypoint[seen], group[seen], affinity), graph

@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the cameras stand, from nothing but tracks of people: a pair from its epipolar geometry, the others by
+resection.
+
+Nobody knows which track of one camera is which of another. So every pair of tracks proposes a relative pose of its two
+cameras, all other tracks vote on it, and the world grows from the best pair, one camera at a time, with bundle
+adjustment in between. Lengths are metres from the first pair on: people's bones are about as long as the body model's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses
+from studiorecon.geometry.relative_pose import essential_of, in_front, misses, relative_pose, resection, sampson
+from studiorecon.geometry.scale import scene_scale
+from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+_BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
+BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("left", "right") for bone in _BONES])
+# Pairs of tracks that are tried per pair of cameras, and pairs of cameras that the world is grown from.
+_TRIED_TRACKS = 9
+_TRIED_SEEDS = 2
+_LEAST_SHARED = 60
+# Share of a pair of tracks that must agree to be one person: wrong pairs of one pair of cameras reach 0.8 by
+# themselves, but not together with the right ones of everybody else.
+_AGREE = 0.6
+_LOOSE = 3.0
+_FREE = BundleSettings(iterations=30, prior_deg=20.0, prior_m=2.0)
+_CELL_M = 0.2
+_UNSCALED_GATE = 0.1
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Tracks of every camera on common frames: ``pixels`` (V lists of) (F, 12, 2) of the stable keypoints, NaN where
+    unsure."""
+
+    detections: Sequence[Detections]
+    frames: np.ndarray
+    pixels: tuple[tuple[np.ndarray, ...], ...]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras in metres, in the axes of one of them, with what they rest on.
+
+    Attributes:
+        cameras: view → camera; views that could not be placed are absent.
+        seen: observations of the placed views, in ascending order of view.
+        points: what they triangulate to.
+        support: observations that agree.
+    """
+
+    cameras: Mapping[int, Camera]
+    seen: Observations
+    points: Triangulated
+    support: int
+
+
+def sightings(detections: Sequence[Detections], frames: np.ndarray, min_confidence: float) -> Sightings:
+    """Dense tracks of the detections in ``frames``."""
+    stable = stable_detections(detections, frames)
+    place = {int(f): i for i, f in enumerate(frames)}
+    dense = []
+    for d in stable:
+        of_view = []
+        for track in np.unique(d.track):
+            which = np.flatnonzero(d.track == track)
+            grid = np.full((len(frames), len(STABLE_KEYPOINTS), 2), np.nan)
+            sure = d.keypoints[which, :, 2:] >= min_confidence
+            grid[[place[int(f)] for f in d.frame[which]]] = np.where(sure, d.keypoints[which, :, :2], np.nan)
+            of_view.append(grid)
+        dense.append(tuple(of_view))
+    return Sightings(detections, frames, tuple(dense))
+
+
+def rigs(
+    seen: Sightings, cameras: Sequence[Camera], template_m: Num[np.ndarray, "12 3"], gate_m: float, limits: Limits
+) -> list[Rig]:
+    """The best rigs that were found, most support first; ``cameras`` give sizes and lenses, their poses do not matter.
+
+    ``template_m`` (12, 3) stable keypoints of a body of mean shape.
+    """
+    unit = float(np.mean(unit_px(cameras, limits) / [np.mean(c.focal_px) for c in cameras]))
+    seeds = [s for a, b in combinations(range(len(cameras)), 2) if (s := _pair(seen, cameras, a, b, unit)) is not None]
+    seeds.sort(key=lambda s: (-s[0], s[1]))
+    grown = [_grown(seen, cameras, seed, template_m, gate_m, limits) for seed in seeds[:_TRIED_SEEDS]]
+    return sorted((r for r in grown if r is not None), key=lambda r: (-len(r.cameras), -r.support))
+
+
+def adjusted(
+    rig: Rig, lens: LensPrior, limits: Limits, known_px: Mapping[int, float] | None = None
+) -> tuple[Adjusted, np.ndarray]:
+    """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points (N,) it used.
+
+    ``known_px``: view → the focal length that the lens's prior is about; where there is none it is the rig's own.
+
+    A detector misplaces a joint in the same way wherever the body stays the same, so observations weigh by the number
+    of places (cells of 20 cm) where a joint was seen, not by the number of frames: somebody who stands still is one
+    observation.
+    """
+    cameras = [rig.cameras[v] for v in sorted(rig.cameras)]
+    found = rig.points
+    used = found.verified if len(cameras) > 2 else found.valid
+    distinct = places_of_joints(rig, used)
+    weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * (distinct / max(int(used.sum()), 1))
+    return adjust_with_lenses(
+        cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits), _FREE, lens,
+        [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(sorted(rig.cameras), cameras)],
+    ), used  # fmt: skip
+
+
+def with_focal(camera: Camera, focal_px: float) -> Camera:
+    """The camera with another focal length, pixels of its width."""
+    factor = np.where(np.diag([True, True, False]), focal_px / camera.focal_px[0], 1.0)
+    return replace(camera, intrinsics=camera.intrinsics * factor)
+
+
+def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
+    """In how many different places (cells of 20 cm) the joints of the points ``used`` (N,) were seen, everybody's
+    apart."""
+    cells = np.floor(rig.points.points_m[used] / _CELL_M).astype(int)
+    return len(
+        np.unique(np.concatenate([rig.seen.group[used, None], rig.seen.keypoint[used, None], cells], axis=1), axis=0)
+    )
+
+
+def bone_factor(
+    points_m: np.ndarray, rig_points: Triangulated, seen: Observations, template_m: Num[np.ndarray, "12 3"]
+) -> float | None:
+    """By how much all lengths must be multiplied for people's bones (points (N, 3), NaN unknown) to be as long as the
+    template's.
+
+    ``template_m`` (12, 3) are the stable keypoints of a body of mean shape. None when too few bones are seen.
+    """
+    people, person = np.unique(seen.group, return_inverse=True)
+    times, time = np.unique(seen.frame, return_inverse=True)
+    grid = np.full((len(people), len(times), len(STABLE_KEYPOINTS), 3), np.nan)
+    sigma = np.zeros(grid.shape[:3])
+    grid[person, time, seen.keypoint] = points_m
+    sigma[person, time, seen.keypoint] = np.where(np.isfinite(rig_points.sigma_m), rig_points.sigma_m, 0.0) / np.sqrt(3)
+    found = scene_scale(grid, np.repeat(template_m[None], len(people), axis=0), BONES, np.isfinite(grid).all(-1), sigma)
+    return 1 / found.world_per_metre if found.determined else None
+
+
+def scaled(camera: Camera, factor: float) -> Camera:
+    """The camera in a world that is ``factor`` times as large."""
+    pose = camera.camera_from_world.copy()
+    pose[:3, 3] *= factor
+    return replace(camera, camera_from_world=pose)
+
+
+def _normalised(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    return (pixels - np.array(camera.principal_px)) / np.array(camera.focal_px)
+
+
+def _pair(
+    seen: Sightings, cameras: Sequence[Camera], a: int, b: int, unit: float
+) -> tuple[int, int, int, np.ndarray] | None:
+    """(votes, a, b, second_from_first (4, 4) with a unit baseline) of the best hypothesis which track is whom."""
+    first = [_normalised(p, cameras[a]).reshape(-1, 2) for p in seen.pixels[a]]
+    second = [_normalised(p, cameras[b]).reshape(-1, 2) for p in seen.pixels[b]]
+    shared = {}
+    for i, one in enumerate(first):
+        for j, two in enumerate(second):
+            both = np.isfinite(one).all(-1) & np.isfinite(two).all(-1)
+            if both.sum() >= _LEAST_SHARED:
+                shared[i, j] = both
+    best = None
+    for i, j in sorted(shared, key=lambda ij: (-int(shared[ij].sum()), ij))[:_TRIED_TRACKS]:
+        found = relative_pose(first[i][shared[i, j]], second[j][shared[i, j]], unit)
+        if found is None:
+            continue
+        matched, votes = _voted(first, second, shared, found[0], found[1], unit)
+        if best is None or votes > best[0]:
+            best = votes, matched, found
+    if best is None:
+        return None
+    _, matched, found = best
+    one = np.concatenate([first[i][shared[i, j]] for i, j in matched])
+    two = np.concatenate([second[j][shared[i, j]] for i, j in matched])
+    again = relative_pose(one, two, unit)
+    rotation, translation, _ = again if again is not None and again[2].sum() >= best[0] else found
+    second_from_first = np.eye(4)
+    second_from_first[:3, :3], second_from_first[:3, 3] = rotation, translation
+    return _voted(first, second, shared, rotation, translation, unit)[1], a, b, second_from_first
+
+
+def _voted(
+    first: Sequence[np.ndarray],
+    second: Sequence[np.ndarray],
+    shared: Mapping[tuple[int, int], np.ndarray],
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    unit: float,
+) -> tuple[list[tuple[int, int]], int]:
+    """Which tracks of two cameras are one person under a relative pose, and how many points agree; one person once at a
+    time."""
+    essential, votes = essential_of(rotation, translation), {}
+    for (i, j), both in shared.items():
+        one, two = first[i][both], second[j][both]
+        agreed = int(((np.abs(sampson(essential, one, two)) < unit) & in_front(rotation, translation, one, two)).sum())
+        if agreed >= _AGREE * both.sum():
+            votes[i, j] = agreed
+    matched: list[tuple[int, int]] = []
+    taken: dict[tuple[str, int], np.ndarray] = {}
+    for i, j in sorted(votes, key=lambda ij: (-votes[ij], ij)):
+        both = shared[i, j]
+        if not any((taken[key] & both).any() for key in (("a", i), ("b", j)) if key in taken):
+            matched.append((i, j))
+            for key in (("a", i), ("b", j)):
+                taken[key] = taken.get(key, np.zeros_like(both)) | both
+    return matched, sum(votes[ij] for ij in matched)
+
+
+def _grown(
+    seen: Sightings,
+    cameras: Sequence[Camera],
+    seed: tuple[int, int, int, np.ndarray],
+    template_m: np.ndarray,
+    gate_m: float,
+    limits: Limits,
+) -> Rig | None:
+    _, a, b, second_from_first = seed
+    placed = {
+        a: replace(cameras[a], camera_from_world=np.eye(4)),
+        b: replace(cameras[b], camera_from_world=second_from_first),
+    }
+    rig = settled(seen, placed, template_m, gate_m, limits, first_pair=True)
+    while rig is not None:
+        candidates = [
+            (v, found)
+            for v in range(len(cameras))
+            if v not in rig.cameras and (found := _placed(seen, cameras[v], v, rig, limits))
+        ]
+        if not candidates:
+            return rig
+        view, (_, pose) = max(candidates, key=lambda c: (c[1][0], -c[0]))
+        rig = settled(
+            seen, {**rig.cameras, view: replace(cameras[view], camera_from_world=pose)}, template_m, gate_m, limits
+        )
+    return None
+
+
+def settled(
+    seen: Sightings,
+    placed: Mapping[int, Camera],
+    template_m: np.ndarray,
+    gate_m: float,
+    limits: Limits,
+    first_pair: bool = False,
+) -> Rig | None:
+    """The rig after two rounds of grouping, triangulation and adjustment; a first pair is made metric by people's
+    bones.
+
+    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline.
+    """
+    views = sorted(placed)
+    current = dict(placed)
+    loose = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+    rig = None
+    for round_number in range(3):
+        cameras = [current[v] for v in views]
+        gate = _UNSCALED_GATE if first_pair and round_number == 0 else gate_m
+        found, _ = observe([seen.detections[v] for v in views], cameras, seen.frames, gate)
+        if not len(found.frame):
+            return None
+        points = triangulate(found.pixels, found.confidence, cameras, loose if round_number < 2 else limits)
+        counted = points.verified if len(views) > 2 else points.valid
+        if counted.sum() < _LEAST_SHARED:
+            return None
+        rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
+        if round_number == 2:
+            break
+        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits)
+        all_points = np.full_like(points.points_m, np.nan)
+        all_points[used] = better.points_m
+        factor = bone_factor(all_points, points, found, template_m)
+        if factor is None:
+            return None
+        current = {v: scaled(c, factor) for v, c in zip(views, better.cameras)}
+    return rig
+
+
+def _placed(seen: Sightings, camera: Camera, view: int, rig: Rig, limits: Limits) -> tuple[int, np.ndarray] | None:
+    """(points that agree, camera_from_world) of a further camera from the best hypothesis which of its tracks is which
+    group."""
+    found = rig.points
+    place = {int(f): i for i, f in enumerate(seen.frames)}
+    unit = float(limits.huber_share * max(camera.wh) / np.mean(camera.focal_px)) * 2
+    row = np.array([place[int(f)] for f in rig.seen.frame])
+    tracks = [_normalised(p, camera) for p in seen.pixels[view]]
+    pairs = {}
+    for g in np.unique(rig.seen.group):
+        which = np.flatnonzero((rig.seen.group == g) & found.valid)
+        for k, track in enumerate(tracks):
+            pixels = track[row[which], rig.seen.keypoint[which]]
+            present = np.isfinite(pixels).all(-1)
+            if present.sum() >= _LEAST_SHARED:
+                pairs[int(g), k] = found.points_m[which][present], pixels[present]
+    best: tuple[int, np.ndarray] | None = None
+    for key in sorted(pairs, key=lambda gk: (-len(pairs[gk][0]), gk))[:_TRIED_TRACKS]:
+        answer = resection(*pairs[key], unit)
+        if answer is None:
+            continue
+        votes, chosen = _agreeing(pairs, answer[0], unit)
+        again = (
+            resection(
+                np.concatenate([pairs[k][0] for k in chosen]), np.concatenate([pairs[k][1] for k in chosen]), unit
+            )
+            if chosen
+            else None
+        )
+        pose = again[0] if again is not None else answer[0]
+        votes = _agreeing(pairs, pose, unit)[0]
+        if votes and (best is None or votes > best[0]):
+            best = votes, pose
+    return best
+
+
+def _agreeing(
+    pairs: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], pose: np.ndarray, unit: float
+) -> tuple[int, list[tuple[int, int]]]:
+    """Points that agree with a pose, every track with one group at most, and those pairs."""
+    votes = {}
+    for key, (points, pixels) in pairs.items():
+        agreed = int((misses(pose, points, pixels) < unit).sum())
+        if agreed >= _AGREE * len(points):
+            votes[key] = agreed
+    chosen: list[tuple[int, int]] = []
+    for key in sorted(votes, key=lambda k: (-votes[k], k)):
+        if all(key[1] != other[1] for other in chosen):
+            chosen.append(key)
+    return sum(votes[k] for k in chosen), chosen

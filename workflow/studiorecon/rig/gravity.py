@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Up and the floor from people: they stand upright on average, and the foot that is lower stands on the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.progress import warn
+from studiorecon.rig.correspondences import Observations
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+_SHOULDERS = tuple(STABLE_KEYPOINTS.index(f"{s}_shoulder") for s in ("left", "right"))
+_ANKLES = tuple(STABLE_KEYPOINTS.index(f"{s}_ankle") for s in ("left", "right"))
+_ANKLE_HEIGHT_M = 0.08
+# Feet that stood on an area narrower than this do not show how the floor lies.
+_LEAST_FLOOR_M = 0.25
+_MOST_TILT_DEG = 12.0
+_ROUNDS = 20
+# Bodies from ankles to shoulders in fewer frames than this may all be leaning.
+_LEAST_UPRIGHT = 20
+
+
+def tilt_of(
+    points_m: Num[np.ndarray, "N 3"],
+    group: Num[np.ndarray, " N"],
+    frame: Num[np.ndarray, " N"],
+    keypoint: Num[np.ndarray, " N"],
+) -> float | None:
+    """By how many degrees people lean against the world's z, in the robust mean of all of them; None where too few are
+    seen from ankles to shoulders.
+
+    Points as for ``world_from_people``. Up to 12° people may share a lean; more than that, and the world does.
+    """
+    upright = _upright(points_m, group, frame, keypoint)[1]
+    if len(upright) < _LEAST_UPRIGHT:
+        return None
+    up = _robust_direction(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
+    return float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2])))
+
+
+def tell_tilt(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
+    """``tilt_of`` what the cameras place of people, with a warning where it is the world that leans."""
+    if not len(seen.frame):
+        return None
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    points_m = np.where(found.valid[:, None], found.points_m, np.nan)
+    tilt = tilt_of(points_m, seen.group, seen.frame, seen.keypoint)
+    if tilt is not None and tilt > _MOST_TILT_DEG:
+        warn(
+            f"people stand {tilt:.0f}° off the world's vertical: the calibration's floor leans, or another axis points "
+            "up; set calibration.up (x, -x, y, -y, z or -z), or bring a calibration whose floor is level"
+        )
+    return tilt
+
+
+def _upright(
+    points_m: np.ndarray, group: np.ndarray, frame: np.ndarray, keypoint: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(B, 12, 3) keypoints of every body in every frame, NaN unknown, and (U, 3) from ankles to shoulders of those that
+    show both."""
+    _, body = np.unique(np.stack([group, frame], axis=1), axis=0, return_inverse=True)
+    body = body.reshape(-1)
+    grid = np.full((int(body.max(initial=-1)) + 1, len(STABLE_KEYPOINTS), 3), np.nan)
+    grid[body, keypoint] = points_m
+    upright = grid[:, _SHOULDERS].mean(1) - grid[:, _ANKLES].mean(1)
+    return grid, upright[np.isfinite(upright).all(-1)]
+
+
+def world_from_people(
+    points_m: Num[np.ndarray, "N 3"],
+    group: Num[np.ndarray, " N"],
+    frame: Num[np.ndarray, " N"],
+    keypoint: Num[np.ndarray, " N"],
+) -> tuple[np.ndarray, str] | None:
+    """(4, 4) rigid transform to z up with the floor at z = 0 below people's middle, and how it was found; None without
+    bodies.
+
+    ``points_m`` (N, 3), NaN unknown, belong to ``group`` (N,), ``frame`` (N,) and ``keypoint`` (N,). The robust mean of
+    all directions from ankles to shoulders is up to a lean that people share; the plane of the lower ankles replaces it
+    where feet stood in an area, not in a line, and the two agree within 12°.
+    """
+    grid, upright = _upright(points_m, group, frame, keypoint)
+    if not len(upright):
+        return None
+    up = _robust_direction(upright / np.linalg.norm(upright, axis=-1, keepdims=True))
+    ankles = grid[:, _ANKLES]
+    both = np.isfinite(ankles).all((1, 2))
+    lower = ankles[both][np.arange(both.sum()), (ankles[both] @ up).argmin(1)]
+    normal, spread_m = _plane(lower, up)
+    tilt = np.degrees(np.arctan2(np.linalg.norm(np.cross(normal, up)), normal @ up))
+    how = (
+        f"up is the mean of {len(upright)} upright bodies; their feet stood within "
+        f"{spread_m:.2f} m, too little to show the floor"
+    )
+    if spread_m >= _LEAST_FLOOR_M and tilt <= _MOST_TILT_DEG:
+        how = f"up is the normal of the floor under {len(lower)} steps, {tilt:.1f}° from the mean of upright bodies"
+        up = normal
+    elif spread_m >= _LEAST_FLOOR_M:
+        how = (
+            f"up is the mean of {len(upright)} upright bodies; the plane of their feet leans "
+            f"{tilt:.0f}° against it and was not believed"
+        )
+    right = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
+    right /= np.linalg.norm(right)
+    transform = np.eye(4)
+    transform[:3, :3] = np.stack([right, np.cross(up, right), up])
+    middle = np.nanmedian(points_m, axis=0)
+    floor = float(np.median(lower @ up)) - _ANKLE_HEIGHT_M
+    transform[:3, 3] = -transform[:3, :3] @ middle
+    transform[2, 3] = -floor
+    return transform, how
+
+
+def _robust_direction(directions: np.ndarray) -> np.ndarray:
+    """(3,) unit vector with the smallest summed angle-like distance to unit vectors (N, 3): people who bend or sit do
+    not count."""
+    mean = np.median(directions, axis=0)
+    for _ in range(_ROUNDS):
+        weight = 1 / np.maximum(np.linalg.norm(directions - mean, axis=-1), 0.02)
+        mean = (weight[:, None] * directions).sum(0) / weight.sum()
+        mean /= np.linalg.norm(mean)
+    return mean
+
+
+def _plane(points: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, float]:
+    """(3,) normal of the plane of points (N, 3) on the side of ``up``, and how far they spread across their narrow
+    direction, metres.
+
+    The plane is a height over the directions across ``up``, so that a foot in the air is an error along ``up`` and a
+    Cauchy weight can leave it out.
+    """
+    across = np.linalg.svd(up[None])[2][1:]
+    flat, height = points @ across.T, points @ up
+    flat = flat - flat.mean(0)
+    spread = float(np.sqrt(np.linalg.eigvalsh(flat.T @ flat / max(len(flat), 1))[0]))
+    design = np.column_stack([flat, np.ones(len(flat))])
+    weight = np.ones(len(flat))
+    slope = np.zeros(3)
+    for _ in range(_ROUNDS):
+        slope = np.linalg.lstsq(design * weight[:, None], height * weight, rcond=None)[0]
+        error = height - design @ slope
+        weight = np.sqrt(1 / (1 + (error / 0.03) ** 2))
+    normal = up - slope[0] * across[0] - slope[1] * across[1]
+    return normal / np.linalg.norm(normal), spread

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose of a camera that takes no part, from people whom the other cameras place: the pose that pictures at it are
+judged by.
+
+Nothing that this camera shows moves a point or another camera. As in ``stale``, the prior at the given pose has rungs,
+and the narrower is taken where it explains unseen halves about as well as the wide one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.bundle import BundleSettings, moved
+from studiorecon.geometry.relative_pose import resection
+from studiorecon.geometry.rotations import exp, log
+from studiorecon.geometry.triangulation import Limits, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.stale import ABOUT_AS_WELL, FREE_DEG, FREE_M, FURTHEST_DEG, FURTHEST_M, HALF_OF_THE_JOINTS
+from studiorecon.rig.stale import moves as moves_of
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
+
+_LEAST_POINTS = 60
+_LEAST_HALF = 20
+_MOST_UNITS = 3.0
+_ROUNDS = 15
+_STEP = 1e-6
+# What RANSAC counts as agreement, in error units: the pose is refined after it.
+_LOOSE = 3.0
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """N joints that the other cameras place, as one camera shows them.
+
+    Attributes:
+        points_m: (N, 3) in the world.
+        pixels: (N, 2) where this camera shows them; ``confidence`` (N,).
+        frame, group, keypoint: (N,) when, whose, and index into ``STABLE_KEYPOINTS``.
+    """
+
+    points_m: Num[np.ndarray, "N 3"]
+    pixels: Num[np.ndarray, "N 2"]
+    confidence: Num[np.ndarray, " N"]
+    frame: Integer[np.ndarray, " N"]
+    group: Integer[np.ndarray, " N"]
+    keypoint: Integer[np.ndarray, " N"]
+
+    def of(self, which: np.ndarray) -> Sighted:
+        """Those that ``which`` (N,) bool chooses."""
+        return Sighted(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The camera to judge by, and what is told of it.
+
+    Attributes:
+        camera: the given one, or with the pose that people call for.
+        joints: how many joints were compared.
+        before_px, after_px: median distance of joints from their projection as given and as used; None: too few.
+        turned_deg, moved_m: from the given pose to the one used.
+        checked: whether people showed enough to judge the given pose.
+    """
+
+    camera: Camera
+    joints: int
+    before_px: float | None
+    after_px: float | None
+    turned_deg: float
+    moved_m: float
+    checked: bool
+
+
+def judged(given: Camera, seen: Sighted, limits: Limits, bundle: BundleSettings, gain: float) -> Judged:
+    """The pose of ``given`` that explains what it ``seen``; its own where no other lowers the error of unseen halves by
+    the share ``gain``."""
+    before_px = _median_px(given, seen)
+    if len(seen.frame) < _LEAST_POINTS or len(np.unique(seen.frame)) < 2:
+        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+    unit = float(unit_px([given], limits)[0])
+    start = _started(given, seen, unit)
+    # Somebody else's joints, and limbs that the network mixed up, have no say for any pose.
+    seen = seen.of(np.linalg.norm(_units(start, seen, unit), axis=-1) < limits.outlier_units)
+    if len(seen.frame) < _LEAST_POINTS:
+        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+    # No rung between: six numbers, and a camera either stands or was moved; half a pull leaves it at neither place.
+    rungs = [bundle, replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)]
+    as_given = _unseen(given, given, seen, unit, None)
+    errors = [_unseen(start, given, seen, unit, rung) for rung in rungs]
+    if not min(errors) < (1 - gain) * as_given:
+        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, True)
+    chosen = next(k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors))
+    found = _fitted(start, given, seen, unit, rungs[chosen])
+    degrees, metres = moves_of([found], [given])
+    if degrees[0] > FURTHEST_DEG or metres[0] > FURTHEST_M:
+        return Judged(given, len(seen.frame), before_px, before_px, 0.0, 0.0, False)
+    return Judged(found, len(seen.frame), before_px, _median_px(found, seen), float(degrees[0]), float(metres[0]), True)
+
+
+def _median_px(camera: Camera, seen: Sighted) -> float | None:
+    off = np.linalg.norm(camera.project(seen.points_m)[0] - seen.pixels, axis=-1)
+    return float(np.median(np.nan_to_num(off, nan=np.inf))) if len(off) and np.isfinite(off).any() else None
+
+
+def _started(given: Camera, seen: Sighted, unit: float) -> Camera:
+    """Where the search begins: a resection, which does not mind that many joints are somebody else's; or as given."""
+    focal, principal = np.array(given.focal_px), np.array(given.principal_px)
+    found = resection(seen.points_m, (seen.pixels - principal) / focal, _LOOSE * unit / float(focal.mean()))
+    if found is None:
+        return given
+    camera = replace(given, camera_from_world=found[0])
+    degrees, metres = moves_of([camera], [given])
+    near = degrees[0] <= FURTHEST_DEG and metres[0] <= FURTHEST_M
+    return min((given, camera), key=lambda c: _error(c, seen, unit)) if near else given
+
+
+def _units(camera: Camera, seen: Sighted, unit: float) -> np.ndarray:
+    """(N, 2) residuals in error units, large behind the camera."""
+    off = (camera.project(seen.points_m)[0] - seen.pixels) / unit
+    return np.nan_to_num(off, nan=10 * _MOST_UNITS)
+
+
+def _error(camera: Camera, seen: Sighted, unit: float) -> float:
+    return float(np.minimum(np.linalg.norm(_units(camera, seen, unit), axis=-1), _MOST_UNITS).mean())
+
+
+def _unseen(start: Camera, given: Camera, seen: Sighted, unit: float, rung: BundleSettings | None) -> float:
+    """Mean error in error units, at most 3, of halves of the clip and of the joints after fitting the other half;
+    ``rung`` None: of the given pose, which is fitted to nothing."""
+    early = seen.frame <= np.median(seen.frame)
+    half = HALF_OF_THE_JOINTS[seen.keypoint]
+    errors = []
+    for fit_on in (early, ~early, half, ~half):
+        if min(fit_on.sum(), (~fit_on).sum()) < _LEAST_HALF:
+            continue
+        camera = given if rung is None else _fitted(start, given, seen.of(fit_on), unit, rung)
+        errors.append(_error(camera, seen.of(~fit_on), unit))
+    return float(np.mean(errors)) if errors else float("inf")
+
+
+def _fitted(start: Camera, given: Camera, seen: Sighted, unit: float, rung: BundleSettings) -> Camera:
+    """The pose that lowers the Huber cost under the prior of ``rung``, by Gauss-Newton; all frames of a joint count as
+    one observation, as everywhere in ``rig``."""
+    joints = len(np.unique(seen.group * len(STABLE_KEYPOINTS) + seen.keypoint))
+    weight = seen.confidence * (joints / max(len(seen.frame), 1))
+    sigma = np.concatenate([np.full(3, np.radians(rung.prior_deg)), np.full(3, rung.prior_m)])
+    rotation, centre = start.camera_from_world[:3, :3], start.centre_m
+
+    def residuals(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        turned, at = exp(x[:3]) @ rotation, centre + x[3:]
+        prior = np.concatenate([log(turned @ given.camera_from_world[:3, :3].T), at - given.centre_m]) / sigma
+        return _units(moved(given, turned, at), seen, unit), prior
+
+    for _ in range(_ROUNDS):
+        off, prior = residuals(np.zeros(6))
+        robust = np.sqrt(weight / np.maximum(np.linalg.norm(off, axis=-1), 1.0))
+        columns = [residuals(_STEP * axis) for axis in np.eye(6)]
+        jacobian = np.column_stack(
+            [np.concatenate([(robust[:, None] * (a - off)).ravel(), b - prior]) / _STEP for a, b in columns]
+        )
+        step = -np.linalg.lstsq(jacobian, np.concatenate([(robust[:, None] * off).ravel(), prior]), rcond=None)[0]
+        rotation, centre = exp(step[:3]) @ rotation, centre + step[3:]
+        if np.abs(step).max() < 1e-7:
+            break
+    return moved(given, rotation, centre)

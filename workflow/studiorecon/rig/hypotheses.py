@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Were the poses meant the other way round? People decide: under the right convention their rays meet, in front of the
+cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import observe
+from studiorecon.rig.lens_model import LensReading
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+_CLEARLY = 1.5
+_TORSO_M = (0.25, 0.9)
+MOST_MARGIN = 20.0
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+_HYPOTHESES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "as read": lambda pose: pose,
+    "poses are world-from-camera": np.linalg.inv,
+    "axes are OpenGL's": lambda pose: _FLIP @ pose,
+    "world-from-camera with OpenGL axes": lambda pose: _FLIP @ np.linalg.inv(pose),
+}
+
+
+# What the user does about a reading that fits better.
+REMEDIES = {
+    "as read": "",
+    "poses are world-from-camera": "set calibration.poses: world_from_camera",
+    "axes are OpenGL's": "set calibration.poses: opengl",
+    "world-from-camera with OpenGL axes": "set calibration.poses: world_from_camera_opengl",
+    "lengths are millimetres": "set calibration.unit: mm",
+    "lengths were divided by 1000": "set calibration.unit: m",
+    "the lenses are fisheyes": "set calibration.lens: fisheye",
+    "the lenses are not fisheyes": "set calibration.lens: opencv",
+}
+# What the lenses would be under the readings that concern them.
+LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "the lenses are not fisheyes": "opencv"}
+
+
+def verdicts(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> tuple[list[dict[str, Any]], list[float | None]]:
+    """Every reading with its score and remedy, and per camera how many times more it adds as read than under the best
+    other reading.
+
+    What a camera adds is the agreement of everybody less that of the others alone. For its margin only its own pose is
+    read otherwise; at most 20, None when it adds nothing under any reading.
+    """
+    changes: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        **_HYPOTHESES,
+        "lengths are millimetres": lambda pose: _rescaled(pose, 0.001),
+        "lengths were divided by 1000": lambda pose: _rescaled(pose, 1000.0),
+    }
+    table: list[dict[str, Any]] = []
+    for name, change in changes.items():
+        read = [_read(c, change) for c in cameras]
+        score = _score(read, detections, frames, gate_m)
+        if name.startswith("lengths") and not (score > 0 and _human_size(read, detections, frames, gate_m)):
+            score = 0.0
+        table.append({"hypothesis": name, "score": score, "remedy": REMEDIES[name]})
+    margins: list[float | None] = []
+    full = _affinity(cameras, detections, frames, gate_m)
+    for v in range(len(cameras)):
+        rest = _affinity(
+            [c for k, c in enumerate(cameras) if k != v],
+            [d for k, d in enumerate(detections) if k != v],
+            frames,
+            gate_m,
+        )
+        turned = [
+            [_read(c, change) if k == v else c for k, c in enumerate(cameras)]
+            for change in list(_HYPOTHESES.values())[1:]
+        ]
+        other = max(_affinity(t, detections, frames, gate_m) for t in turned)
+        own, rival = max(full - rest, 0.0), max(other - rest, 0.0)
+        margins.append(min(own / max(rival, own / MOST_MARGIN), MOST_MARGIN) if own > 0 else 0.0 if rival > 0 else None)
+    return table, margins
+
+
+def lens_row(
+    name: str, cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> dict[str, Any]:
+    """The row of ``verdicts`` for cameras and detections as another lens model would have them."""
+    return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
+
+
+def best_swap(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> tuple[dict[str, Any], list[Camera]] | None:
+    """The row of ``verdicts`` for the two cameras whose exchange people like best, and all cameras then; None with
+    fewer than three."""
+    rows: list[tuple[dict[str, Any], list[Camera]]] = []
+    for i, j in combinations(range(len(cameras)), 2) if len(cameras) > 2 else ():
+        poses = [c.camera_from_world for c in cameras]
+        poses[i], poses[j] = poses[j], poses[i]
+        swapped = [replace(c, camera_from_world=p) for c, p in zip(cameras, poses)]
+        name = f"cameras {cameras[i].name} and {cameras[j].name} are swapped"
+        remedy = "exchange their names in the calibration, or their videos and keypoints"
+        rows.append(
+            ({"hypothesis": name, "score": _score(swapped, detections, frames, gate_m), "remedy": remedy}, swapped)
+        )
+    return max(rows, key=lambda row: row[0]["score"], default=None)
+
+
+def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
+    seen, graph = observe(detections, cameras, frames, gate_m)
+    return seen.affinity / max(len(graph.view), 1)
+
+
+def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
+    return observe(detections, cameras, frames, gate_m)[0].affinity
+
+
+def _human_size(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> bool:
+    """Whether upper bodies are as long as people's: in a world a thousand times too small all rays pass close to each
+    other."""
+    seen, _ = observe(detections, cameras, frames, gate_m)
+    if not len(seen.frame):
+        return False
+    close = Limits(min_confidence=0.1, huber_share=0.005, outlier_units=9.0, min_angle_deg=2.0, near_m=1e-4)
+    points = triangulate(seen.pixels, seen.confidence, cameras, close).points_m
+    place = {(g, f, k): p for g, f, k, p in zip(seen.group, seen.frame, seen.keypoint, points)}
+    ends = [(STABLE_KEYPOINTS.index(f"{s}_shoulder"), STABLE_KEYPOINTS.index(f"{s}_hip")) for s in ("left", "right")]
+    sides = [place[g, f, k] - place[g, f, b] for a, b in ends for g, f, k in place if k == a and (g, f, b) in place]
+    lengths = np.linalg.norm(np.array(sides).reshape(-1, 3), axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    return bool(len(lengths)) and bool(_TORSO_M[0] < np.median(lengths) < _TORSO_M[1])
+
+
+def _read(camera: Camera, change: Callable[[np.ndarray], np.ndarray]) -> Camera:
+    return replace(camera, camera_from_world=change(camera.camera_from_world))
+
+
+def _rescaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    changed = pose.copy()
+    changed[:3, 3] *= factor
+    return changed
+
+
+def check_conventions(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+) -> list[dict[str, Any]]:
+    """Every reading of the poses with its score: agreement of people's rays, per detection that could agree.
+
+    Raises UserError when another reading clearly beats the one that was used.
+    """
+    table: list[dict[str, Any]] = []
+    for name, change in _HYPOTHESES.items():
+        table.append(
+            {"hypothesis": name, "score": _score([_read(c, change) for c in cameras], detections, frames, gate_m)}
+        )
+    best = max(table, key=lambda row: row["score"])
+    if best["hypothesis"] != "as read" and best["score"] > 0.3 and best["score"] > _CLEARLY * table[0]["score"]:
+        raise UserError(
+            f"the calibration fits the people only if its {best['hypothesis']} (agreement {best['score']:.2f}, against "
+            f"{table[0]['score']:.2f} as its format defines it): {REMEDIES[best['hypothesis']]}, or export it again"
+        )
+    return table

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same distortion numbers under another lens model, for files that do not say, or say wrongly, whether a lens is a
+fisheye."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.scene.camera import Lens
+
+LensReading = Literal["as_read", "opencv", "fisheye"]
+
+
+def as_model(lens: Lens, model: LensReading) -> Lens:
+    """The lens with its first four coefficients taken literally as those of ``model``: both models are written as four
+    numbers."""
+    if model in ("as_read", lens.model):
+        return lens
+    four = np.zeros(4)
+    four[: min(4, len(lens.distortion))] = lens.distortion[:4]
+    return replace(lens, model=model, distortion=four if model == "fisheye" else np.append(four, np.zeros(4)))
+
+
+def with_radial(lens: Lens, k1: float) -> Lens:
+    """The lens with ``k1`` added to its first coefficient: for small terms, the distortion left over after the lens's
+    own was removed."""
+    if k1 == 0.0:
+        return lens
+    more = np.zeros(max(1, len(lens.distortion)))
+    more[: len(lens.distortion)] = lens.distortion
+    more[0] += k1
+    return replace(lens, distortion=more)

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras that were moved since they were calibrated: their poses from the people, under a prior that follows the
+evidence.
+
+A fixed prior either holds cameras that somebody knocked by degrees, or lets cameras that stand where they stood drift
+along what people hardly show. So the prior has rungs, and the narrowest is taken that explains what the fit has not
+seen about as well as the best: the other half of the clip, and the other half of the joints, since a detector misplaces
+a joint in the same way all the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, without_drift
+from studiorecon.geometry.rotations import log
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.progress import warn
+from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.from_people import rigs, sightings
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# The wide rung: several times what a knocked or replaced tripod is off, so that it only holds what people do not show
+# at all.
+FREE_DEG, FREE_M = 20.0, 2.0
+_MIDDLE = 4.0
+# Past this it is another place, or another camera's pose.
+FURTHEST_DEG, FURTHEST_M = 10.0, 1.0
+# What people place no better than this, they do not place.
+_MOST_SIGMA_DEG, _MOST_SIGMA_M = 2.5, 0.25
+# From coarse to fine: gate of tracks in metres, error units as multiples of the usual one.
+_ROUNDS = ((1.0, 8.0), (0.5, 4.0), (0.25, 2.0), (0.25, 1.0), (0.25, 1.0))
+_STARTS = (2, 1, 0)
+_RIG_FRAMES = 16
+_POSES_ONLY = LensPrior(0.0, 0.0)
+# How much worse than the best a narrower rung may explain unseen halves. Where cameras stood still, the halves of a
+# real man's clip differed by 2 to 3 % between rungs; where they had moved by a degree, by 9 % and more.
+ABOUT_AS_WELL = 1.05
+_MOST_UNITS = 3.0
+# One joint of every pair: the other half has the other side's, so both halves cover the body.
+HALF_OF_THE_JOINTS = np.array([k % 4 in (0, 3) for k in range(len(STABLE_KEYPOINTS))])
+# Keypoints of a mean adult with arms out (metres): a rig from nothing is laid on the given cameras, only its gates are
+# in metres.
+_SIDE_M = np.array([[0.16, 0.49], [0.44, 0.47], [0.70, 0.46], [0.10, -0.03], [0.16, -0.45], [0.15, -0.86]])
+_ADULT_M = np.stack([np.pad(_SIDE_M * [s, 1.0], ((0, 0), (0, 1))) for s in (1.0, -1.0)], axis=1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Stale:
+    """Cameras that clearly stand elsewhere than they were given.
+
+    Attributes:
+        cameras: with the poses that the people call for.
+        seen: what people show them.
+        report: the rungs with their errors on unseen halves, in error units, and how well every camera is known.
+    """
+
+    cameras: list[Camera]
+    seen: Observations
+    report: dict[str, Any]
+
+
+def where_they_stand_now(
+    given: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: np.ndarray,
+    gate_m: float,
+    gain: float,
+    limits: Limits,
+    bundle: BundleSettings,
+    before_px: float,
+    allowed_px: float,
+) -> Stale | None:
+    """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
+
+    ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
+    ``gain``, and within ``allowed_px``.
+    """
+    found = (
+        moved_since(given, detections, frames, gate_m, limits, bundle, not before_px < allowed_px)
+        if len(given) > 2
+        else None
+    )
+    if found is None:
+        return None
+    after_px = error_medians(found.cameras, found.seen, limits)[0]
+    if not after_px < min((1 - gain) * (before_px if np.isfinite(before_px) else np.inf), allowed_px):
+        return None
+    return replace(
+        found, report={**found.report, "before_px": before_px if np.isfinite(before_px) else None, "after_px": after_px}
+    )
+
+
+def tell(given: Sequence[Camera], found: Stale) -> None:
+    """Say where the cameras stand now, and how well that is known."""
+    degrees, metres = moves(found.cameras, given)
+    turn, place = (np.array(list(found.report[key].values())) for key in ("sigma_deg", "sigma_m"))
+    warn(
+        "people call for cameras that stand elsewhere than the calibration says: "
+        + ", ".join(
+            f"{c.name} turned by {d:.1f}° and moved by {100 * m:.0f} cm" for c, d, m in zip(given, degrees, metres)
+        )
+        + f"; relative to one another they are known to ±{turn.max():.1f}° and "
+        f"±{100 * place.max():.0f} cm (one standard deviation), so "
+        "calibrate again if that is not enough"
+    )
+
+
+def moved_since(
+    given: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: np.ndarray,
+    gate_m: float,
+    limits: Limits,
+    bundle: BundleSettings,
+    lost: bool,
+) -> Stale | None:
+    """The cameras under the narrowest prior that explains unseen halves; None where that is ``bundle``'s own, or people
+    say too little.
+
+    ``lost``: nearly nothing agrees as the cameras were given, so wider gates are tried too, since who is who hangs on
+    the poses and the poses on who is who, and at last a rig from nothing (``people_rig``), laid on the given cameras.
+    At least three cameras.
+    """
+    wide = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
+    best: tuple[int, list[Camera]] = (0, [])
+    for first in _STARTS if lost else _STARTS[:1]:
+        found = _settled(given, given, detections, frames, _ROUNDS[first:], limits, wide)
+        best = max(best, found, key=lambda f: f[0])
+    if lost and not _everybody_counts(best[1], detections, frames, gate_m, limits):
+        few = frames[:: max(1, len(frames) // _RIG_FRAMES)]
+        followed = sightings(detections, few, limits.min_confidence)
+        rig = next((r for r in rigs(followed, given, _ADULT_M, gate_m, limits) if len(r.cameras) == len(given)), None)
+        if rig is not None:
+            start = without_drift([rig.cameras[v] for v in range(len(given))], given)[0]
+            best = max(best, _settled(start, given, detections, frames, _ROUNDS[1:], limits, wide), key=lambda f: f[0])
+    if not _everybody_counts(best[1], detections, frames, gate_m, limits):
+        return None
+    seen, _ = observe(detections, best[1], frames, gate_m)
+    rungs = [bundle, replace(bundle, prior_deg=_MIDDLE * bundle.prior_deg, prior_m=_MIDDLE * bundle.prior_m), wide]
+    errors = [_unseen_error(seen, best[1], given, limits, rung) for rung in rungs]
+    chosen = next((k for k, error in enumerate(errors) if error <= ABOUT_AS_WELL * min(errors)), 0)
+    used = _agreeing(seen, best[1], limits)
+    if chosen == 0 or used is None:
+        return None
+    result = _fit(used, best[1], given, limits, 1.0, rungs[chosen])
+    turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
+    if turn_deg.max() > _MOST_SIGMA_DEG or place_m.max() > _MOST_SIGMA_M:
+        return None
+    names = [c.name for c in given]
+    report = {
+        "rungs": [{"prior_deg": r.prior_deg, "prior_m": r.prior_m, "unseen_units": e} for r, e in zip(rungs, errors)],
+        "chosen": chosen,
+        "sigma_deg": dict(zip(names, turn_deg.tolist())),
+        "sigma_m": dict(zip(names, place_m.tolist())),
+    }
+    return Stale(result.cameras, observe(detections, result.cameras, frames, gate_m)[0], report)
+
+
+def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """(V,) degrees and (V,) metres that the cameras were turned and moved by."""
+    turned = np.stack([f.camera_from_world[:3, :3] @ g.camera_from_world[:3, :3].T for f, g in zip(found, given)])
+    apart = np.array([f.centre_m - g.centre_m for f, g in zip(found, given)])
+    return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
+
+
+@dataclass(frozen=True)
+class _Used:
+    pixels: np.ndarray
+    weights: np.ndarray
+    points_m: np.ndarray
+
+
+def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
+    """What three views or more agree on; all frames of a joint weigh as one observation, as in
+    ``people_bundle.fitted``."""
+    if not len(seen.frame):
+        return None
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    used = found.verified
+    if used.sum() < 10 * len(cameras):
+        return None
+    joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
+    weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / used.sum())
+    return _Used(seen.pixels[:, used], weights, found.points_m[used])
+
+
+def _fit(
+    used: _Used, start: Sequence[Camera], given: Sequence[Camera], limits: Limits, units: float, bundle: BundleSettings
+) -> Adjusted:
+    huber_px = units * unit_px(start, limits)
+    return adjust_with_lenses(start, used.pixels, used.weights, used.points_m, huber_px, bundle, _POSES_ONLY, given)
+
+
+def _settled(
+    start: Sequence[Camera],
+    given: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: np.ndarray,
+    rounds: Sequence[tuple[float, float]],
+    limits: Limits,
+    bundle: BundleSettings,
+) -> tuple[int, list[Camera]]:
+    """(observations that agree, cameras) after the rounds; (0, []) where too little agrees or a camera ends up far from
+    where it was."""
+    current, used = list(start), None
+    for gate_m, units in rounds:
+        seen, _ = observe(detections, current, frames, gate_m)
+        used = _agreeing(seen, current, replace(limits, huber_share=limits.huber_share * units))
+        if used is None:
+            return 0, []
+        current = _fit(used, current, given, limits, units, bundle).cameras
+    degrees, metres = moves(current, given)
+    if used is None or degrees.max() > FURTHEST_DEG or metres.max() > FURTHEST_M:
+        return 0, []
+    return int((used.weights > 0).sum()), current
+
+
+def _everybody_counts(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+) -> bool:
+    """Whether every camera agrees with half as many observations as the one that agrees with most."""
+    used = _agreeing(observe(detections, cameras, frames, gate_m)[0], cameras, limits) if cameras else None
+    counts = (used.weights > 0).sum(1) if used is not None else np.zeros(1)
+    return bool(counts.min() > 0.5 * counts.max())
+
+
+def _unseen_error(
+    seen: Observations, found: Sequence[Camera], given: Sequence[Camera], limits: Limits, bundle: BundleSettings
+) -> float:
+    """Mean error in error units, at most 3, of halves (first and second of the clip, and of the joints) after fitting
+    the other half.
+
+    Points that no three views agree on any more count as 3. ``found``: the cameras under the wide prior, which start
+    every search.
+    """
+    agreed = triangulate(seen.pixels, seen.confidence, found, limits)
+    kept = seen.of(agreed.verified)
+    inliers = agreed.inliers[:, agreed.verified]
+    early = kept.frame <= np.median(kept.frame)
+    half = HALF_OF_THE_JOINTS[kept.keypoint]
+    units, errors = unit_px(found, limits)[:, None], []
+    for fit_on in (early, ~early, half, ~half):
+        used = _agreeing(kept.of(fit_on), found, limits)
+        if used is None:
+            return float("inf")
+        cameras = _fit(used, found, given, limits, 1.0, bundle).cameras
+        judged, counted = kept.of(~fit_on), inliers[:, ~fit_on]
+        wide = replace(limits, outlier_units=limits.outlier_units * _MOST_UNITS)
+        error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units
+        errors.append(np.minimum(np.nan_to_num(error, nan=_MOST_UNITS), _MOST_UNITS)[counted].mean())
+    return float(np.mean(errors))

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a run of the workflow is: what is done, what runs, what is left, and how long that may take.
+
+The rest is guessed from how long each rule's jobs took before, on this machine, and corrected by how this run's
+finished jobs compare with that. A rule that never ran here has no guess, and then the answer says so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+KEPT = 12
+"""Jobs of one rule and scene whose seconds are remembered."""
+_ENOUGH = 0.9  # share of the jobs left that must have a guess for a plain answer
+_SURE_S = 20.0  # of guessed work that has to be done before this run's own pace is believed
+
+
+@dataclass(frozen=True)
+class Running:
+    """A job that runs: its rule, what of (camera, person, film; empty for the scene), since when, threads."""
+
+    rule: str
+    of: str
+    since_s: float
+    threads: int = 1
+
+
+@dataclass
+class Run:
+    """One run; times are seconds of any clock that goes on evenly.
+
+    ``planned``, ``done``: jobs per rule. ``seconds``: rule → how long its jobs took before. ``cores``: how
+    many may be busy.
+    """
+
+    seconds: Mapping[str, list[float]]
+    cores: int
+    started_s: float
+    planned: Counter[str] = field(default_factory=Counter)
+    done: Counter[str] = field(default_factory=Counter)
+    running: dict[int, Running] = field(default_factory=dict)
+    failed: list[str] = field(default_factory=list)
+    took: dict[str, list[float]] = field(default_factory=dict)
+
+    def finished(self, job: int, now_s: float) -> None:
+        """A job is done; one that nobody saw starting is ignored."""
+        found = self.running.pop(job, None)
+        if found:
+            self.done[found.rule] += 1
+            self.took.setdefault(found.rule, []).append(now_s - found.since_s)
+
+    def stopped(self, job: int) -> None:
+        """A job failed."""
+        found = self.running.pop(job, None)
+        if found:
+            self.failed.append(f"{found.rule} {found.of}".strip())
+
+    @property
+    def total(self) -> int:
+        return max(sum(self.planned.values()), sum(self.done.values()) + len(self.running))
+
+    def guess_s(self, rule: str) -> float | None:
+        """Seconds that a job of a rule takes: of this run's where there are any, else of those before."""
+        known = self.took.get(rule) or self.seconds.get(rule)
+        return median(known) if known else None
+
+    def pace(self) -> float:
+        """How much longer than before jobs take in this run (1.0 = alike, or not known yet)."""
+        before = after = 0.0
+        for rule, took in self.took.items():
+            if self.seconds.get(rule):
+                before += len(took) * median(self.seconds[rule])
+                after += sum(took)
+        return after / before if before >= _SURE_S else 1.0
+
+    def remaining(self, now_s: float) -> tuple[float, float]:
+        """(seconds left, share of the jobs left that have a guess). Work is spread over the cores; what runs longest
+        sets the least."""
+        left: Counter[str] = Counter(self.planned)
+        left.subtract(self.done)
+        work = longest = 0.0
+        jobs = known = 0
+        for job in self.running.values():
+            left[job.rule] -= 1
+            jobs += 1
+            guess = self._paced(job.rule)
+            if guess is not None:
+                known += 1
+                own = max(guess - (now_s - job.since_s), 0.0)
+                work, longest = work + own * min(job.threads, self.cores), max(longest, own)
+        for rule, count in left.items():
+            guess = self._paced(rule)
+            jobs += max(count, 0)
+            if guess is not None and count > 0:
+                known += count
+                work, longest = work + guess * count, max(longest, guess)
+        return max(work / max(self.cores, 1), longest), known / jobs if jobs else 1.0
+
+    def _paced(self, rule: str) -> float | None:
+        guess = self.guess_s(rule)
+        return guess if guess is None or self.took.get(rule) else guess * self.pace()
+
+    def left_in_words(self, now_s: float) -> str:
+        """What is left, as a person would say it; with its doubt where rules never ran here."""
+        seconds, share = self.remaining(now_s)
+        if not share:
+            return "nothing like it ran here before: no telling how long"
+        plain = f"{round(seconds / 60)} min" if seconds >= 90 else f"{max(round(seconds / 10) * 10, 10)} s"
+        return f"about {plain} left" if share >= _ENOUGH else f"at least {plain} left: some of it never ran here"
+
+
+def read_seconds(path: Path, scene: str) -> dict[str, list[float]]:
+    """Rule → seconds of earlier jobs, of this scene where it has any, else of all scenes; empty for an unreadable
+    file."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    found: dict[str, list[float]] = {}
+    for rules in held.values():
+        for rule, took in rules.items():
+            found.setdefault(rule, []).extend(took)
+    return {**found, **held.get(scene, {})}
+
+
+def keep_seconds(path: Path, scene: str, took: Mapping[str, list[float]]) -> None:
+    """Add a run's seconds to those that are remembered, completely or not at all."""
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        held = {}
+    own = held.setdefault(scene, {})
+    for rule, seconds in took.items():
+        own[rule] = [*own.get(rule, []), *(round(s, 1) for s in seconds)][-KEPT:]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(held, sort_keys=True) + "\n", encoding="utf-8")
+    partial.replace(path)

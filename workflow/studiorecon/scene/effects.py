@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect is: its statistic, its threshold and how a measurement becomes a decision; the settings that follow
+from it; and the effects that only a trained scene shows, which human training and the report measure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.scene.decisions import HYSTERESIS, Decision, Verdict
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """One thing that a scene may call for, or suffer from, and how that is told.
+
+    Attributes:
+        name: as in ``survey.force`` and the files of decisions.
+        statistic: what is measured, in words.
+        unit: of the statistic and its threshold; empty for a pure number.
+        threshold: the value from which it is on, unless the settings say otherwise.
+        paper: what the paper does instead of asking, or the reading (U18) that it follows.
+        tunable: whether the settings may: False where it is no matter of degree.
+        on_above: on above the threshold; False: on below it.
+        hysteresis: share of the threshold by which an effect that was on must fall before it is off.
+        hidden_by: effects that are decided before, because they would pass for it or spoil its measurement.
+        voids: what is said of an effect that this one hides while it is on; empty: that one is measured all the same.
+        obeyed_by: which step or plan acts on the verdict, and how; empty: it informs.
+    """
+
+    name: str
+    statistic: str
+    unit: str = ""
+    threshold: float
+    paper: str = ""
+    tunable: bool = True
+    on_above: bool = True
+    hysteresis: float = HYSTERESIS
+    hidden_by: tuple[str, ...] = ()
+    voids: str = ""
+    obeyed_by: str = ""
+
+    @property
+    def asks(self) -> str:
+        """What is measured, in words that hold for every scene: settings by their names."""
+        return self.statistic.replace("{gap_deg:.0f}", "`gap_deg`")
+
+    def decide(
+        self,
+        value: float | None,
+        interval: tuple[float, float] | None,
+        reason: str,
+        *,
+        threshold: float | None = None,
+        was_on: bool = False,
+        detail: Mapping[str, Any] | None = None,
+    ) -> Decision:
+        """On when the whole interval lies beyond the threshold, off when none of it does, else undetermined.
+
+        Without a finite value and interval there is nothing to tell, and ``reason`` must say why. An effect that
+        ``was_on`` in an earlier run is measured against a threshold that lies ``hysteresis`` inside, so that noise does
+        not switch it back and forth; for it, an interval that straddles the line leaves it on. Raises ValueError when
+        the value lies outside of its interval.
+        """
+        limit = self.threshold if threshold is None else threshold
+        verdict: Verdict
+        if value is None or interval is None or not np.isfinite([value, *interval]).all():
+            value, interval, verdict = None, None, "undetermined"
+        else:
+            value, interval = float(value), (float(interval[0]), float(interval[1]))
+            if not interval[0] <= value <= interval[1]:
+                raise ValueError(f"{self.name}: the value {value} lies outside of its interval {interval}")
+            line = limit * (1 - self.hysteresis if self.on_above else 1 + self.hysteresis) if was_on else limit
+            nearest, furthest = interval if self.on_above else (-interval[1], -interval[0])
+            line = line if self.on_above else -line
+            verdict = "on" if nearest > line else "off" if furthest <= line else "on" if was_on else "undetermined"
+            if verdict == "undetermined":
+                reason += "; the threshold lies within what the measurement leaves open, so the cheaper branch is taken"
+        return Decision(
+            self.name,
+            self.statistic,
+            value,
+            interval,
+            limit,
+            verdict,
+            reason,
+            unit=self.unit,
+            on_above=self.on_above,
+            hysteresis=self.hysteresis,
+            obeyed_by=self.obeyed_by,
+            detail=dict(detail or {}),
+        )
+
+    def left_to(self, report: str) -> Decision:
+        """The effect is listed, and where it will be decided."""
+        reason = f"not measured here: only a trained scene shows it; {report} decides"
+        return Decision(self.name, self.statistic, None, None, None, "undetermined", reason)
+
+
+def thresholds(effects: Iterable[Effect]) -> Any:
+    """The setting of a dataclass that holds other thresholds than the effects' own, of those that have one to set."""
+    known = {
+        effect.name: {"description": effect.asks, "type": "number", "exclusiveMinimum": 0}
+        for effect in effects
+        if effect.tunable
+    }
+    return setting(
+        {},
+        "From where an effect is called for, where that is not the effect's own threshold: {exposure: 0.02}.",
+        shape={"type": "object", "additionalProperties": False, "properties": known},
+    )
+
+
+def force(effects: Iterable[Effect]) -> Any:
+    """The setting of a dataclass that decides on some of these effects beforehand."""
+    names = [effect.name for effect in effects]
+    return setting(
+        {},
+        'Decisions made beforehand, e.g. {exposure: "on", view_synthesis: "off"}.',
+        shape={
+            "type": "object",
+            "propertyNames": {"enum": names},
+            "additionalProperties": {"enum": ["on", "off"]},
+        },
+    )
+
+
+REFINEMENT = Effect(
+    name="refinement",
+    statistic="share of pixels from ±15 % height with alpha below 0.95 or a quarter of the median density of Gaussians",
+    threshold=0.02,
+)
+TEMPORAL_APPEARANCE = Effect(
+    name="temporal_appearance",
+    statistic="share of body points whose colour residual exceeds 3 times its noise and keeps its sign over time",
+    threshold=0.1,
+    paper="always",
+    obeyed_by="humans.train, which measures it half-way and then trains the network or leaves it out",
+)
+ENHANCEMENT = Effect(
+    name="enhancement",
+    statistic="LPIPS at training views over 0.15, or unseen share of the films over 10 %, whichever is larger",
+    threshold=1.0,
+    paper="always",
+)
+INJECTION = Effect(
+    name="injection",
+    statistic="change between frames of the enhanced film over the raw one's, static pixels, less 1",
+    threshold=0.2,
+    paper="always",
+)
+# Measured when the scene is trained and filmed, in this order.
+LATE = (REFINEMENT, TEMPORAL_APPEARANCE, ENHANCEMENT, INJECTION)

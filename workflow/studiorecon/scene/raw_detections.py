@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the detector found on the footage of one camera: ``detect/found/<camera>.npz``, before any calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.scene.files import write_npz
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
+
+
+@dataclass(frozen=True)
+class RawDetections:
+    """People in the pictures of one camera; D of them over all pictures, sorted by frame.
+
+    Attributes:
+        camera: camera name.
+        layout: name of the keypoint layout (``keypoints/layouts.py``).
+        frame: (D,) int, number of the picture in the footage.
+        keypoints: (D, K, 3) x, y in pixels of the footage (centres at +0.5), confidence in [0, 1]; 0 = missing.
+        presence: (D,) how sure the network is that somebody is there.
+        points_m: (D, K, 3) its metric guess about the middle of the hips, camera's axes (x right, y down, z forward);
+            NaN = none. mask: (D, M, M) uint8, 255 = surely this person; M may be 0.
+        mask_from_picture: (D, 2, 3) affine map of footage pixels to those of the mask, centres at +0.5 on both sides.
+        looked: (first, count) of the pictures that were looked at.
+        note: what was looked with, and at what, for people to read.
+    """
+
+    camera: str
+    layout: str
+    frame: Integer[np.ndarray, " D"]
+    keypoints: Num[np.ndarray, "D K 3"]
+    presence: Num[np.ndarray, " D"]
+    points_m: Num[np.ndarray, "D K 3"]
+    mask: Integer[np.ndarray, "D M M"]
+    mask_from_picture: Num[np.ndarray, "D 2 3"]
+    looked: tuple[int, int]
+    note: str
+
+    @staticmethod
+    def of(
+        camera: str, layout: str, points: int, rows: Sequence[tuple], looked: tuple[int, int], note: str
+    ) -> RawDetections:
+        """From rows (frame, keypoints, presence, points_m, mask, mask_from_picture) in order of frames; there may be
+        none."""
+        frame, keypoints, presence, points_m, mask, affine = zip(*rows) if rows else ([],) * 6
+        edge = len(mask[0]) if rows else 0
+        return RawDetections(
+            camera,
+            layout,
+            np.array(frame, dtype=np.int64),
+            np.array(keypoints, dtype=np.float64).reshape(len(rows), points, 3),
+            np.array(presence, dtype=np.float64),
+            np.array(points_m, dtype=np.float64).reshape(len(rows), points, 3),
+            np.array(mask, dtype=np.uint8).reshape(len(rows), edge, edge),
+            np.array(affine, dtype=np.float64).reshape(len(rows), 2, 3),
+            looked,
+            note,
+        )
+
+    def grown(self, rows: Sequence[tuple]) -> RawDetections:
+        """With more rows (as for ``of``) behind those that are there, of whatever frame: the numbers of those do not
+        change."""
+        if not rows:
+            return self
+        more = RawDetections.of(self.camera, self.layout, self.keypoints.shape[1], rows, self.looked, self.note)
+        edge = more.mask.shape[1]
+        own = replace(self, mask=self.mask.reshape(-1, edge, edge))
+        names = ("frame", "keypoints", "presence", "points_m", "mask", "mask_from_picture")
+        arrays: dict[str, Any] = {n: np.concatenate([getattr(own, n), getattr(more, n)]) for n in names}
+        return replace(own, **arrays)
+
+
+def write_raw_detections(path: Path, found: RawDetections) -> None:
+    write_npz(path, {name: getattr(found, name) for name in RawDetections.__dataclass_fields__})
+
+
+def is_found(path: Path) -> bool:
+    """Whether a file is the detector's, not somebody's recorded keypoints."""
+    if path.suffix != ".npz" or not path.is_file():
+        return False
+    with np.load(path, allow_pickle=False) as data:
+        return "mask_from_picture" in data.files
+
+
+def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
+    """The detector's file; ``mask`` is empty unless asked for, which takes longer. Raises UserError when there is
+    none."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    with np.load(path, allow_pickle=False) as data:
+        mask = data["mask"] if masks else np.zeros((len(data["frame"]), 0, 0), np.uint8)
+        first, count = (int(v) for v in data["looked"])
+        return RawDetections(
+            str(data["camera"]),
+            str(data["layout"]),
+            data["frame"],
+            data["keypoints"],
+            data["presence"],
+            data["points_m"],
+            mask,
+            data["mask_from_picture"],
+            (first, count),
+            str(data["note"]),
+        )

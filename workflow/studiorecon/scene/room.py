@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The room as a box: floor, ceiling and four upright walls, each fitted to the photos or stated as a default."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.scene.files import read_json, write_json
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
+FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
+
+
+@dataclass(frozen=True)
+class RoomBox:
+    """A box with vertical walls that encloses every camera.
+
+    The walls stand across the horizontal directions u = (cos yaw, sin yaw, 0) and v = (-sin yaw, cos yaw, 0).
+
+    Attributes:
+        yaw_rad: direction of u, in [0, pi/2).
+        low_m: (3,) least coordinates along u, v and z.
+        high_m: (3,) greatest coordinates along u, v and z.
+        fitted: (6,) bool in the order of ``FACES``: found in the photos; the others are defaults and must not be called
+            measured.
+        score: (6,) mean correlation over the pixels each face was fitted to; NaN for defaults.
+        gains: camera name → (3,) factors that multiplied its exposure: divide its photo by them to make the cameras
+            agree.
+        planes: (K, 4) every plane the photos voted for, n·p = o, metres; the six faces come first.
+    """
+
+    yaw_rad: float
+    low_m: Num[np.ndarray, " 3"]
+    high_m: Num[np.ndarray, " 3"]
+    fitted: Bool[np.ndarray, " 6"]
+    score: Num[np.ndarray, " 6"]
+    gains: Mapping[str, np.ndarray] = field(default_factory=dict)
+    planes: Num[np.ndarray, "K 4"] = field(default_factory=lambda: np.zeros((0, 4)))
+
+    @property
+    def axes(self) -> Num[np.ndarray, "3 3"]:
+        """(3, 3) rows u, v and z: coordinates in the box are ``points @ axes.T``."""
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def faces(self) -> Num[np.ndarray, "6 4"]:
+        """(6, 4) n·p = o of the faces in the order of ``FACES``."""
+        offsets = np.stack([self.low_m, self.high_m], axis=1).reshape(6)
+        return np.concatenate([np.repeat(self.axes, 2, axis=0), offsets[:, None]], axis=1)
+
+    def contains(self, points_m: np.ndarray, margin_m: float = 0.0) -> Bool[np.ndarray, " ..."]:
+        """(...,) bool: points (..., 3) inside the box grown by ``margin_m``."""
+        inside = points_m @ self.axes.T
+        return ((inside >= self.low_m - margin_m) & (inside <= self.high_m + margin_m)).all(axis=-1)
+
+    def intersect(self, origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Length (...,) along the directions to the wall that a ray from inside meets, and the face's index (...,) in
+        ``FACES``.
+
+        With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or whose origin has left
+        it for good, gets length 0 and face -1; from outside looking in, the far wall is what is met.
+        """
+        origin = np.broadcast_to(
+            origins_m @ self.axes.T, np.broadcast_shapes(np.shape(origins_m), np.shape(directions))
+        )
+        direction = directions @ self.axes.T
+        still = np.abs(direction) < 1e-12
+        step = np.where(still, 1.0, direction)
+        to_low, to_high = (self.low_m - origin) / step, (self.high_m - origin) / step
+        between = (origin >= self.low_m) & (origin <= self.high_m)
+        # A ray parallel to a pair of faces never leaves through them, or never enters at all.
+        leave = np.where(still, np.where(between, np.inf, -np.inf), np.maximum(to_low, to_high))
+        enter = np.where(still, -np.inf, np.minimum(to_low, to_high))
+        axis = leave.argmin(axis=-1)
+        length = leave.min(axis=-1)
+        hit = (length > 0) & (length >= enter.max(axis=-1)) & np.isfinite(length)
+        outward = np.take_along_axis(step, axis[..., None], axis=-1)[..., 0] > 0
+        return np.where(hit, length, 0.0), np.where(hit, 2 * axis + outward, -1)
+
+
+def write_room(path: Path, shell: RoomBox) -> None:
+    """Write ``depth/room.json``."""
+    value = {name: getattr(shell, name) for name in ("yaw_rad", "low_m", "high_m", "gains", "planes")}
+    faces = {name: {"fitted": bool(shell.fitted[i]), "score": float(shell.score[i])} for i, name in enumerate(FACES)}
+    write_json(path, value | {"faces": faces})
+
+
+def read_room(path: Path) -> RoomBox:
+    """Read ``depth/room.json``; raises UserError when it is missing or not JSON."""
+    value = read_json(path)
+    faces = [value["faces"][name] for name in FACES]
+    return RoomBox(
+        yaw_rad=float(value["yaw_rad"]),
+        low_m=np.asarray(value["low_m"], np.float64),
+        high_m=np.asarray(value["high_m"], np.float64),
+        fitted=np.array([f["fitted"] for f in faces], bool),
+        score=np.array([np.nan if f["score"] is None else f["score"] for f in faces], np.float64),
+        gains={name: np.asarray(gain, np.float64) for name, gain in value["gains"].items()},
+        planes=np.asarray(value["planes"], np.float64).reshape(-1, 4),
+    )

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loose things as rigid sets of Gaussians that move: ``objects/objects.npz``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.body.avatar.posing import Posing
+from studiorecon.errors import UserError
+from studiorecon.geometry import rotations
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.gaussians import Gaussians
+
+# A logit that no rasteriser draws: opacity 1e-13.
+_ABSENT = -30.0
+_GAUSSIANS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
+_MOTION = ("provenance", "centres_m", "world_from_object", "valid", "present")
+MEASURED_TURNS, NO_TURNS = "measured", "undetermined"
+# A turned thing's outline is drawn with this many deviations around every Gaussian that covers more than this.
+_DEVIATIONS, _COVERS = 1.0, 0.3
+# Its capsule needs so many such Gaussians, and reaches from one to the other of these quantiles of them: strays throw
+# no shadow.
+_LEAST_COVERING, _ENDS = 8, (0.01, 0.99)
+# OpenCV draws circles to this part of a pixel.
+_FINE_BITS, _FINE = 4, 16
+
+
+@dataclass(frozen=True)
+class RigidObject:
+    """One thing that keeps its shape, moves, and turns where that could be told.
+
+    Attributes:
+        person: its name, ``o0``, ``o1``, …; what composites and mattes call it.
+        gaussians: N Gaussians around the thing's own middle, metres; axes as in the world where nobody knows how it
+            turns.
+        provenance: (N,) uint8, see ``scene/provenance.py``.
+        centres_m: (T, 3) world position of the middle; NaN where it is unknown.
+        valid: (T,) bool: frames in which cameras measured the place, and the turn; in others both lie between measured
+            ones.
+        present: (T,) bool: frames in which the position is known; in others the thing is left out.
+        radius_m: radius of the sphere with the outlines' size.
+        world_from_object: (T, 3, 3) rotations; all the identity where how it turns is undetermined.
+        turns: "measured", or "undetermined": a thing that does not turn explains what was seen as well.
+    """
+
+    person: str
+    gaussians: Gaussians
+    provenance: np.ndarray
+    centres_m: np.ndarray
+    valid: np.ndarray
+    present: np.ndarray
+    radius_m: float
+    world_from_object: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    turns: str = NO_TURNS
+
+    def __post_init__(self) -> None:
+        if self.turns not in (MEASURED_TURNS, NO_TURNS):
+            raise ValueError(f"turns is {self.turns!r}, not {MEASURED_TURNS} or {NO_TURNS}")
+        if self.turns == NO_TURNS:
+            object.__setattr__(self, "world_from_object", np.tile(np.eye(3), (len(self.centres_m), 1, 1)))
+
+    def centre_at(self, frame: float) -> np.ndarray | None:
+        """(3,) position at a 0-based, possibly fractional frame, metres; None where it is unknown.
+
+        Beside a frame in which it is unknown, it stays where it was at the nearer of the two, if that one is known.
+        """
+        low, high, share = self._between(frame)
+        if self.present[low] and self.present[high]:
+            return (1 - share) * self.centres_m[low] + share * self.centres_m[high]
+        near = high if share > 0.5 else low
+        return self.centres_m[near] if self.present[near] else None
+
+    def turn_at(self, frame: float) -> np.ndarray:
+        """(3, 3) rotation world_from_object at a 0-based, possibly fractional frame; beside an unknown frame, that of
+        the known one."""
+        low, high, share = self._between(frame)
+        if not (self.present[low] and self.present[high]):
+            return self.world_from_object[low if self.present[low] else high]
+        return rotations.slerp(self.world_from_object[low], self.world_from_object[high], share)
+
+    def pose_at(self, frame: float) -> np.ndarray:
+        """(4, 4) world_from_object at a frame; its place is NaN where that is unknown."""
+        pose, centre = np.eye(4), self.centre_at(frame)
+        pose[:3, :3] = self.turn_at(frame)
+        pose[:3, 3] = np.nan if centre is None else centre
+        return pose
+
+    def posed(self, frame: float) -> Gaussians:
+        """The Gaussians in the world at a 0-based, possibly fractional frame; as many, but not drawn, where the
+        position is unknown."""
+        centre, own = self.centre_at(frame), self.gaussians
+        if centre is None:
+            return replace(own, logit_opacities=np.full(own.count, _ABSENT, np.float32))
+        if self.turns == NO_TURNS:
+            return replace(own, means_m=(own.means_m + centre).astype(np.float32))
+        # One bone carries them all.
+        bones = np.tile(np.eye(4), (24, 1, 1))
+        bones[0, :3, :3], bones[0, :3, 3] = self.turn_at(frame), centre
+        posing = Posing(np.zeros((own.count, 1), np.uint8), np.ones((own.count, 1), np.float32))
+        means, quaternions, sh = posing.out(own.means_m, own.quaternions, own.sh, bones)
+        return Gaussians(means, quaternions, own.log_scales, own.logit_opacities, sh)
+
+    def joints_m(self, frame: float) -> np.ndarray:
+        """(1, 3) the middle as the only joint, infinitely far away where it is unknown."""
+        centre = self.centre_at(frame)
+        return np.full((1, 3), np.inf) if centre is None else centre[None]
+
+    def capsule(self, frame: float) -> np.ndarray:
+        """(1, 7) a capsule for the thing, two ends and a radius, metres, as light meets it; (0, 7) where the position
+        is unknown.
+
+        As long as the thing, and as thick as the disc with the area of its box across: a ball's own sphere, a board's
+        mean thickness.
+        """
+        centre, own = self.centre_at(frame), self.gaussians
+        covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
+        if centre is None or covers.sum() < _LEAST_COVERING:
+            return np.zeros((0, 7))
+        means = own.means_m[covers].astype(np.float64)
+        axes = np.linalg.eigh(np.cov(means.T))[1]
+        low, high = np.quantile(means @ axes, _ENDS, axis=0)
+        half = (high - low) / 2
+        radius = float(np.sqrt(half[0] * half[1]))
+        reach = max(float(half[2]) - radius, 0.0) * axes[:, 2]
+        middle = axes @ ((low + high) / 2)
+        ends = np.stack([middle - reach, middle + reach]) @ self.turn_at(frame).T + centre
+        return np.concatenate([ends.ravel(), [radius]])[None]
+
+    def outline(self, camera: Camera, frame: int, grown: float = 1.0) -> np.ndarray:
+        """(H, W) float32 z-depth of the middle where the thing is seen, 0 elsewhere and when absent.
+
+        Seen is the sphere of ``grown`` times the radius; of a thing whose turns were measured, its own outline,
+        ``grown`` about its middle.
+        """
+        drawn = np.zeros(camera.hw, np.float32)
+        centre = self.centre_at(frame)
+        if centre is None:
+            return drawn
+        pixel, depth_m = camera.project(centre)
+        if depth_m <= self.radius_m:
+            return drawn
+        if self.turns == MEASURED_TURNS:
+            return self._drawn(camera, frame, grown, float(depth_m), drawn)
+        radius_px = grown * self.radius_m * np.array(camera.focal_px) / depth_m
+        low = np.clip(np.floor(pixel - radius_px).astype(int), 0, camera.wh)
+        high = np.clip(np.ceil(pixel + radius_px).astype(int), 0, camera.wh)
+        columns, rows = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
+        inside = ((columns - pixel[0]) / radius_px[0]) ** 2 + ((rows - pixel[1]) / radius_px[1]) ** 2 <= 1
+        drawn[low[1] : high[1], low[0] : high[0]][inside] = depth_m
+        return drawn
+
+    def _drawn(self, camera: Camera, frame: int, grown: float, depth_m: float, drawn: np.ndarray) -> np.ndarray:
+        """The outline of a thing whose turns are known: a disc at every Gaussian that covers something."""
+        own, centre = self.gaussians, self.centre_at(frame)
+        covers = own.logit_opacities > np.log(_COVERS / (1 - _COVERS))
+        means = centre + grown * own.means_m[covers] @ self.turn_at(frame).T
+        reach_m = grown * _DEVIATIONS * np.exp(own.log_scales[covers]).max(axis=1)
+        pixels, depths_m = camera.project(means)
+        # Nothing of it lies behind the camera, or its middle would be nearer than its radius.
+        ahead = depths_m > self.radius_m / 4
+        for (x, y), radius_px in zip(pixels[ahead], (reach_m * camera.focal_px[0] / depths_m)[ahead]):
+            at = round(float(x - 0.5) * _FINE), round(float(y - 0.5) * _FINE)
+            cv2.circle(drawn, at, round(float(radius_px) * _FINE), depth_m, cv2.FILLED, cv2.LINE_8, _FINE_BITS)
+        return drawn
+
+    def _between(self, frame: float) -> tuple[int, int, float]:
+        """The frames around a fractional one, and how far it lies between them."""
+        at = float(np.clip(frame, 0, len(self.centres_m) - 1))
+        low = min(int(at), max(len(self.centres_m) - 2, 0))
+        return low, min(low + 1, len(self.centres_m) - 1), at - low
+
+
+def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> None:
+    """Write all objects of a scene of so many frames, maybe none."""
+    arrays: dict[str, np.ndarray | int | float | str] = {
+        "names": np.array([o.person for o in objects], dtype=np.str_),
+        "frames": frames,
+    }
+    for thing in objects:
+        arrays |= {f"{thing.person}.{name}": getattr(thing.gaussians, name) for name in _GAUSSIANS}
+        arrays |= {f"{thing.person}.{name}": getattr(thing, name) for name in (*_MOTION, "radius_m", "turns")}
+    write_npz(path, arrays)
+
+
+def read_objects(path: Path) -> list[RigidObject]:
+    """The objects of a scene; raises UserError when the file is missing or its arrays do not fit together."""
+    if not path.is_file():
+        raise UserError(f"{path} is missing")
+    found = []
+    with np.load(path, allow_pickle=False) as data:
+        frames = int(data["frames"])
+        for name in map(str, data["names"]):
+            if f"{name}.turns" not in data:
+                raise UserError(f"{path} does not say how {name} turns; run objects again")
+            gaussians = Gaussians(*(data[f"{name}.{field}"] for field in _GAUSSIANS))
+            provenance, centres_m, turned, valid, present = (data[f"{name}.{field}"] for field in _MOTION)
+            if len(provenance) != gaussians.count or {len(centres_m), len(turned), len(valid), len(present)} != {
+                frames
+            }:
+                raise UserError(f"{path} holds arrays of {name} that do not fit together; run objects again")
+            radius_m, turns = float(data[f"{name}.radius_m"]), str(data[f"{name}.turns"])
+            found.append(RigidObject(name, gaussians, provenance, centres_m, valid, present, radius_m, turned, turns))
+    return found

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training that survives being killed: the whole state of a loop in one file, taken up again only by the very same run.
+
+A checkpoint lies in the working folder that the rule names, not among its outputs: a workflow engine deletes those of
+a failed job. It carries a fingerprint of settings, inputs and code; one that does not match, or that cannot
+be read, is left aside with a sentence, and training starts anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import time
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+
+from studiorecon.progress import say
+from studiorecon.scene.files import complete
+
+_FACTS = "facts"
+
+
+def fingerprint(settings: Any, inputs: Sequence[Path], code: str, *more: object) -> str:
+    """Hex digest of a settings dataclass, the bytes of the input files, the code's digest and what else the result
+    depends on."""
+    digest = hashlib.sha256(json.dumps([dataclasses.asdict(settings), code, *map(str, more)], sort_keys=True).encode())
+    digest.update(f"numba {numba.__version__} numpy {np.__version__}".encode())
+    for path in inputs:
+        with open(path, "rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
+
+
+class Checkpoint:
+    """One run's checkpoint file.
+
+    Attributes:
+        path: where it is; written under another name first and renamed, so it is never half a file.
+    """
+
+    def __init__(self, path: Path, mark: str, every_s: float) -> None:
+        self.path, self._mark, self._every_s = path, mark, every_s
+        self._last = time.monotonic()
+
+    def due(self) -> bool:
+        """Whether ``every_s`` seconds have passed since the start or the last ``save``; never with 0."""
+        return self._every_s > 0 and time.monotonic() - self._last >= self._every_s
+
+    def save(self, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> None:
+        """Writes arrays and JSON facts; uncompressed, because this happens in the middle of training."""
+        stored: dict[str, Any] = {_FACTS: np.array(json.dumps({"mark": self._mark, **facts}))}
+        named: dict[str, Any] = dict(arrays)
+        with complete(self.path) as partial, open(partial, "wb") as file:
+            np.savez(file, **stored, **named)
+        self._last = time.monotonic()
+
+    def load(self) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+        """What ``save`` wrote for the same fingerprint; None, after a sentence, when there is something else or nothing
+        readable."""
+        if not self.path.is_file():
+            return None
+        try:
+            # Every member's CRC is checked while it is read.
+            with open(self.path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+                facts = json.loads(str(stored[_FACTS]))
+                if facts.pop("mark") != self._mark:
+                    say(f"{self.path} belongs to other settings, inputs or code and is not used; training starts anew")
+                    return None
+                return {name: stored[name] for name in stored.files if name != _FACTS}, facts
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            say(f"{self.path} cannot be read ({error}) and is not used; training starts anew")
+            return None
+
+    def remove(self) -> None:
+        """Takes the file away, with what a process killed while saving left of it, and its folder when nothing else is
+        in it."""
+        for path in (self.path, *self.path.parent.glob(f".partial-*-{self.path.name}")):
+            path.unlink(missing_ok=True)
+        if self.path.parent.is_dir() and not any(self.path.parent.iterdir()):
+            self.path.parent.rmdir()

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training loop tells while it works: a sentence and a picture at every tenth of the way."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.footage.video import to_bytes
+from studiorecon.images.metrics import psnr
+from studiorecon.progress import say
+from studiorecon.scene.files import complete
+
+
+class Feedback:
+    """Losses of a run and how they are told.
+
+    Attributes:
+        losses, psnrs_db: of every iteration so far, on the picture it drew; what a resumed run puts back.
+    """
+
+    def __init__(self, label: str, first: int, last: int, previews: Path | None) -> None:
+        self.losses: list[float] = []
+        self.psnrs_db: list[float] = []
+        self._label, self._first, self._last, self._previews = label, first, last, previews
+        self._tenth = max(1, (last - first) // 10)
+        self._told = time.perf_counter()
+        self._told_at = 0
+
+    def record(self) -> dict[str, np.ndarray]:
+        """What has been added so far, for a checkpoint."""
+        return {"losses": np.array(self.losses), "psnrs_db": np.array(self.psnrs_db)}
+
+    def resume(self, record: Mapping[str, np.ndarray]) -> None:
+        """Takes up the ``record`` of an interrupted run."""
+        self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
+        self._told_at = len(self.losses)
+
+    def add(self, loss: float, psnr_db: float) -> bool:
+        """Records one iteration; True when a tenth is done and ``tell`` is due."""
+        self.losses.append(loss)
+        self.psnrs_db.append(psnr_db)
+        return len(self.losses) % self._tenth == 0
+
+    @property
+    def last_psnr_db(self) -> float:
+        """Mean PSNR over the last tenth, on the pixels that counted; 0 before the first iteration."""
+        return float(np.mean(self.psnrs_db[-self._tenth :])) if self.psnrs_db else 0.0
+
+    def tell(self, count: int, view: str, shown: np.ndarray, wanted: np.ndarray, used: np.ndarray) -> None:
+        """One line on how it goes, and the picture ``preview_<percent>.png``: left ``wanted``, right ``shown`` (H, W,
+        3).
+
+        PSNR is over the pixels ``used`` (H, W) of ``view``, which is a training view: it says that training works, not
+        how well unseen views come out.
+        """
+        done, now = len(self.losses), time.perf_counter()
+        pace = (done - self._told_at) / max(now - self._told, 1e-9)
+        left_s = (self._last - self._first - done) / max(pace, 1e-9)
+        score = psnr(shown, wanted, used)
+        on_view = "too few pixels to score" if score is None else f"{score:.2f} dB"
+        say(
+            f"{self._label}: {self._first + done} of {self._last}, {pace:.0f} it/s, loss "
+            f"{np.mean(self.losses[-self._tenth :]):.4f},"
+            f" PSNR {self.last_psnr_db:.2f} dB on what was drawn, {on_view} on training view "
+            f"{view}, {count} Gaussians, {left_s:.0f} s left"
+        )
+        self._told, self._told_at = now, done
+        if self._previews is not None:
+            percent = round(100 * done / (self._last - self._first))
+            sheet = np.concatenate([to_bytes(np.nan_to_num(wanted)), to_bytes(np.nan_to_num(shown))], axis=1)
+            with complete(self._previews / f"preview_{percent:03d}.png") as partial:
+                cv2.imwrite(str(partial), sheet[..., ::-1])

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images that Gaussians are trained on, their draw order, and their half-size versions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+from studiorecon.splatting.train.schedule import TrainingSettings, halved_at
+
+
+@dataclass(frozen=True)
+class Target:
+    """One image to fit.
+
+    Attributes:
+        camera: where it was taken; its size is the image's.
+        rgb: (H, W, 3) float32; masked pixels may hold anything.
+        weight: (H, W) float32 per pixel, 0 = masked; None = 1 everywhere.
+        share: how often it is drawn, relative to the others.
+        background_rgb: colour behind the Gaussians.
+        depth_m: (H, W) z-depth for the depth loss, 0 = unknown; None = none.
+        silhouette: (H, W) bool, where the person is, for the silhouette loss; None = none.
+    """
+
+    camera: Camera
+    rgb: np.ndarray
+    weight: np.ndarray | None = None
+    share: float = 1.0
+    background_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    depth_m: np.ndarray | None = None
+    silhouette: np.ndarray | None = None
+
+    @property
+    def used(self) -> np.ndarray:
+        """(H, W) bool, the pixels that count."""
+        return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
+
+    def sound(self) -> tuple[Target, int]:
+        """The target with every pixel masked whose colour or weight is not finite, and how many that were; unknown
+        depth becomes 0."""
+        weight = np.ones(self.rgb.shape[:2], np.float32) if self.weight is None else self.weight
+        finite = np.isfinite(weight)
+        finite &= np.isfinite(self.rgb).all(axis=-1) | (weight == 0)
+        depth = (
+            None if self.depth_m is None else np.where(np.isfinite(self.depth_m), self.depth_m, 0).astype(np.float32)
+        )
+        if finite.all():
+            return replace(self, depth_m=depth), 0
+        return replace(self, weight=np.where(finite, weight, 0).astype(np.float32), depth_m=depth), int(
+            np.count_nonzero(~finite)
+        )
+
+    def halved(self) -> Target:
+        """The target at half the size; a pixel is masked when any pixel under it is, and depth is taken, never
+        averaged."""
+        width, height = max(1, self.camera.wh[0] // 2), max(1, self.camera.wh[1] // 2)
+        weight = None
+        rgb = np.ascontiguousarray(self.rgb, np.float32)
+        if self.weight is not None:
+            used = self.weight > 0
+            rgb = np.where(used[..., None], rgb, np.float32(0))
+            whole = cv2.resize(used.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA) > 0.999
+            weight = np.where(
+                whole, cv2.resize(self.weight.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA), 0
+            )
+        small = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
+        depth = (
+            None if self.depth_m is None else cv2.resize(self.depth_m, (width, height), interpolation=cv2.INTER_NEAREST)
+        )
+        return replace(self, camera=self.camera.resized((width, height)), rgb=small, weight=weight, depth_m=depth)
+
+
+class TargetSizes:
+    """Targets whole and at half the size, the latter made when first asked for."""
+
+    def __init__(self, targets: Sequence[Target]) -> None:
+        self._whole, self._half = list(targets), dict[int, Target]()
+
+    @property
+    def first(self) -> Target:
+        """The first one, whole."""
+        return self._whole[0]
+
+    def at(self, settings: TrainingSettings, iteration: int, index: int) -> tuple[tuple[bool, int], Target]:
+        """A target as large as a step wants it, and what it is known by."""
+        half = halved_at(settings, iteration)
+        if half and index not in self._half:
+            self._half[index] = self._whole[index].halved()
+        return (half, index), self._half[index] if half else self._whole[index]
+
+
+class DrawOrder:
+    """Which target comes next: each as often as its share says, spread evenly; with equal shares every round visits all
+    once.
+
+    Attributes:
+        pending: the rest of the round, in order; with the generator's state it is all that a resumed run needs.
+    """
+
+    def __init__(self, shares: Sequence[float], rng: np.random.Generator) -> None:
+        cumulative = np.cumsum(np.asarray(shares, np.float64))
+        if not (np.isfinite(cumulative[-1]) and cumulative[-1] > 0 and min(shares) >= 0):
+            raise ValueError(f"shares of targets must be at least 0 and not all 0, not {list(shares)}")
+        self._cumulative, self._rng = cumulative, rng
+        self.pending: list[int] = []
+
+    def draw(self) -> int:
+        """The next target's index."""
+        if not self.pending:
+            count = len(self._cumulative)
+            points = (self._rng.random() + np.arange(count)) / count * self._cumulative[-1]
+            once = np.searchsorted(self._cumulative, points, side="right").clip(max=count - 1)
+            self.pending = self._rng.permutation(once).tolist()
+        return self.pending.pop(0)
+
+
+def scene_extent(cameras: Sequence[Camera]) -> float:
+    """Metres that position learning rates are multiplied by: 1.1 × the largest distance of a camera from their mean
+    (3DGS)."""
+    centres = np.array([camera.centre_m for camera in cameras])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The terms of a training's loss, each for planes on the CPU (gradient by hand) and tensors on CUDA (autograd).
+
+A training names the weights of its terms, ``terms_of`` makes them, and the one loop in ``trainer`` adds them up. Every
+term is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is Σ m·l / Σ m
+(U11), and a weight of 3 counts three times (U15). SSIM enters as 1 − SSIM, not halved (U10).
+
+A new term is a class with ``on_cpu`` and ``on_cuda``, its line in ``WEIGHED`` and a setting of that name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from studiorecon.splatting.cpu.alpha_loss import DENSITY_OFFSET, density_terms, silhouette_terms
+from studiorecon.splatting.cpu.planes import DEPTH_ALPHA_MIN
+from studiorecon.splatting.cpu.ssim import C1, C2, window
+from studiorecon.splatting.train.perceptual import Perceptual, PerceptualSettings, perceptual
+from studiorecon.splatting.train.photometric import Memory, Photometric, PreparedTarget, flat
+from studiorecon.splatting.train.targets import Target
+
+if TYPE_CHECKING:
+    import torch
+
+STATISTICS_BYTES_MAX = 1 << 30
+"""Targets' SSIM statistics kept in memory; those beyond are computed anew at every use (4 to 11 % of the loss's
+time)."""
+
+DEPTH_SOFTNESS = np.float32(0.02)
+"""Relative depth error below which the absolute value is rounded to a parabola."""
+
+
+@dataclass
+class PlaneView:
+    """A picture as it was drawn on the CPU, what it should be, and the gradient that terms add to.
+
+    Attributes:
+        target: what it is compared with.
+        iteration, rng: for terms that are not evaluated at every step, or on random pieces.
+        planes: (5, H, W) red, green, blue, depth sum, transmittance.
+        gradient: (5, H, W) of the loss by red, green, blue, depth sum and alpha; 0 before the first term.
+        key: what the target is known by when it comes again unchanged; None = it was made for this step.
+        psnr_db: over the pixels that count; the photometric term sets it.
+    """
+
+    target: Target
+    iteration: int
+    rng: np.random.Generator
+    planes: np.ndarray
+    gradient: np.ndarray
+    key: Hashable | None = None
+    psnr_db: float = 0.0
+
+    def total(self, terms: Sequence[Term]) -> float:
+        """The loss; its gradient is in ``gradient`` then."""
+        loss = 0.0
+        for term in terms:
+            loss += term.on_cpu(self)
+        return loss
+
+
+@dataclass
+class TensorView:
+    """A picture as tensors that carry gradients, and what it should be.
+
+    Attributes:
+        target, iteration, rng, key, psnr_db: as in ``PlaneView``.
+        rgb, alpha, depth_sum: (H, W, 3), (H, W), (H, W) as drawn.
+        wanted_rgb: (3, H, W); where the weight is 0 it may be anything finite.
+        weight: (H, W), 0 = masked.
+        depth_m: (H, W) of the target, 0 = unknown; None = none.
+        squared_error: () mean over the pixels that count; the photometric term sets it.
+    """
+
+    target: Target
+    iteration: int
+    rng: np.random.Generator
+    rgb: torch.Tensor
+    alpha: torch.Tensor
+    depth_sum: torch.Tensor
+    wanted_rgb: torch.Tensor
+    weight: torch.Tensor
+    depth_m: torch.Tensor | None
+    key: Hashable
+    squared_error: torch.Tensor | None = None
+
+    def total(self, terms: Sequence[Term]) -> torch.Tensor:
+        """The loss as a tensor to call ``backward`` on."""
+        loss = terms[0].on_cuda(self)
+        for term in terms[1:]:
+            loss = loss + term.on_cuda(self)
+        return loss
+
+
+class Term(Protocol):
+    """One summand of the loss, weight included."""
+
+    def on_cpu(self, view: PlaneView) -> float:
+        """Its value; adds its gradient to ``view.gradient``."""
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        """Its value as a () tensor."""
+
+
+class L1AndSsim:
+    """l1·L1 + ssim·(1 − SSIM), in one pass. Pixels of weight 0 do not disturb the windows of their neighbours: the
+    target stands in for them."""
+
+    def __init__(self, l1: float, ssim: float) -> None:
+        self.l1, self.ssim = l1, ssim
+        self._kernels: dict[tuple[int, int], Photometric] = {}
+        self._memory = Memory()
+        self._prepared: dict[Hashable, PreparedTarget] = {}
+        self._windowed: dict[Hashable, tuple[torch.Tensor, torch.Tensor]] = {}
+        self._statistics_bytes = 0
+
+    def on_cpu(self, view: PlaneView) -> float:
+        hw, target = view.planes.shape[1:], view.target
+        if view.key is None:
+            kernel = Photometric(hw, self.l1, self.ssim, self._memory)
+            prepared = kernel.prepare(target.rgb, target.weight, keep_statistics=False)
+        else:
+            if hw not in self._kernels:
+                self._kernels[hw] = Photometric(hw, self.l1, self.ssim)
+            kernel = self._kernels[hw]
+            if view.key not in self._prepared:
+                keep = self._statistics_bytes + kernel.statistics_bytes <= STATISTICS_BYTES_MAX
+                self._statistics_bytes += kernel.statistics_bytes if keep else 0
+                self._prepared[view.key] = kernel.prepare(target.rgb, target.weight, keep)
+            prepared = self._prepared[view.key]
+        found = kernel.evaluate(view.planes, prepared, view.gradient)
+        view.psnr_db = found.psnr_db
+        return found.total
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        import torch
+
+        used, wanted = view.weight > 0, view.wanted_rgb
+        if view.key not in self._windowed:
+            self._windowed[view.key] = _windowed(wanted), _windowed(wanted * wanted)
+        my, yy = self._windowed[view.key]
+        share = 1 / (3 * used.sum().clamp_min(1))
+        x = torch.where(used, view.rgb.permute(2, 0, 1), wanted)
+        error = x - wanted
+        mx, xx, xy = _windowed(x), _windowed(x * x), _windowed(x * wanted)
+        c1, c2 = float(C1), float(C2)
+        similarity = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
+        similarity = similarity / ((mx * mx + my * my + c1) * (xx + yy - mx * mx - my * my + c2))
+        view.squared_error = (error.detach() ** 2).sum() * share
+        return (view.weight * (self.l1 * error.abs() + self.ssim * (1 - similarity))).sum() * share
+
+
+def _windowed(planes: torch.Tensor) -> torch.Tensor:
+    """(3, H, W) under the 11×11 Gaussian window, zeros outside."""
+    import torch
+    from kornia.filters import filter2d_separable
+
+    taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)[None]
+    return filter2d_separable(planes[:, None], taps, taps, border_type="constant")[:, 0]
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """L1 of alpha and the target's silhouette: nothing of the person outside of it, no hole inside (U52)."""
+
+    weight: float
+
+    def on_cpu(self, view: PlaneView) -> float:
+        weight, wanted = view.target.weight, view.target.silhouette
+        assert weight is not None
+        assert wanted is not None
+        counted = max(int(np.count_nonzero(weight)), 1)
+        sums = np.zeros(len(weight), np.float32)
+        silhouette_terms(view.planes, weight, wanted, np.float32(self.weight / counted), view.gradient, sums)
+        return self.weight * float(sums.sum(dtype=np.float64)) / counted
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        miss = (view.alpha - view.alpha.new_tensor(view.target.silhouette)) * view.weight
+        return self.weight * miss.abs().sum() / (view.weight > 0).sum().clamp_min(1)
+
+
+@dataclass(frozen=True)
+class Density:
+    """Pull of alpha to 0 or 1 (I14, U13): the mean of D(α) = log(1 + 1/e) + α − log(1 + e^{2α−1}), 0 for empty
+    and for opaque pixels and 0.120 half-way; its slope is tanh(½ − α), finite everywhere."""
+
+    weight: float
+
+    def on_cpu(self, view: PlaneView) -> float:
+        weight = view.target.weight
+        used = view.planes[4].size if weight is None else int(np.count_nonzero(weight > 0))
+        strength = np.float32(self.weight * (1.0 / used if used else 0.0))
+        sums = np.zeros(view.planes.shape[1], np.float32)
+        density_terms(view.planes, flat(weight), strength, view.gradient, sums)
+        return float(sums.sum(dtype=np.float64) * strength)
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        from torch.nn.functional import softplus
+
+        prior = float(DENSITY_OFFSET) + view.alpha - softplus(2 * view.alpha - 1)
+        return self.weight * (view.weight * prior).sum() / (view.weight > 0).sum().clamp_min(1)
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Relative error of the depth where the target has one: the mean of ρ(d / wanted − 1), ρ the absolute value
+    rounded to a parabola within 2 %, so that exact depths do not jitter."""
+
+    weight: float
+
+    def on_cpu(self, view: PlaneView) -> float:
+        wanted_m, depth_sum, alpha = view.target.depth_m, view.planes[3], 1 - view.planes[4]
+        if wanted_m is None:
+            return 0.0
+        weight = np.float32(1) if view.target.weight is None else view.target.weight
+        known = (wanted_m > 0) & (weight > 0)
+        drawn = known & (alpha >= DEPTH_ALPHA_MIN)
+        alpha, wanted_m = np.where(drawn, alpha, np.float32(1)), np.where(drawn, wanted_m, np.float32(1))
+        depth_m = depth_sum / alpha
+        error = np.where(drawn, depth_m / wanted_m - 1, np.float32(0))
+        strength = np.float32(self.weight / max(1, int(np.count_nonzero(known))))
+        by_depth = strength * weight * np.clip(error / DEPTH_SOFTNESS, -1, 1) / wanted_m
+        view.gradient[3] += by_depth / alpha
+        view.gradient[4] -= by_depth * depth_m / alpha
+        size = np.abs(error)
+        rounded = np.where(size < DEPTH_SOFTNESS, size**2 / (2 * DEPTH_SOFTNESS), size - DEPTH_SOFTNESS / 2)
+        return float((weight * rounded).sum(dtype=np.float64) * strength)
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        import torch
+
+        if view.depth_m is None:
+            return view.rgb.new_zeros(())
+        known, soft = (view.depth_m > 0) & (view.weight > 0), float(DEPTH_SOFTNESS)
+        drawn = known & (view.alpha >= float(DEPTH_ALPHA_MIN))
+        ratio = torch.where(drawn, view.depth_sum / torch.where(drawn, view.alpha * view.depth_m, 1.0), 1.0)
+        size = (ratio - 1).abs()
+        rounded = torch.where(size < soft, size**2 / (2 * soft), size - soft / 2)
+        return self.weight * (view.weight * rounded).sum() / known.sum().clamp_min(1)
+
+
+@dataclass(frozen=True)
+class LpipsTerm:
+    """The perceptual distance on a random crop at every so-many-th step; without a network it is 0."""
+
+    settings: PerceptualSettings
+    network: Perceptual | None
+
+    def _of(self, rendered: np.ndarray, view: PlaneView | TensorView) -> tuple[float, np.ndarray] | None:
+        if self.network is None or view.iteration % self.settings.every != 0:
+            return None
+        return perceptual(self.network, self.settings, rendered, view.target.rgb, view.target.weight, view.rng)
+
+    def on_cpu(self, view: PlaneView) -> float:
+        found = self._of(np.ascontiguousarray(view.planes[:3].transpose(1, 2, 0)), view)
+        if found is None:
+            return 0.0
+        view.gradient[:3] += found[1].transpose(2, 0, 1)
+        return found[0]
+
+    def on_cuda(self, view: TensorView) -> torch.Tensor:
+        found = self._of(view.rgb.detach().cpu().numpy(), view)
+        if found is None:
+            return view.rgb.new_zeros(())
+        by_rgb = view.rgb.new_tensor(found[1])
+        return found[0] + (by_rgb * (view.rgb - view.rgb.detach())).sum()
+
+
+WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": Density, "depth": Depth}
+"""Terms with one number as their setting, by its name."""
+
+
+def terms_of(weights: Any, network: Perceptual | None = None) -> list[Term]:
+    """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
+    SSIM always."""
+    named = ((make, getattr(weights, name, 0.0)) for name, make in WEIGHED.items())
+    terms: list[Term] = [L1AndSsim(weights.l1, weights.ssim), *(make(weight) for make, weight in named if weight > 0)]
+    return [*terms, LpipsTerm(weights.lpips, network)] if weights.lpips.weight > 0 else terms

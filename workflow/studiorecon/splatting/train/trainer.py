@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one training loop: draw a target, render, add up the terms, step; on the way checkpoints, sentences and pictures.
+
+What is trained describes itself as a ``Trainable``: a still set of Gaussians in blocks on the CPU (``blocked_set``) or
+in tensors on a CUDA device (``cuda/tensor_set``), a person posed anew at every step (``humans/training``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from studiorecon.progress import progress, say
+from studiorecon.splatting.train.checkpoint import Checkpoint
+from studiorecon.splatting.train.previews import Feedback
+from studiorecon.splatting.train.terms import PlaneView, TensorView, Term
+
+View = TypeVar("View", PlaneView, TensorView)
+
+
+@dataclass(frozen=True)
+class Preview:
+    """How a training goes: ``count`` Gaussians; a training view's ``name``, as it is ``shown`` and as it is ``wanted``
+    (H, W, 3), and the pixels ``used`` (H, W)."""
+
+    count: int
+    name: str
+    shown: np.ndarray
+    wanted: np.ndarray
+    used: np.ndarray
+
+
+class Trainable(Protocol, Generic[View]):
+    """What a training moves. A step is ``begin``, ``draw``, the terms, ``step``, in this order."""
+
+    def threads(self) -> AbstractContextManager[object]:
+        """What every step and preview runs in: its share of the threads, float32 whatever the caller's autocast."""
+
+    def begin(self, iteration: int) -> None:
+        """A hook before the step: for what starts at an iteration."""
+
+    def draw(self, iteration: int) -> View:
+        """A target of its choice and the picture rendered for it."""
+
+    def step(self, iteration: int, view: View, loss: Any) -> tuple[float, float]:
+        """Moves the parameters by the gradient of the view's loss; returns the loss and the PSNR on what was drawn."""
+
+    def preview(self) -> Preview:
+        """A training view as it is now."""
+
+    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """All that later steps depend on beside the generator: arrays, and JSON facts."""
+
+    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+        """Puts a ``snapshot`` back."""
+
+
+def train(
+    subject: Trainable[Any],
+    terms: Sequence[Term],
+    iterations: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    label: str,
+    checkpoint: Checkpoint | None = None,
+    previews: Path | None = None,
+) -> float:
+    """Trains ``subject`` in place over the iterations [first, last); returns the mean PSNR of the last tenth, dB.
+
+    ``rng`` is the generator that the subject draws from: with it a killed run that is taken up at its ``checkpoint``
+    ends with the same bytes. ``previews`` is the folder that receives a picture at every tenth of the way.
+    """
+    first, last = iterations
+    feedback, begin = Feedback(label, first, last, previews), first
+    if checkpoint is not None and (stored := checkpoint.load()) is not None:
+        arrays, facts = stored
+        subject.resume(arrays, facts)
+        feedback.resume(arrays)
+        begin, rng.bit_generator.state = facts["iteration"], facts["generator"]
+        say(f"{label}: goes on at iteration {begin}, where it was interrupted")
+    for iteration in progress(range(begin, last), label, last - begin):
+        with subject.threads():
+            subject.begin(iteration)
+            view = subject.draw(iteration)
+            if feedback.add(*subject.step(iteration, view, view.total(terms))):
+                seen = subject.preview()
+                feedback.tell(seen.count, seen.name, seen.shown, seen.wanted, seen.used)
+        if checkpoint is not None and checkpoint.due():
+            arrays, facts = subject.snapshot()
+            ours = {"iteration": iteration + 1, "generator": rng.bit_generator.state}
+            checkpoint.save({**feedback.record(), **arrays}, {**facts, **ours})
+    return feedback.last_psnr_db

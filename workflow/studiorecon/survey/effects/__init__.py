@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that a scene may call for: one file each, ending with its ``EFFECT``, listed here and nowhere else.
+
+In comes ``survey.evidence``; out goes a measurement for each, which ``survey.judge`` turns into a decision. Settings,
+schema, ``survey.force`` and the table of ``config/README.md`` are made from the list. Begin with ``surveyed`` (what an
+effect is) and ``people`` (the plainest); the statistics stand beside this folder, one file per kind of measurement.
+``docs/contributing.md`` says how to add one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from studiorecon.scene.effects import (
+    ENHANCEMENT,
+    INJECTION,
+    REFINEMENT,
+    TEMPORAL_APPEARANCE,
+    Effect,
+    force,
+    thresholds,
+)
+from studiorecon.survey.effects.changing_light import EFFECT as CHANGING_LIGHT
+from studiorecon.survey.effects.closed_path import EFFECT as CLOSED_PATH
+from studiorecon.survey.effects.defocus import EFFECT as DEFOCUS
+from studiorecon.survey.effects.depth_shift import EFFECT as DEPTH_SHIFT
+from studiorecon.survey.effects.dynamic_objects import EFFECT as DYNAMIC_OBJECTS
+from studiorecon.survey.effects.exposure import EFFECT as EXPOSURE
+from studiorecon.survey.effects.face import EFFECT as FACE
+from studiorecon.survey.effects.hands import EFFECT as HANDS
+from studiorecon.survey.effects.lens_distortion import EFFECT as LENS_DISTORTION
+from studiorecon.survey.effects.moving_cameras import EFFECT as MOVING_CAMERAS
+from studiorecon.survey.effects.moving_shadows import EFFECT as MOVING_SHADOWS
+from studiorecon.survey.effects.people import EFFECT as PEOPLE
+from studiorecon.survey.effects.rolling_shutter import EFFECT as ROLLING_SHUTTER
+from studiorecon.survey.effects.surveyed import SurveyedEffect
+from studiorecon.survey.effects.sync_offset import EFFECT as SYNC_OFFSET
+from studiorecon.survey.effects.vertex_term import EFFECT as VERTEX_TERM
+from studiorecon.survey.effects.view_dependent_colour import EFFECT as VIEW_DEPENDENT_COLOUR
+from studiorecon.survey.effects.view_synthesis import EFFECT as VIEW_SYNTHESIS
+
+# In the order in which they are decided: each after those that hide it. Four of them only a trained scene shows.
+EFFECTS: tuple[Effect, ...] = (
+    MOVING_CAMERAS,
+    PEOPLE,
+    EXPOSURE,
+    CHANGING_LIGHT,
+    DEFOCUS,
+    LENS_DISTORTION,
+    SYNC_OFFSET,
+    ROLLING_SHUTTER,
+    DEPTH_SHIFT,
+    CLOSED_PATH,
+    VIEW_SYNTHESIS,
+    VIEW_DEPENDENT_COLOUR,
+    HANDS,
+    FACE,
+    VERTEX_TERM,
+    REFINEMENT,
+    TEMPORAL_APPEARANCE,
+    MOVING_SHADOWS,
+    DYNAMIC_OBJECTS,
+    ENHANCEMENT,
+    INJECTION,
+)
+# Those that show before training.
+EARLY = tuple(effect for effect in EFFECTS if isinstance(effect, SurveyedEffect))
+ARTEFACTS = tuple(effect.artefact.file for effect in EARLY if effect.artefact)
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What the configuration says of all effects; a step is told of those that it decides."""
+
+    thresholds: Mapping[str, float] = thresholds(EFFECTS)
+    force: Mapping[str, str] = force(EFFECTS)
+
+
+def table() -> str:
+    """The effects as a table in Markdown."""
+    rows = ["| effect | statistic | on | who acts |", "|---|---|---|---|"]
+    for effect in EFFECTS:
+        limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
+        rows.append(f"| `{effect.name}` | {effect.asks} | {limit} | {effect.obeyed_by or 'nobody: it informs'} |")
+    return "\n".join(rows)

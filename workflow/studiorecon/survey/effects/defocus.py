@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Is a camera less sharp than the others, out of focus or behind a dirty lens? Its photos then soften what others show
+sharply, and nothing here mends that: it informs."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.geometry.statistics import NOTHING, Estimate, median
+from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.evidence import Evidence
+from studiorecon.survey.motion import AT_WIDTH
+
+# The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
+_AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100
+# The sharpest of them tell the focus: others are soft in the world.
+_SHARPEST = 0.25
+# Pixels along one edge err together.
+_TOGETHER = 8
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """The blur of each clean plate's edges beyond that of the median camera, the largest of them.
+
+    Blurs add in squares: ``extra² = blur² - median²``. Plates are medians of many pictures, so neither noise nor people
+    who move are in them.
+    """
+    views = evidence.material.views
+    found = [edge_blur_px(view.rgb, view.measured) for view in evidence.material.views]
+    scale = [AT_WIDTH / max(view.camera.wh) for view in views]
+    blur = np.array([np.nan if e.value is None else e.value * s for e, s in zip(found, scale)])
+    error = np.array(
+        [
+            np.nan if e.interval is None or e.value is None else (e.interval[1] - e.value) * s
+            for e, s in zip(found, scale)
+        ]
+    )
+    known = np.flatnonzero(np.isfinite(blur)).tolist()
+    if len(known) < 2:
+        return Measured(None, None, "fewer than two cameras see enough sharp edges to compare their focus")
+    usual = float(np.median(blur[known]))
+    worst = max(known, key=lambda k: blur[k] - error[k])
+    extra = _beyond(blur[worst], error[worst], usual)
+    reason = (
+        f"{views[worst].camera.name}'s sharpest edges are {blur[worst]:.1f} px wide (at {AT_WIDTH:.0f}), the median "
+        f"camera's {usual:.1f}; focus it or clean its lens before the next take"
+    )
+    detail = {views[k].camera.name: round(float(blur[k]), 3) for k in known}
+    return Measured(extra.value, extra.interval, reason, {"blur_px": detail})
+
+
+def _beyond(blur: float, error: float, usual: float) -> Estimate:
+    """The blur that, added to ``usual``, gives ``blur``; its interval from that of ``blur``."""
+    if not np.isfinite(error):
+        return NOTHING
+    value, low, high = (float(np.sqrt(max(b * abs(b) - usual**2, 0.0))) for b in (blur, blur - error, blur + error))
+    return Estimate(value, (low, high))
+
+
+def edge_blur_px(rgb: np.ndarray, measured: np.ndarray) -> Estimate:
+    """Standard deviation, px, of the blur of a picture's sharpest edges: ``rgb`` (H, W, 3) in [0, 1], where
+    ``measured`` (H, W).
+
+    A step blurred by s has the slope 1 / s; blurred again by a, 1 / √(s² + a²): their ratio R gives s = a / √(R² - 1)
+    (Zhuo and Sim 2011, Defocus map estimation from a single image). Only the steepest pixel across each edge counts;
+    nothing for a picture with few edges.
+    """
+    require("rgb", rgb, ("H", "W", 3))
+    require("measured", measured, rgb.shape[:2])
+    grey = rgb.astype(np.float32).mean(axis=-1)
+    again = cv2.GaussianBlur(grey, (0, 0), _AGAIN_PX)
+    dx, dy = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
+    slope = np.hypot(dx, dy)
+    softer = np.hypot(*(cv2.Sobel(again, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
+    inside = cv2.erode(measured.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    across = np.abs(dx) >= np.abs(dy)
+    beside = np.where(across, _neighbours(slope, 1), _neighbours(slope, 0))
+    edge = inside & (slope >= beside) & (slope > _LEAST_SLOPE) & (softer > 0) & (slope > 1.01 * softer)
+    if edge.sum() < _LEAST_EDGES:
+        return NOTHING
+    edge &= slope >= np.quantile(slope[inside], 1 - _STEEP_SHARE)
+    ratio = (slope[edge] / softer[edge]).astype(np.float64)
+    widths = np.sort(_AGAIN_PX / np.sqrt(ratio**2 - 1))
+    sharpest = widths[: max(int(_SHARPEST * len(widths)), 1)]
+    return median(sharpest[::_TOGETHER], _LEAST_EDGES // (4 * _TOGETHER))
+
+
+def _neighbours(slope: np.ndarray, axis: int) -> np.ndarray:
+    """The steeper of the two pixels beside each along ``axis``."""
+    return np.maximum(np.roll(slope, 1, axis), np.roll(slope, -1, axis))
+
+
+EFFECT = SurveyedEffect(
+    name="defocus",
+    statistic="largest blur of a camera's sharpest edges beyond the median camera's, standard deviation",
+    unit="px at 1280",
+    threshold=2.0,
+    hidden_by=("moving_cameras",),
+    measure=measure,
+)

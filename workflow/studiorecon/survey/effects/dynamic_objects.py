@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does anything move that is neither a person nor a shadow?"""
+
+from __future__ import annotations
+
+from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.evidence import Evidence
+from studiorecon.survey.scene_change import most, moving_share
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """The area of the largest thing that travels through the room, in the camera that shows the most of it."""
+    found = [
+        moving_share(small.ratio, small.free, small.plate.mean(axis=-1) * 255, small.noise, small.film.runs)
+        for small in evidence.small_films
+    ]
+    value, interval, name = most(evidence.names, found)
+    if value is None:
+        reason = "too little of the room is seen without people to look for things that move"
+    elif value:
+        reason = (
+            f"a thing of {value:.2%} of the picture moves in {name}; followed as a rigid thing where two cameras see it"
+        )
+    else:
+        reason = "nothing but people and shadows moves"
+    return Measured(value, interval, reason)
+
+
+EFFECT = SurveyedEffect(
+    name="dynamic_objects",
+    statistic="area of the largest thing that moves, share of the picture",
+    threshold=0.0005,
+    hidden_by=("moving_cameras", "changing_light", "moving_shadows"),
+    obeyed_by="the plan: things are followed (objects.find), shown in films and kept out of people's masks only when "
+    "on",
+    measure=measure,
+)

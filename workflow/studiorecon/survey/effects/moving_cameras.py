@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does a camera move? Everything that is measured later rests on cameras that stand still."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.geometry.statistics import largest
+from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.evidence import Evidence
+from studiorecon.survey.stillness import block_shifts, worst_shift
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """The room's shift between the first picture of each run and the last of all, camera by camera."""
+    films = evidence.material.films
+    values, errors = [], []
+    for film in films:
+        # The first picture of every run is enough: who moves a camera leaves it moved, and a shake shows in some.
+        later = [*(run.start for run in film.runs[1:]), len(film.times) - 1]
+        free = [film.free[0] & film.free[t] for t in later]
+        shifts = [block_shifts(film.pictures[0], film.pictures[t], f) for t, f in zip(later, free)]
+        value, error = worst_shift(np.stack(shifts))
+        values.append(value * film.scale)
+        errors.append(error * film.scale)
+    estimate = largest(values, errors)
+    reason = "the room has too little texture to see whether cameras move"
+    if estimate.value is not None:
+        reason = (
+            f"{films[estimate.which].camera.name}'s room shifts by up to {estimate.value:.2f} px against its "
+            "first picture; cameras must stand still, "
+            "and everything after this rests on it"
+        )
+    return Measured(estimate.value, estimate.interval, reason)
+
+
+EFFECT = SurveyedEffect(
+    name="moving_cameras",
+    statistic="largest median shift of a camera's room between the first and any picture",
+    unit="px",
+    threshold=0.3,
+    voids="the cameras move, which voids this measurement: steady the footage, or leave the moving camera out with "
+    "train: [...]",
+    measure=measure,
+)

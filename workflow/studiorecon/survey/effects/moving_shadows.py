@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do people's shadows move over the floor?"""
+
+from __future__ import annotations
+
+from studiorecon.geometry.statistics import NOTHING
+from studiorecon.survey.bodies import in_world
+from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.evidence import LIMITS, Evidence
+from studiorecon.survey.scene_change import floor_ring, most, shadow_share
+
+_ANKLES = ("left_ankle", "right_ankle")
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """The share of the floor near feet that darkens, in the camera that shows the most of it."""
+    material = evidence.material
+    feet = in_world(material.tracks, _ANKLES, material.cameras, LIMITS)[0]
+    found = []
+    for small in evidence.small_films:
+        times = small.film.times
+        theirs = feet[:, times].transpose(0, 2, 1, 3).reshape(-1, len(times), 3)
+        ring = floor_ring(small.camera, small.depth_m, material.floor_m, theirs)
+        found.append(shadow_share(small.ratio, small.free, ring, small.film.runs) if ring.any() else NOTHING)
+    value, interval, name = most(evidence.names, found)
+    reason = (
+        "no floor near anybody's feet is seen"
+        if value is None
+        else (
+            f"{value:.1%} of the floor near feet darkens in {name}; the clean plate leaves "
+            "shadows out, so people must throw them anew"
+        )
+    )
+    return Measured(value, interval, reason)
+
+
+EFFECT = SurveyedEffect(
+    name="moving_shadows",
+    statistic="share of the floor within 1 m of feet that darkens by 5 % for five frames without changing its colour",
+    threshold=0.02,
+    hidden_by=("moving_cameras", "changing_light"),
+    obeyed_by="the plan: the light is estimated (render.light) and people throw shadows in films only when on",
+    measure=measure,
+)

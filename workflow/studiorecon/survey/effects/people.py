@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Is anybody there?"""
+
+from __future__ import annotations
+
+from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
+from studiorecon.survey.evidence import Evidence
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """How many people association found; none where the dataset says that the room is empty."""
+    found = evidence.material.people
+    count = len(found or ())
+    if found is None:
+        reason = "the dataset says that nobody is there; the film shows the room alone"
+    elif not found:
+        reason = "nobody was seen by enough cameras; the film shows the room alone"
+    else:
+        reason = f"{', '.join(found)} will be reconstructed, each on its own"
+    return Measured(float(count), (float(count),) * 2, reason)
+
+
+EFFECT = SurveyedEffect(
+    name="people",
+    statistic="persons followed by several cameras",
+    threshold=0.5,
+    tunable=False,
+    obeyed_by="the plan: without people there are no masks, bodies and human training",
+    measure=measure,
+)

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Should colours depend on the direction of view, and how many directions are there to learn that from?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.images.plate import noise_levels
+from studiorecon.scene.decisions import Decision
+from studiorecon.scene.files import write_json
+from studiorecon.splatting.cpu.harmonics import degree_supported
+from studiorecon.survey.coverage import stage
+from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffect
+from studiorecon.survey.evidence import Evidence, Recordings
+from studiorecon.survey.specularity import covisible, varying_share
+
+# Plates hold the median of many pictures: their noise is a picture's over the root of about so many.
+_PLATE_PICTURES = 16
+
+
+def measure(evidence: Evidence, threshold: float) -> Measured:
+    """The share of surface points that look different from different sides, the cameras' gains taken out.
+
+    ``detail`` has the highest degree of harmonics that the real views can tell (G15).
+    """
+    material, sampling = evidence.material, evidence.sampling
+    noise = float(np.median([noise_levels(f.pictures) for f in material.films])) / 255 / np.sqrt(_PLATE_PICTURES)
+    colours, errors = covisible(material.views, evidence.gains[2], noise, sampling.depth_tolerance)
+    centre = np.array([*stage(material.cameras)[0], material.floor_m + sampling.height_m / 2])
+    degree = degree_supported(np.array([c.centre_m - centre for c in material.cameras]))
+    estimate = varying_share(colours, errors)
+    reason = "too few surface points are seen by two cameras to compare their colours"
+    if estimate.value is not None:
+        reason = (
+            f"{estimate.value:.1%} of the surface that cameras share looks different from "
+            "different sides; the real views carry "
+            f"harmonics of degree {degree} at most"
+        )
+    return Measured(estimate.value, estimate.interval, reason, {"degree": degree})
+
+
+def write(path: Path, decision: Decision, evidence: Evidence, recordings: Recordings) -> None:
+    """A file apart, because who waits for the verdict is to run again only when this changes."""
+    write_json(path, {"degree": decision.detail["degree"]})
+
+
+EFFECT = SurveyedEffect(
+    name="view_dependent_colour",
+    statistic="share of covisible static points whose colour varies between views beyond the noise's 99 % limit",
+    threshold=0.05,
+    hidden_by=("moving_cameras", "exposure"),
+    obeyed_by="background.train: unless on, with sh_cap, the room's colours have no harmonics",
+    measure=measure,
+    artefact=Artefact("specularity.json", write),
+)

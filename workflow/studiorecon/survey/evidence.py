@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What effects are measured on: a scene before training, how much of it is looked at, and what several effects ask."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.footage.stills import shrink
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.images.exposure import Overlap
+from studiorecon.images.plate import noise_levels
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+from studiorecon.survey import scene_change, stillness
+from studiorecon.survey.bodies import Tracks
+from studiorecon.survey.clips import Film, halved
+from studiorecon.survey.exposures import LEAST_PIXELS, ExposureView, disagreement, overlaps
+from studiorecon.survey.residuals import Causes, causes
+
+# What counts as agreement of rays (U34, T01, T06).
+LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How much is looked at."""
+
+    gap_deg: float = setting(
+        30.0,
+        "Neighbouring cameras that are at most this far apart need no views in between; measured, not assumed.",
+        unit="degrees",
+        minimum=0,
+        maximum=360,
+        paper="U55",
+    )
+    # Pictures of every camera that are looked at, and frames of keypoints that lens, clocks and readout are judged by.
+    pictures: int = 60
+    moments: int = 60
+    # Pictures follow each other without a gap in runs of so many; their longer side.
+    run: int = 12
+    longest_px: int = 480
+    # Step and height of the points that make up the stage.
+    grid_m: float = 0.25
+    height_m: float = 2.0
+    # Two depths are one surface within this share of them.
+    depth_tolerance: float = 0.05
+    # Largest lag of a clock that is looked for.
+    search_s: float = 0.2
+    # Keypoints below it are not used.
+    min_confidence: float = 0.3
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """Every camera's whole film, for what is written frame by frame.
+
+    Attributes:
+        videos: one per camera.
+        found: every camera's keypoints; None where nobody is looked for.
+        frames: of every film.
+    """
+
+    videos: Sequence[Path]
+    found: Sequence[Detections | None]
+    frames: int
+
+
+@dataclass(frozen=True)
+class Material:
+    """What is known of a scene before training.
+
+    Attributes:
+        cameras: training cameras.
+        people: who was found; None when the dataset says the room is empty.
+        views: every camera's clean plate and depth.
+        films: every camera's pictures over time.
+        tracks: people's keypoints.
+        floor_m: height of the floor.
+        fps: frames per second.
+    """
+
+    cameras: Sequence[Camera]
+    people: Sequence[str] | None
+    views: Sequence[ExposureView]
+    films: Sequence[Film]
+    tracks: Tracks
+    floor_m: float
+    fps: float
+
+
+@dataclass(frozen=True)
+class SmallFilm:
+    """One camera's film at half its size, beside its plate.
+
+    Attributes:
+        film: the pictures.
+        camera: of those pictures.
+        plate: (h, w, 3) the clean plate.
+        depth_m: (h, w) of the empty room.
+        free: (T, h, w) where nobody stands and the plate was measured.
+        ratio: (T, h, w, 3) log ratio to the plate, without the light's course.
+        noise: standard deviation of a picture, levels of 255.
+    """
+
+    film: Film
+    camera: Camera
+    plate: np.ndarray
+    depth_m: np.ndarray
+    free: np.ndarray
+    ratio: np.ndarray
+    noise: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The material, and what more than one effect asks of it; each is worked out once, when it is first asked for."""
+
+    material: Material
+    sampling: Sampling
+
+    @property
+    def names(self) -> list[str]:
+        """The cameras' names."""
+        return [c.name for c in self.material.cameras]
+
+    @cached_property
+    def halves(self) -> list[Film]:
+        """The films at half their size."""
+        return [halved(film) for film in self.material.films]
+
+    @cached_property
+    def light(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Per camera the light's course (T,), log, and its standard error (T,)."""
+        return [stillness.light(film.pictures, film.free) for film in self.halves]
+
+    @cached_property
+    def overlaps(self) -> tuple[list[Overlap], list[float]]:
+        """Colour ratios of pairs of cameras on surfaces that both see, and their standard errors."""
+        return overlaps(self.material.views, self.sampling.depth_tolerance, LEAST_PIXELS)
+
+    @cached_property
+    def gains(self) -> tuple[float, float, np.ndarray]:
+        """Largest difference of a camera's gain from 1, its standard error, and the gains (V, 3), 1 where unknown."""
+        found, errors = self.overlaps
+        if not found:
+            return np.nan, np.nan, np.ones((len(self.material.views), 3))
+        return disagreement(len(self.material.views), found, errors)
+
+    @cached_property
+    def causes(self) -> Causes:
+        """What keeps the rays of one body point from meeting, camera by camera."""
+        search = round(self.sampling.search_s * self.material.fps)
+        pixels = self.material.tracks.pixels
+        return causes(pixels, self.material.cameras, self.sampling.moments, search, LIMITS)
+
+    @cached_property
+    def small_films(self) -> list[SmallFilm]:
+        """What moves in the room is looked for in these."""
+        found = []
+        for small, view, (drift, _) in zip(self.halves, self.material.views, self.light, strict=True):
+            hw = small.pictures.shape[1:3]
+            wh = (hw[1], hw[0])
+            plate, measured = shrink(view.rgb, view.measured, wh)
+            rows, columns = (((np.arange(n) + 0.5) * full / n).astype(int) for n, full in zip(hw, view.depth_m.shape))
+            free = small.free & measured
+            ratio = scene_change.relative(small.pictures, plate, drift, free)
+            noise = noise_levels(small.pictures)
+            depth_m = view.depth_m[rows][:, columns]
+            found.append(SmallFilm(small, view.camera.resized(wh), plate, depth_m, free, ratio, noise))
+        return found

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that can be decided before training, in the order in which one effect hides another."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from studiorecon.scene.decisions import Decision
+from studiorecon.scene.effects import force, thresholds
+from studiorecon.survey.effects import EARLY
+from studiorecon.survey.evidence import Evidence, Sampling
+
+if TYPE_CHECKING:
+    Named = str
+    Tunable = str
+else:
+    Named = Literal[tuple(effect.name for effect in EARLY)]
+    Tunable = Literal[tuple(effect.name for effect in EARLY if effect.tunable)]
+
+
+@dataclass(frozen=True)
+class Settings(Sampling):
+    """Of the effects that show before training (``effects.Decided``), and how much is looked at."""
+
+    thresholds: Mapping[Tunable, float] = thresholds(EARLY)
+    force: Mapping[Named, str] = force(EARLY)
+
+
+def judge(evidence: Evidence, thresholds: Mapping[str, float], was_on: Collection[str] = ()) -> list[Decision]:
+    """One decision for every effect that shows before training; ``was_on`` names those that an earlier run found.
+
+    An effect without a threshold in ``thresholds`` has its own.
+    """
+    made: dict[str, Decision] = {}
+    for effect in EARLY:
+        limit = thresholds.get(effect.name, effect.threshold)
+        found = effect.measure(evidence, limit)
+        worded = replace(effect, statistic=effect.statistic.format(**asdict(evidence.sampling)))
+        made[effect.name] = worded.decide(
+            found.value,
+            found.interval,
+            found.reason,
+            threshold=limit,
+            was_on=effect.name in was_on,
+            detail=found.detail,
+        )
+    by_name = {effect.name: effect for effect in EARLY}
+    for effect in EARLY:
+        for hiding in effect.hidden_by:
+            if by_name[hiding].voids and made[hiding].called_for:
+                made[effect.name] = replace(
+                    made[effect.name],
+                    value=None,
+                    interval=None,
+                    verdict="undetermined",
+                    reason=by_name[hiding].voids,
+                )
+    return list(made.values())

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Why rays of one body point do not meet: lens, clock, readout, all at once, with the points themselves taken out of
+the equations.
+
+Each camera c sees point X of a body at u = π_c(X) + lag_c v + readout_c v (row/H - 1/2) + k1_c f r² n + pose + noise, v
+the image velocity in px/frame. Linear in everything but X, and X is eliminated per point (its three columns are
+projected out), so nothing is damped by having triangulated first (evaluation 3.4: by a factor of 20). Estimated
+together, one effect does not pass for another.
+
+Velocities come from an antisymmetric kernel, the same for all cameras and not using the frame itself: for stationary
+noise it is uncorrelated with the residual, so a person at rest gives no false lag (V07); it gives a wide
+interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studiorecon.geometry.rotations import cross_matrix
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.scene.camera import Camera
+
+# Antisymmetric derivative over five frames (Savitzky-Golay): a tenth of the noise variance per frame.
+_DERIVATIVE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10
+_REACH = len(_DERIVATIVE) // 2
+# Lag, readout, lens, three angles and three lengths of the pose: standard deviations believed beforehand (frames, frame
+# intervals, k1, radians, metres). Wide for what is asked; the calibration's own errors for the pose, so that they do
+# not pass for a lens.
+_PRIOR = np.array([10.0, 3.0, 1.0, *[np.radians(0.3)] * 3, *[0.01] * 3])
+_LAG, _READOUT, _LENS = range(3)
+_HUBER, _ROUNDS = 2.0, 4
+# Fewer points or moments than these say nothing.
+_LEAST_POINTS, _LEAST_MOMENTS = 60, 8
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What was found per camera; NaN everywhere with a ``reason`` when there was too little.
+
+    Attributes:
+        lag_frames, lag_sigma: (V,) how much later than the mean of the others each camera looks.
+        readout, readout_sigma: (V,) time from the first to the last row, in frame intervals.
+        radial, radial_sigma: (V,) k1 that is left in the frames.
+        noise_px: robust standard deviation per coordinate once all is accounted for.
+        speed_px: median, and 95 % quantile, of the image speed per frame.
+        rows: share of the picture's height between the 5 % and 95 % quantile of the rows that were used.
+        fall: share by which the squared residual falls when lags are accounted for.
+        points, moments: how many body points, and independent moments, the answer rests on.
+    """
+
+    lag_frames: np.ndarray
+    lag_sigma: np.ndarray
+    readout: np.ndarray
+    readout_sigma: np.ndarray
+    radial: np.ndarray
+    radial_sigma: np.ndarray
+    noise_px: float
+    speed_px: tuple[float, float]
+    rows: float
+    fall: float
+    points: int
+    moments: int
+    reason: str = ""
+
+
+def causes(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, search_frames: int, limits: Limits) -> Causes:
+    """Lag, readout and lens of every camera from tracks ``pixels`` (V, P, T, J, 2) of P people, NaN where not seen.
+
+    At most ``moments`` frames are used, evenly spaced. Lags of whole frames are looked for within ± ``search_frames``
+    first, the rest is linear; good to 0.02 frame at 1 px of noise and 5 px/frame. 0.3 s for 4 cameras, 60 moments and
+    17 keypoints.
+    """
+    coarse = _whole_frames(pixels, cameras, moments, search_frames, limits)
+    system = _system(_shifted(pixels, coarse) if coarse.any() else pixels, cameras, moments, limits)
+    if isinstance(system, str):
+        nothing = np.full(len(cameras), np.nan)
+        return Causes(
+            nothing, nothing, nothing, nothing, nothing, nothing, np.nan, (np.nan, np.nan), np.nan, np.nan, 0, 0, system
+        )
+    solution, covariance, noise, squared = _solve(system, np.arange(len(_PRIOR)))
+    _, _, _, without = _solve(system, np.arange(_READOUT, len(_PRIOR)))
+    views = len(cameras)
+    others = (np.eye(views) - 1 / views) * views / max(views - 1, 1)
+    of_lag = np.arange(views) * len(_PRIOR) + _LAG
+    lag = others @ (solution[of_lag] + coarse)
+    sigma = np.sqrt(np.diag(others @ covariance[np.ix_(of_lag, of_lag)] @ others.T))
+    single = np.sqrt(np.diag(covariance))
+    places = [np.arange(views) * len(_PRIOR) + k for k in (_READOUT, _LENS)]
+    return Causes(
+        lag,
+        sigma,
+        solution[places[0]],
+        single[places[0]],
+        solution[places[1]],
+        single[places[1]],
+        noise,
+        system.speed_px,
+        system.rows,
+        1 - squared / without if not coarse.any() else 1.0,
+        len(system.target),
+        system.moments,
+    )
+
+
+@dataclass(frozen=True)
+class _System:
+    target: np.ndarray  # (N, 2V) residuals with the points projected out
+    columns: np.ndarray  # (N, 2V, K V)
+    seen: np.ndarray  # (N, V)
+    cluster: np.ndarray  # (N,) which moment of which person
+    speed_px: tuple[float, float]
+    rows: float
+    moments: int
+
+
+def _shifted(pixels: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Every camera's track moved by whole frames: a camera that looks ``frames`` later is read as many frames
+    earlier."""
+    moved = np.full_like(pixels, np.nan)
+    length = pixels.shape[2]
+    for view, shift in enumerate(frames.astype(int)):
+        source, target = slice(max(-shift, 0), length - max(shift, 0)), slice(max(shift, 0), length + min(shift, 0))
+        moved[view][:, target] = pixels[view][:, source]
+    return moved
+
+
+def _sample(pixels: np.ndarray, moments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels and velocities (V, N, 2) at evenly spaced frames, and which person's moment (N,) each belongs to."""
+    views, people, length, joints = pixels.shape[:4]
+    if length < 2 * _REACH + 1:
+        return np.zeros((views, 0, 2)), np.zeros((views, 0, 2)), np.zeros(0, int)
+    at = np.unique(np.linspace(_REACH, length - 1 - _REACH, min(moments, length - 2 * _REACH)).round().astype(int))
+    velocity = sum(w * pixels[:, :, at + k - _REACH] for k, w in enumerate(_DERIVATIVE) if w)
+    cluster = np.broadcast_to(
+        np.arange(people)[:, None, None] * len(at) + np.arange(len(at))[:, None], (people, len(at), joints)
+    )
+    return pixels[:, :, at].reshape(views, -1, 2), velocity.reshape(views, -1, 2), cluster.reshape(-1)
+
+
+def _points(
+    seen_px: np.ndarray, velocity: np.ndarray, cameras: Sequence[Camera], limits: Limits
+) -> tuple[np.ndarray, np.ndarray]:
+    """World points (N, 3) and the views (V, N) that hold them; a point needs three views, two always meet."""
+    usable = np.isfinite(seen_px).all(-1) & np.isfinite(velocity).all(-1)
+    found = triangulate(
+        np.where(usable[..., None], seen_px, np.nan), usable.astype(float), cameras, limits, solver="dlt"
+    )
+    usable &= found.valid & (usable.sum(axis=0) >= min(3, len(cameras)))
+    return found.points_m, usable
+
+
+def _system(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, limits: Limits) -> _System | str:
+    if not pixels.size or len(cameras) < 2:
+        return "no body points are followed by several cameras"
+    seen_px, velocity, cluster = _sample(pixels, moments)
+    points, usable = _points(seen_px, velocity, cameras, limits)
+    keep = usable.any(axis=0)
+    held = len(np.unique(cluster[keep]))
+    if keep.sum() < _LEAST_POINTS or held < _LEAST_MOMENTS:
+        return f"{int(keep.sum())} body points of {held} moments are seen by three cameras, too few to tell"
+    seen_px, velocity, points, usable, cluster = (
+        seen_px[:, keep],
+        velocity[:, keep],
+        points[keep],
+        usable[:, keep],
+        cluster[keep],
+    )
+    views, count, size = len(cameras), len(points), len(_PRIOR)
+    target, columns = np.zeros((count, views, 2)), np.zeros((count, views, 2, views, size))
+    of_point = np.zeros((count, views, 2, 3))
+    for v, camera in enumerate(cameras):
+        use = usable[v]
+        inside = points[use] @ camera.rotation_camera_from_world.T + camera.camera_from_world[:3, 3]
+        normal, depth, focal = inside[:, :2] / inside[:, 2:], inside[:, 2], np.array(camera.focal_px)
+        target[use, v] = seen_px[v, use] - (normal * focal + np.array(camera.principal_px))
+        rows = np.zeros((len(normal), 2, 3))
+        rows[:, 0, 0] = rows[:, 1, 1] = 1
+        rows[:, :, 2] = -normal
+        rows *= (focal[:, None] / depth[:, None, None]).reshape(len(normal), 2, 1)
+        of_point[use, v] = rows @ camera.rotation_camera_from_world
+        moving = velocity[v, use]
+        row = seen_px[v, use, 1:] / camera.wh[1] - 0.5
+        own = [moving, moving * row, focal * normal * (normal**2).sum(-1, keepdims=True)]
+        # A turn w of the camera moves its points by w × p, a step d of its centre by -R d.
+        columns[use, v, :, v] = np.concatenate(
+            [np.stack(own, axis=-1), -rows @ cross_matrix(inside), -of_point[use, v]], axis=-1
+        )
+    a, b, y = (x.reshape(count, 2 * views, -1) for x in (of_point, columns, target))
+    inverse = np.linalg.inv(np.swapaxes(a, 1, 2) @ a + 1e-9 * np.eye(3))
+    out = np.eye(2 * views) - a @ inverse @ np.swapaxes(a, 1, 2)
+    speed = np.linalg.norm(velocity, axis=-1)[usable]
+    heights = np.concatenate([seen_px[v, usable[v], 1] / c.wh[1] for v, c in enumerate(cameras)])
+    return _System(
+        (out @ y)[..., 0],
+        out @ b,
+        usable.T,
+        cluster,
+        (float(np.median(speed)), float(np.quantile(speed, 0.95))),
+        float(np.quantile(heights, 0.95) - np.quantile(heights, 0.05)),
+        held,
+    )
+
+
+def _solve(system: _System, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Robust solution (V K,), its covariance, the noise per coordinate in pixels and the weighted mean square residual.
+
+    Points are weighted as a whole (Huber on their root mean square residual): the projection must stay what it is. The
+    covariance is the larger of the one from the noise and the one from the scatter of whole moments, whose keypoints
+    err together.
+    """
+    views = system.seen.shape[1]
+    use = (np.arange(views)[:, None] * len(_PRIOR) + kinds).reshape(-1)
+    columns, prior = system.columns[:, :, use], np.tile(1 / _PRIOR[kinds] ** 2, views)
+    free = np.maximum(2 * system.seen.sum(axis=1) - 3, 1)
+    solution, weights, variance = np.zeros(len(use)), np.ones(len(free)), 1.0
+    for _ in range(_ROUNDS):
+        weighted = columns * weights[:, None, None]
+        information = np.einsum("nik,nil->kl", weighted, columns, optimize=True)
+        hessian = information + variance * np.diag(prior)
+        solution = np.linalg.solve(hessian, np.einsum("nik,ni->k", weighted, system.target))
+        residual = system.target - columns @ solution
+        size = np.sqrt((residual**2).sum(axis=1) / free)
+        scale = max(float(np.median(size)), 1e-6)
+        weights = 1 / np.maximum(size / (_HUBER * scale), 1.0) ** 2
+        variance = float((weights * (residual**2).sum(axis=1)).sum() / (weights * free).sum())
+    inverse = np.linalg.inv(hessian)
+    scores = np.zeros((system.cluster.max() + 1, len(use)))
+    np.add.at(scores, system.cluster, np.einsum("nik,ni->nk", columns * weights[:, None, None], residual))
+    moments = max(system.moments, 2)
+    scatter = inverse @ (scores.T @ scores) @ inverse * moments / (moments - 1)
+    model = inverse * variance
+    stretch = np.sqrt(np.maximum(np.diag(scatter) / np.diag(model), 1.0))
+    covariance = model * stretch[:, None] * stretch[None]
+    full, placed = np.zeros(views * len(_PRIOR)), np.zeros((views * len(_PRIOR),) * 2)
+    full[use], placed[np.ix_(use, use)] = solution, covariance
+    return full, placed, float(np.sqrt(variance)), variance
+
+
+def _whole_frames(
+    pixels: np.ndarray, cameras: Sequence[Camera], moments: int, search: int, limits: Limits
+) -> np.ndarray:
+    """(V,) whole frames by which cameras look later: one camera at a time, taken only when it halves the residual."""
+    lag = np.zeros(len(cameras))
+    if not pixels.size or len(cameras) < 3 or pixels.shape[2] < 4 * (search + _REACH):
+        return lag
+    # A third of the moments is enough to see a lag of whole frames.
+    few = max(moments // 3, _LEAST_MOMENTS)
+
+    def spread(trial: np.ndarray) -> float:
+        seen_px, velocity, _ = _sample(_shifted(pixels, trial), few)
+        points, usable = _points(seen_px, velocity, cameras, limits)
+        errors = [np.linalg.norm(c.project(points)[0] - seen_px[v], axis=-1)[usable[v]] for v, c in enumerate(cameras)]
+        together = np.concatenate(errors) if errors else np.zeros(0)
+        return float(np.median(together)) if len(together) >= _LEAST_POINTS else np.inf
+
+    best = spread(lag)
+    for _ in range(len(cameras)):
+        trials = [
+            (spread(lag + shift * np.eye(len(cameras))[v]), v, shift)
+            for v in range(len(cameras))
+            for shift in _reach(search)
+        ]
+        value, view, shift = min(trials)
+        if not value < 0.5 * best:
+            break
+        lag[view] += shift
+        best = value
+    return lag
+
+
+def _reach(search: int) -> list[int]:
+    return [s for s in range(-search, search + 1) if s]

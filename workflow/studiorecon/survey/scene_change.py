@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves in the room beside people: their shadows on the floor, and things."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.geometry.floor import beside, floor_points
+from studiorecon.geometry.statistics import NOTHING, Estimate, share
+from studiorecon.scene.camera import Camera
+
+# A shadow darkens by this share, changes no channel's part by more than that, and lasts for so many frames on end.
+_DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
+_RING_M = 1.0
+_SIGMAS = 5.0
+# Regions below this share of the picture are not followed.
+_LEAST_REGION = 0.00025
+# Pixels that the opening of noise joins err together: so many count as one.
+_PATCH_PX = 9
+_LEAST_RING_PX, _LEAST_FREE = 200, 0.3
+# Below this level a ratio is noise; a change of fewer levels (of 255) nobody sees.
+_LEAST_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
+
+
+def relative(pictures: np.ndarray, plate: np.ndarray, light_log: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """(T, H, W, 3) float32 log ratio of ``pictures`` (T, H, W, 3) uint8 to the ``plate`` (H, W, 3) in [0, 1], without
+    ``light_log`` (T,).
+
+    What the plate got wrong stays the same over time, so each pixel's median over the moments when it is ``free`` (T,
+    H, W) is taken off.
+    """
+    require("pictures", pictures, ("T", "H", "W", 3))
+    require("free", free, pictures.shape[:3])
+    ratio = np.log(np.maximum(pictures.astype(np.float32), _LEAST_LEVEL))
+    ratio -= np.log(np.maximum(plate.astype(np.float32) * 255, _LEAST_LEVEL))
+    ratio -= np.nan_to_num(light_log).astype(np.float32)[:, None, None, None]
+    level = np.where(free, ratio.mean(axis=-1), np.inf)
+    order = np.argsort(level, axis=0, kind="stable")
+    middle = np.maximum((free.sum(axis=0) - 1) // 2, 0)
+    at = np.take_along_axis(order, middle[None], axis=0)
+    usual = np.take_along_axis(ratio, at[..., None], axis=0)
+    return ratio - np.where(np.any(free, axis=0)[None, ..., None], usual, np.float32(0))
+
+
+def floor_ring(camera: Camera, depth_m: np.ndarray, floor_m: float, feet_m: np.ndarray) -> np.ndarray:
+    """(T, H, W) bool: floor within 1 m of anybody's foot. ``depth_m`` (H, W) of the empty room, ``feet_m`` (P, T, 3),
+    NaN unknown.
+
+    ``camera`` has the size of ``depth_m``.
+    """
+    points, floor = floor_points(camera, depth_m, floor_m)
+    ring = np.zeros((feet_m.shape[1], *camera.hw), bool)
+    for feet in feet_m:
+        for t in np.flatnonzero(np.isfinite(feet).all(-1)):
+            ring[t] |= floor & beside(points, feet[t : t + 1, :2], _RING_M)
+    return ring
+
+
+def shadow_share(ratio: np.ndarray, free: np.ndarray, ring: np.ndarray, runs: Sequence[slice]) -> Estimate:
+    """Share of the floor around feet that darkens without changing its colour, for five frames on end.
+
+    ``ratio`` (T, H, W, 3) log ratio to the empty room; ``free`` (T, H, W) outside people; ``ring`` (T, H, W) floor near
+    feet. Means over five frames of one run stand for "five frames on end": they say the same and are not undone by one
+    noisy frame.
+    """
+    require("ring", ring, free.shape)
+    ever, dark = np.zeros(free.shape[1:], bool), np.zeros(free.shape[1:], bool)
+    for run in runs:
+        steady = _running(ratio[run], free[run] & ring[run])
+        level, colour = _level_and_colour(steady)
+        known = np.isfinite(level)
+        ever |= known.any(axis=0)
+        shaded = known & (level < np.log(1 - _DARKER)) & (colour < _SAME_COLOUR)
+        # A shadow is larger than a pixel: noise in single ones is not counted.
+        for picture in shaded:
+            dark |= cv2.morphologyEx(picture.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
+    if ever.sum() < _LEAST_RING_PX:
+        return NOTHING
+    return share(int((dark & ever).sum()), int(ever.sum()), int(ever.sum()) / _PATCH_PX)
+
+
+def moving_share(
+    ratio: np.ndarray, free: np.ndarray, usual: np.ndarray, noise: float, runs: Sequence[slice]
+) -> Estimate:
+    """Area of the largest thing that moves through the room, as a share of the picture, with how it varies while it
+    does.
+
+    A thing is a connected region that differs visibly, by more than five standard deviations of ``noise`` (levels of
+    255) from the ``usual`` level (H, W), is not merely darker, does not touch a person's outline, which legs and hands
+    leave when keypoints are missing, and travels by more than its own radius in five frames on end. What flickers in
+    place is none. Nothing when people hide most of the room.
+    """
+    height, width = free.shape[1:]
+    runs = [run for run in runs if run.stop - run.start >= _FRAMES]
+    if not runs or free.mean() < _LEAST_FREE:
+        return NOTHING
+    noise_log = noise / np.maximum(usual, _LEAST_LEVEL)
+    level, colour = _level_and_colour(ratio)
+    shadow = (level < 0) & (colour < np.maximum(_SAME_COLOUR, 3 * noise_log))
+    changed = free & (np.abs(level) + colour > np.maximum(_SIGMAS, _VISIBLE_LEVELS / noise) * noise_log) & ~shadow
+    least = max(_LEAST_REGION * height * width, 4.0)
+    best = (0.0, 0.0, least / (height * width))
+    for run in runs:
+        found = [_regions(c, f, least) for c, f in zip(changed[run], free[run])]
+        for t in range(len(found) - _FRAMES + 1):
+            for first in found[t]:
+                areas = _followed(first, found[t + 1 : t + _FRAMES], 0.15 * width)
+                if len(areas) == _FRAMES:
+                    part, error = (
+                        np.median(areas) / (height * width),
+                        np.std(areas) / np.sqrt(_FRAMES) / (height * width),
+                    )
+                    best = max(best, (float(part), float(max(part - 2 * error, 0.0)), float(part + 2 * error)))
+    return Estimate(best[0], (best[1], best[2]))
+
+
+def _level_and_colour(ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the channels (T, H, W), and the largest difference of one of them from it."""
+    # One channel after the other: numpy is several times slower along a last axis of 3.
+    red, green, blue = (ratio[..., k] for k in range(3))
+    level = (red + green + blue) / np.float32(3)
+    return level, np.maximum(np.maximum(np.abs(red - level), np.abs(green - level)), np.abs(blue - level))
+
+
+def _followed(
+    first: tuple[float, np.ndarray], later: Sequence[list[tuple[float, np.ndarray]]], reach_px: float
+) -> list[float]:
+    """Areas of a region in successive pictures, none when it is lost, changes its size fourfold or stays where it
+    is."""
+    areas, places = [first[0]], [first[1]]
+    for regions in later:
+        near = min(regions, key=lambda r: np.linalg.norm(r[1] - places[-1]), default=None)
+        if near is None or np.linalg.norm(near[1] - places[-1]) > reach_px or not 0.25 < near[0] / areas[-1] < 4:
+            return []
+        areas.append(near[0])
+        places.append(near[1])
+    return areas if np.linalg.norm(places[-1] - places[0]) > np.sqrt(np.median(areas) / np.pi) else []
+
+
+def _regions(changed: np.ndarray, free: np.ndarray, least_px: float) -> list[tuple[float, np.ndarray]]:
+    """(area, centre) of connected regions of at least ``least_px`` away from what is not ``free``, thin ones opened
+    away."""
+    solid = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    count, labels, statistics, centres = cv2.connectedComponentsWithStats(solid, connectivity=8)
+    beside = cv2.dilate((~free).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    touching = set(np.unique(labels[beside]).tolist())
+    areas = statistics[:, cv2.CC_STAT_AREA]
+    return [(float(areas[i]), centres[i]) for i in range(1, count) if areas[i] >= least_px and i not in touching]
+
+
+def _running(ratio: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Mean over five frames on end where all are known, else NaN: (T - 4, H, W, 3)."""
+    if len(ratio) < _FRAMES:
+        return np.full((0, *ratio.shape[1:]), np.nan, np.float32)
+    filled = np.where(known[..., None], ratio, 0).astype(np.float32)
+    windows = range(len(ratio) - _FRAMES + 1)
+    mean = np.stack([filled[t : t + _FRAMES].mean(axis=0) for t in windows])
+    whole = np.stack([known[t : t + _FRAMES].all(axis=0) for t in windows])
+    return np.where(whole[..., None], mean, np.float32(np.nan))
+
+
+def most(names: Sequence[str], found: Sequence[Estimate]) -> tuple[float | None, tuple[float, float] | None, str]:
+    """Value, interval and name of the camera whose estimate is surely the largest; None when none was measured."""
+    known = [
+        (e.interval[0], e.value, e.interval, name)
+        for name, e in zip(names, found)
+        if e.value is not None and e.interval is not None
+    ]
+    if not known:
+        return None, None, ""
+    _, value, interval, name = max(known)
+    return value, interval, name

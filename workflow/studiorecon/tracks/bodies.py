@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``tracks.bodies``: a network's bodies of one camera, or a file of them, as detections with 2D points, poses and
+pelvis depth.
+
+It takes the place of ``tracks.keypoints`` where no keypoint files are there, and is what the paper's association works
+on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frames
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.reading import Detected
+from studiorecon.keypoints.retiming import at_working_moments
+from studiorecon.libraries import remedy
+from studiorecon.models.catalogue.selection import CHOICES
+from studiorecon.models.choices import DetectionSource
+from studiorecon.models.loading import adapter, load
+from studiorecon.models.protocols import Bodies, BodyEstimator
+from studiorecon.progress import progress, say
+from studiorecon.scene.capture import Footage, read_footage
+from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.people import Detections, write_detections
+from studiorecon.signature import Place, Written
+
+
+@dataclass(frozen=True)
+class Settings(Detected):
+    """Where bodies come from, and how few points are too few."""
+
+    source: DetectionSource = setting(
+        "auto",
+        "Who is where: auto = keypoint files of the cameras that have them, else the detector; detector and "
+        "keypoints = always these; comotion = the paper's network, which brings bodies too; precomputed = "
+        "files of it.",
+        paper="CoMotion, section on detection",
+        letter="comotion",
+    )
+
+
+def estimator_of(source: DetectionSource) -> type[BodyEstimator]:
+    """The network of that name; for files that were made elsewhere the first, whose names files have."""
+    networks = CHOICES["detect.source"].networks
+    return adapter("body estimator", source if source in networks else networks[0])
+
+
+def detections_of(
+    bodies: Iterable[tuple[int, Bodies]], layout: str, footage: Footage, settings: Settings
+) -> Detections:
+    """Detections from (frame, bodies) whose points are those of ``layout``; points outside the picture, and bodies with
+    too few points inside, are left out."""
+    frames, tracks, points, poses, pelvises, shapes = [], [], [], [], [], []
+    for frame, found in bodies:
+        for k in range(len(found.tracks)):
+            inside = ((found.joints_px[k] >= 0) & (found.joints_px[k] <= footage.wh)).all(axis=-1)
+            sure = float(found.confidences[k])
+            if inside.sum() < settings.min_keypoints or sure < settings.min_confidence or found.pelvises_m[k, 2] <= 0:
+                continue
+            frames.append(frame)
+            tracks.append(int(found.tracks[k]))
+            pixels = np.where(inside[:, None], found.joints_px[k], np.nan)
+            points.append(np.concatenate([pixels, np.where(inside, sure, 0.0)[:, None]], axis=-1))
+            poses.append(found.poses_rad[k])
+            shapes.append(found.shapes[k])
+            pelvises.append([*found.joints_px[k, 0], found.pelvises_m[k, 2]])
+    count = len(frames)
+    turned = np.array(poses, dtype=np.float64).reshape(count, 24, 3)
+    return Detections(
+        footage.camera,
+        layout,
+        np.array(frames, dtype=np.int64),
+        np.array(tracks, dtype=np.int64),
+        np.array(points, dtype=np.float64).reshape(count, len(LAYOUTS[layout].keypoints), 3),
+        turned[:, 1:],
+        np.array(pelvises, dtype=np.float64).reshape(count, 3),
+        turned[:, 0],
+        np.array(shapes, dtype=np.float64).reshape(count, 10),
+    )
+
+
+def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, Bodies]]:
+    """(frame, bodies) of a file (npz, or a .pt of tensors) with the network's own names, one row per person and frame.
+
+    Raises UserError naming the file.
+    """
+    return estimator.stored(_rows(path), str(path))
+
+
+def _rows(path: Path) -> dict[str, np.ndarray]:
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    try:
+        import torch
+    except ModuleNotFoundError:
+        raise UserError(
+            f"{path} is a torch file and torch is not installed ({remedy('torch')}); or save it as .npz"
+        ) from None
+    saved: Any = torch.load(path, map_location="cpu", weights_only=True)
+    return {name: values.numpy() for name, values in saved.items()}
+
+
+def run(
+    settings: Settings,
+    camera: str,
+    video: Path,
+    footage: Path,
+    clocks: Path,
+    given: list[Path],
+    weights: Place,
+    device: str,
+    detections: Written,
+) -> None:
+    """Write the detections of one camera's working frames, by the network or from ``given`` (none or one file).
+
+    ``clocks`` say how far beside its moment each picture was taken: keypoints are moved by that, bodies are those of
+    the picture.
+    """
+    about = read_footage(footage)
+    estimator = estimator_of(settings.source)
+    if given:
+        bodies = read_bodies(given[0], estimator)
+    else:
+        network = load("body estimator", settings.source, weights, device)
+        frames = progress(read_frames(video), f"frames of {camera}", total=about.frames)
+        bodies = list(enumerate(network.bodies(frames, np.array(about.intrinsics))))
+    if beyond := [frame for frame, _ in bodies if not 0 <= frame < about.frames]:
+        raise UserError(
+            f"{given[0] if given else camera} has bodies at frame {beyond[0]}, but "
+            f"{about.frames} frames are in use; they count from 0"
+        )
+    seen_in_pictures = detections_of(bodies, estimator.layout, about, settings)
+    result = at_working_moments(seen_in_pictures, read_clocks(clocks), about.wh[1])
+    if not len(result.frame):
+        say(f"camera {camera}: nobody in any of {about.frames} frames")
+    seen = len(np.unique(result.frame))
+    say(
+        f"camera {camera}: {len(result.frame)} bodies in {seen} of {about.frames} "
+        f"frames, {len(np.unique(result.track))} tracks"
+    )
+    write_detections(detections, result)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that several steps of the stage are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from studiorecon.configuration.setting import setting
+from studiorecon.models.choices import Synthesizer
+
+
+@dataclass(frozen=True)
+class Made:
+    """Who makes the views."""
+
+    synthesizer: Synthesizer = setting(
+        "warp",
+        "What makes new views: warp (photos through their depth), gen3c, or precomputed films that it made elsewhere.",
+        paper="gen3c",
+        letter="gen3c",
+    )
+
+
+@dataclass(frozen=True)
+class Warping:
+    """How photos are carried through their depth.
+
+    Attributes:
+        oversampling: samples per pixel side when a photo is splatted.
+        z_tolerance: share of depth within which surfaces count as one.
+        depth_jump: pixels beside a relative jump in depth above this are not carried over: they mix two surfaces.
+        fade_deg: photos fade with the angle between their ray and the view's, exp(-angle / fade).
+        inpaint_radius: holes are painted over from their rim within so many pixels; the mask still calls them holes.
+    """
+
+    sources: int = setting(
+        0,
+        "Photos that are warped into each view; 0 = all.",
+        minimum=0,
+        paper="all N, section on view synthesis",
+        letter=0,
+    )
+    oversampling: int = 3
+    z_tolerance: float = 0.02
+    depth_jump: float = 0.04
+    fade_deg: float = 15.0
+    inpaint_radius: int = 4
