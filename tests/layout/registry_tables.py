@@ -15,7 +15,7 @@ from studiorecon.survey import effects
 ROOT = Path(__file__).resolve().parents[2]
 # Page and name of the table → what writes it.
 TABLES: dict[tuple[str, str], Callable[[], str]] = {
-    ("README.md", "calibration formats"): formats.table,
+    ("docs/capture.md", "calibration formats"): formats.table,
     ("config/README.md", "effects"): effects.table,
 }
 

@@ -39,7 +39,7 @@ FOUNDATIONS = [
 FOUNDATIONS += ["splatting"]
 GROUND = {"arrays", "configuration", "errors", "gpu", "libraries", "progress"}
 CARD = {"Snakefile", "workflow", "envs", "config", "resources", "tests", "docs", "README.md"}
-DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore"}
+DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore", ".github", "CITATION.cff"}
 MODULES = sorted(p for p in PACKAGE.rglob("*.py"))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""README's table of networks, written from their cards: ``python -m tests.models.networks_table``."""
+"""The table of networks in docs/networks.md, written from their cards: ``python -m tests.models.networks_table``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.registry import MODELS
 from studiorecon.models.catalogue.selection import CHOICES
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs/networks.md"
 BEGIN, END = "<!-- networks -->\n", "<!-- networks end -->\n"
 TRIED = {"random weights": "with random weights", "parts": "its parts alone", "never": "never"}
 # What is asked for otherwise than by a setting that names it.
@@ -56,9 +56,9 @@ def written(text: str) -> str:
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
-        raise ValueError(f"README.md has no {BEGIN.strip()} … {END.strip()}")
+        raise ValueError(f"docs/networks.md has no {BEGIN.strip()} … {END.strip()}")
     return before + begin + table() + end + after
 
 
 if __name__ == "__main__":
-    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -45,8 +45,8 @@ def test_settings_and_schema_name_the_networks_that_have_a_card(where: str) -> N
         assert typing.get_args(hints[where.partition(".")[2]]) == values
 
 
-def test_the_readmes_table_is_the_cards() -> None:
-    text = networks_table.README.read_text(encoding="utf-8")
+def test_the_table_of_networks_is_the_cards() -> None:
+    text = networks_table.PAGE.read_text(encoding="utf-8")
     assert text == networks_table.written(text), "run: python -m tests.models.networks_table"
 
 

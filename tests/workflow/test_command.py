@@ -25,7 +25,7 @@ from studiorecon.render.kinds import KINDS
 from tests.workflow.conftest import ROOT
 
 PARTS = ("Snakefile", "workflow/", "config/", "envs/", "profiles/", "resources/")
-LEFT_OUT = {"resources/overview.jpg"}
+LEFT_OUT = {"resources/site.yml"}
 
 
 def test_a_word_is_one_call_of_the_snakefile() -> None:

@@ -3,8 +3,8 @@
 
 In come the paths of a user's files; out goes a ``reading.Reading``: cameras in the file's own world and unit.
 ``plan.discovery`` finds files by this list, ``calibration.files`` reads them by it, and the setting
-``calibration.format``, the sentences of refusals and the table of the README are made from it. Begin with ``reading``;
-``easymocap`` is a plain example. ``docs/contributing.md`` says how to add one.
+``calibration.format``, the sentences of refusals and the table of docs/capture.md are made from it. Begin with
+``reading``; ``easymocap`` is a plain example. ``docs/contributing.md`` says how to add one.
 """
 
 from __future__ import annotations

@@ -17,5 +17,5 @@ would be a further package in four images for one line each; its warps go backwa
 it has no padding of its own. On the device that trains and films, it does the windows (``splatting``).
 
 To add one: its module here, its line in ``catalogue.registry.MODULES``, its test in ``tests/models``, and an image
-in ``envs`` where none has what it needs. Settings, schema and README follow from the card.
+in ``envs`` where none has what it needs. Settings, schema and docs/networks.md follow from the card.
 """
