@@ -13,6 +13,7 @@ import pytest
 from studiorecon import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged
+from studiorecon.enhance.photos import Training
 from studiorecon.enhance.recursion import enhanced, for_path, loop_gain
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback, read_frame, read_frames_from, read_stack, write_lossless
@@ -432,7 +433,7 @@ def test_the_reference_is_the_training_photo_with_the_smallest_angle() -> None:
         def at(self, index: int) -> np.ndarray:
             return np.array([self.value, index])
 
-    training = enhance_shot.Training(cameras, [Photo(i) for i in range(4)], [], [], 10)
+    training = Training(cameras, [Photo(i) for i in range(4)], [], [], 10)
     assert training.reference(ring([60], "view")[0], training.nearest_frame(3.4)).tolist() == [1, 3]
     assert training.reference(ring([350], "view")[0], training.nearest_frame(99.0)).tolist() == [0, 9]
 
@@ -477,11 +478,12 @@ def test_an_edited_picture_is_the_reference_of_the_whole_film(
         "video": tmp_path / "a.mkv",
         "film": tmp_path / "a.mp4",
     }
-    enhance_shot.run(replace(settings, enhancer="none"), **options, edited=[tmp_path / "edited.png"])
+    looking = replace(settings, enhancer="none", force={"injection": "on"})
+    enhance_shot.run(looking, **options, edited=[tmp_path / "edited.png"])
     assert seen
     assert all(np.allclose(one, np.array([200, 20, 10]) / 255, atol=1e-3) for one in seen)
     with pytest.raises(UserError, match=r"nowhere\.png is missing"):
-        enhance_shot.run(replace(settings, enhancer="none"), **options, edited=[tmp_path / "nowhere.png"])
+        enhance_shot.run(looking, **options, edited=[tmp_path / "nowhere.png"])
 
 
 def test_residuals_carry_no_steps_of_exposure_into_the_film(
@@ -512,6 +514,6 @@ def test_the_reference_of_a_network_has_the_exposure_of_the_film() -> None:
             return np.full((2, 2, 3), 110, np.uint8)
 
     exposure = Factors({"cam1": np.full((1, 3), 1.1)})
-    training = enhance_shot.Training(ring([0, 90, 180, 270], "cam"), [Photo()] * 4, [], [], 10, exposure)
+    training = Training(ring([0, 90, 180, 270], "cam"), [Photo()] * 4, [], [], 10, exposure)
     assert training.reference(ring([60], "view")[0], 0).max() == 100
     assert training.reference(ring([350], "view")[0], 0).max() == 110

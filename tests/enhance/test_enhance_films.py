@@ -15,6 +15,8 @@ from studiorecon.enhance import comparison
 from studiorecon.enhance import sheet as enhance_sheet
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
+from studiorecon.scene.decisions import write_decisions
+from studiorecon.scene.effects import INJECTION
 from studiorecon.scene.path import PathStep, write_path
 
 from tests.made.enhance_folder import VIEW, Warmer, panning, played
@@ -37,7 +39,10 @@ def test_the_sheet_shows_what_happened(film: tuple[Path, list[np.ndarray]], defa
     folder, made = film
     settings = settings_module.load(enhance_sheet.Settings, default_settings("enhance"), "enhance")
     settings = replace(settings, injection=PAPER)
+    decisions = folder / "orbit.decisions.json"
     options = {"render": folder / "orbit.mkv", "render_path": folder / "orbit.json", "video": folder / "enhanced.mkv"}
+    options["decisions"] = decisions
+    write_decisions(decisions, [INJECTION.decide(0.5, (0.4, 0.6), "it flickers")])
     for picture, rows in ((0, 1), (1, 2), (5, 2)):
         image = folder / f"orbit.{picture}.steps.png"
         enhance_sheet.run(settings, shot="orbit", picture=picture, image=image, **options)
@@ -53,6 +58,10 @@ def test_the_sheet_shows_what_happened(film: tuple[Path, list[np.ndarray]], defa
         assert np.abs(expected - output).max() <= 1.01
     with pytest.raises(UserError, match="pictures 0 to 5, not 6"):
         enhance_sheet.run(settings, shot="orbit", picture=6, image=folder / "x.png", **options)
+    # Of a film without earlier outputs there is one row.
+    write_decisions(decisions, [INJECTION.decide(0.0, (0.0, 0.0), "it does not")])
+    enhance_sheet.run(settings, shot="orbit", picture=5, image=folder / "plain.png", **options)
+    assert cv2.imread(str(folder / "plain.png")).shape[0] == 64 + 22
 
 
 def test_flow_is_coloured_by_direction_and_grey_where_it_fails() -> None:

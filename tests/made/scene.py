@@ -172,6 +172,7 @@ def enhance_options(folder: Path, shot: str, cameras: list[Camera]) -> dict:
         "videos": [folder / f"capture/{c.name}.mkv" for c in cameras],
         "video": folder / f"enhance/{shot}.mkv",
         "film": folder / f"enhance/{shot}.mp4",
+        "decisions": folder / f"enhance/{shot}.decisions.json",
     }
 
 

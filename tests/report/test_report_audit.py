@@ -10,22 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.footage.video import write_lossless
-from studiorecon.geometry.statistics import NOTHING, Estimate
 from studiorecon.report import audit as step
 from studiorecon.report.metrics.rendered_effects import (
     appearance,
-    decide_enhancement,
-    decide_injection,
     decide_refinement,
     density_px,
-    excess_flicker,
     thin_share,
 )
-from studiorecon.scene.decisions import Decision, read_decisions
-from studiorecon.scene.files import write_npz, write_table
+from studiorecon.scene.decisions import Decision, read_decisions, write_decisions
+from studiorecon.scene.effects import ENHANCEMENT, INJECTION
+from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians_ply import write_ply
-from studiorecon.scene.path import PathStep, write_path
 from studiorecon.settings import load
 from studiorecon.splatting.discs import discs
 
@@ -65,45 +60,6 @@ class TestRefinement:
         assert found[9].sum() == 0
 
 
-class TestInjection:
-    def films(self, seed: int, noise: float, film: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        rng = np.random.default_rng(seed)
-        raw = np.full((12, 20, 30), 0.5) + rng.normal(0, film, (12, 20, 30))
-        return raw, raw + rng.normal(0, noise, raw.shape)
-
-    @pytest.mark.parametrize(("noise", "verdict"), [(0.006, "on"), (0.0, "off")])
-    def test_flicker_that_enhancement_adds_is_found(self, noise: float, verdict: str) -> None:
-        for seed in range(SEEDS):
-            raw, enhanced = self.films(seed, noise)
-            found = excess_flicker(raw, enhanced, np.ones((20, 30), bool))
-            assert decide_injection([found], 0, 0.2).verdict == verdict
-
-    def test_flicker_that_was_there_before_is_not_enhancements(self) -> None:
-        raw, enhanced = self.films(0, 0.0, film=0.05)
-        assert decide_injection([excess_flicker(raw, enhanced, np.ones((20, 30), bool))], 0, 0.2).verdict == "off"
-
-    def test_a_film_made_with_injection_cannot_say_that_none_is_needed(self) -> None:
-        calm = decide_injection([Estimate(0.0, (-0.01, 0.01))], 3, 0.2)
-        assert calm.verdict == "undetermined"
-        assert "3 earlier pictures" in calm.reason
-        assert decide_injection([Estimate(0.5, (0.4, 0.6))], 3, 0.2).verdict == "on", "it flickers all the same"
-
-    def test_a_single_picture_says_nothing(self) -> None:
-        one = np.zeros((1, 4, 4))
-        assert excess_flicker(one, one, np.ones((4, 4), bool)) is NOTHING
-        assert decide_injection([NOTHING], 0, 0.2).verdict == "undetermined"
-
-
-class TestEnhancement:
-    def test_either_half_is_enough_and_both_are_needed_to_say_no(self) -> None:
-        bad, good = Estimate(0.3, (0.28, 0.32)), Estimate(0.05, (0.04, 0.06))
-        assert decide_enhancement(bad, NOTHING, 1.0).verdict == "on"
-        assert decide_enhancement(NOTHING, bad, 1.0).verdict == "on"
-        assert decide_enhancement(good, Estimate(0.01, (0.0, 0.02)), 1.0).verdict == "off"
-        assert decide_enhancement(NOTHING, good, 1.0).verdict == "undetermined"
-        assert decide_enhancement(NOTHING, NOTHING, 1.0).verdict == "undetermined"
-
-
 def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> None:
     drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "p1's shirt")
     still = replace(drift, value=0.02, interval=(0.01, 0.03), verdict="off", reason="p0 is of stone")
@@ -112,13 +68,6 @@ def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> No
     assert appearance({"p0": still}, 0.1).verdict == "off"
     assert appearance({"p0": None}, 0.1).verdict == "undetermined"
     assert appearance({}, 0.1).verdict == "undetermined"
-
-
-def test_still_stretches_are_those_of_one_unmoving_camera() -> None:
-    camera = looking("v", np.array([3.0, 0, 1.5]), np.zeros(3), (32, 24), 30.0)
-    other = looking("w", np.array([0.0, 3, 1.5]), np.zeros(3), (32, 24), 30.0)
-    steps = [PathStep(camera, float(t), "v") for t in range(20)] + [PathStep(other, float(t), "w") for t in range(3)]
-    assert list(step.still_stretches(steps)) == [(0, 12)]
 
 
 def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) -> None:
@@ -133,30 +82,23 @@ def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) ->
     )
     drift = Decision("temporal_appearance", "s", 0.3, (0.25, 0.35), 0.1, "on", "why")
     write_npz(tmp_path / "p0.npz", {"decision": json.dumps(asdict(drift))})
-    write_table(tmp_path / "orbit.tsv", ("picture", "measured"), [(i, "0.99") for i in range(12)])
-    rng = np.random.default_rng(0)
-    raw = [np.full((48, 64, 3), 120, np.uint8)] * 12
-    write_lossless(tmp_path / "raw.mkv", raw, 30.0)
-    write_lossless(
-        tmp_path / "better.mkv", [np.clip(f + rng.normal(0, 3, f.shape), 0, 255).astype(np.uint8) for f in raw], 30.0
-    )
-    write_path(tmp_path / "path.json", [PathStep(camera, float(t), "c0") for t in range(12)], 30.0)
+    calm = INJECTION.decide(0.01, (0.0, 0.02), "calm")
+    told = {"orbit": [ENHANCEMENT.decide(0.3, (0.2, 0.4), "gains"), calm], "still": [calm], "elsewhere": []}
+    for film, decisions in told.items():
+        write_decisions(tmp_path / f"{film}.json", decisions)
     settings = load(step.Settings, default_settings("survey"), "survey")
     files = {
         "model": tmp_path / "cameras/images.txt",
         "background": tmp_path / "scene.ply",
         "avatars": [tmp_path / "p0.npz"],
-        "ledgers": [tmp_path / "orbit.tsv"],
-        "renders": [tmp_path / "raw.mkv"],
-        "enhanced": [tmp_path / "better.mkv"],
-        "paths": [tmp_path / "path.json"],
-        "history": 3,
+        "films": [tmp_path / f"{film}.json" for film in told],
         "earlier": [],
         "decisions": tmp_path / "report/audit.json",
     }
     step.run(settings, **files)
     found = {effect: d.verdict for effect, d in read_decisions(files["decisions"]).items()}
-    assert found == {"refinement": "on", "temporal_appearance": "on", "enhancement": "undetermined", "injection": "on"}
-    step.run(replace(settings, force={"enhancement": "on", "injection": "off"}), **files)
+    assert found == {"refinement": "on", "temporal_appearance": "on", "enhancement": "on", "injection": "off"}
+    step.run(replace(settings, force={"refinement": "off"}), **{**files, "films": []})
     made = read_decisions(files["decisions"])
-    assert (made["enhancement"].verdict, made["injection"].verdict, made["injection"].forced) == ("on", "off", True)
+    assert (made["refinement"].verdict, made["refinement"].forced) == ("off", True)
+    assert (made["enhancement"].verdict, made["injection"].verdict) == ("undetermined", "undetermined")

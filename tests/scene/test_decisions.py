@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.geometry.statistics import NOTHING, largest, median, share
 from studiorecon.scene.decisions import HYSTERESIS, read_decisions, write_decisions
-from studiorecon.scene.effects import INJECTION, LATE
+from studiorecon.scene.effects import INJECTION, TRAINED
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_a_value_outside_of_its_interval_is_refused() -> None:
 
 
 def test_decisions_survive_their_file(tmp_path: Path) -> None:
-    made = [effect.left_to("report/audit.json") for effect in LATE]
+    made = [effect.left_to("report/audit.json") for effect in TRAINED]
     write_decisions(tmp_path / "decisions.json", made)
     assert list(read_decisions(tmp_path / "decisions.json").values()) == made
 

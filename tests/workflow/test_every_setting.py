@@ -36,7 +36,6 @@ PLANNED: dict[str, set[str] | None] = {
     "survey.earlier": None,
     "views.closed": {"views_path"},
     "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
-    "enhance.injection.history": {"enhance_shot", "report_audit"},
 }
 # The page prints the settings that a result may depend on.
 SHOWN = "report_page"
@@ -85,7 +84,9 @@ def others(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
             for other in others(item, {}):
                 yield [*value[:index], other, *value[index + 1 :]]
     elif isinstance(value, dict):
-        yield from ({"exposure": "on"}, {"exposure": 0.5, "enhancement": 0.5}, {"cam1": 0.01})
+        # Effects of every step that decides on some.
+        effects = ("exposure", "refinement", "injection")
+        yield from (dict.fromkeys(effects, "on"), dict.fromkeys(effects, 0.5), {"cam1": 0.01})
     elif value is None:
         yield from (1, 0.5, "x")
 
@@ -181,6 +182,7 @@ SOME = (
     "people.review.height_px",
     "people.triangulation.solver",
     "survey.thresholds",
+    "survey.force",
     "report.lpips",
     "render.width",
     "enhance.injection.history",

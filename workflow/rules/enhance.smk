@@ -1,4 +1,4 @@
-# Films that do not flicker: every picture through the enhancer, earlier outputs injected.
+# Films that do not flicker: every picture through the enhancer, earlier outputs injected, where the scene calls for it.
 
 
 rule enhance_shot:
@@ -16,9 +16,11 @@ rule enhance_shot:
         edited=files.edited_reference,
         made=files.film_of_elsewhere,
         exposure=files.exposure,
+        earlier=files.earlier("report/audit.json"),
     output:
         video="results/{scene}/enhance/{shot}.mkv",
         film="results/{scene}/enhance/{shot}.mp4",
+        decisions="results/{scene}/enhance/{shot}.decisions.json",
     log:
         "logs/{scene}/enhance/shot/{shot}.log",
     benchmark:
@@ -35,7 +37,7 @@ rule enhance_shot:
         weights=PLAN.networks.weights if PLAN.networks.enhance else "none",
         device=config["device"] if PLAN.networks.enhance else "cpu",
     message:
-        "Film {wildcards.shot}: every picture through the enhancer; {output.film}"
+        "Film {wildcards.shot}: enhanced and steadied where the scene calls for it; {output.film}"
     shell:
         command("enhance.shot")
 
@@ -46,6 +48,7 @@ rule enhance_sheet:
         render="results/{scene}/render/{shot}.mkv",
         render_path="results/{scene}/render/{shot}.json",
         video="results/{scene}/enhance/{shot}.mkv",
+        decisions="results/{scene}/enhance/{shot}.decisions.json",
     output:
         image="results/{scene}/enhance/{shot}.{picture}.steps.png",
     log:

@@ -6,10 +6,7 @@ rule report_audit:
         model=MODEL,
         background="results/{scene}/background/scene.ply",
         avatars=files.human_avatars,
-        ledgers=collect("results/{scene}/render/{shot}.tsv", shot=PLAN.films, allow_missing=True),
-        renders=collect("results/{scene}/render/{shot}.mkv", shot=PLAN.films, allow_missing=True),
-        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=PLAN.films, allow_missing=True),
-        paths=collect("results/{scene}/render/{shot}.json", shot=PLAN.films, allow_missing=True),
+        films=collect("results/{scene}/enhance/{shot}.decisions.json", shot=PLAN.films, allow_missing=True),
         earlier=files.earlier("report/audit.json"),
     output:
         decisions="results/{scene}/report/audit.json",
@@ -26,7 +23,6 @@ rule report_audit:
     params:
         settings=settings("report.audit"),
         code=code("report.audit"),
-        history=told.section("enhance", config)["injection"]["history"],
         device=config["device"],
     shell:
         command("report.audit")

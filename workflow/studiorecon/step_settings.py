@@ -41,6 +41,7 @@ _SECTIONS = {
     "tracks": ("detect",),
     "cameras": ("calibration", "cameras"),
     "report.audit": ("survey",),
+    "enhance.shot": ("survey", "enhance"),
 }
 
 

@@ -28,6 +28,8 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import DisFlow, ResidualTransfer
 from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.photos import training_of
+from studiorecon.enhance.pilot import worth
 from studiorecon.enhance.recursion import enhanced, for_path
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.images import metrics
@@ -36,6 +38,7 @@ from studiorecon.images.transfer import ResidualSource, carried_over
 from studiorecon.models.protocols import Enhancer
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.effects import ENHANCEMENT
 from studiorecon.scene.files import write_json
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.studio.actors import Actors
@@ -164,10 +167,13 @@ class Bench:
         cameras, capture = read_model(scene / "cameras"), read_manifest(scene / "capture/manifest.json")
         videos = [scene / f"capture/{camera.name}.mkv" for camera in cameras]
         steps, _ = read_path(scene / "render/train.json")
-        self.training = enhance_shot.training_of(
+        self.training = training_of(
             cameras, steps, videos, scene / "render/train.mkv", scene / "render/train.depth.mkv", capture.frames
         )
-        self.strength, self.why = enhance_shot.judge_strength(self.training, self.settings)
+        self.strength, decision = worth(
+            self.training, self.settings.judged_frames, self.settings.transfer, ENHANCEMENT.threshold
+        )
+        self.why = f"{decision.verdict}: {decision.reason}"
 
     def sources(self, frame: float) -> list[ResidualSource]:
         return self.training.sources(self.training.nearest_frame(frame), self.settings.transfer)

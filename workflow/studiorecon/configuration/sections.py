@@ -125,7 +125,7 @@ SECTIONS: tuple[Section, ...] = (
         (
             "enhance.shared:Enhancing",
             "configuration.planned:Enhance",
-            "enhance.shot:Settings",
+            "enhance.shared:Carrying",
             "enhance.shared:Injecting",
             "enhance.shared:Film",
         ),

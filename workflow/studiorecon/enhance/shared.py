@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from studiorecon.configuration.setting import setting
 from studiorecon.enhance.backends import Preset
 from studiorecon.enhance.injection import Injection
+from studiorecon.images.transfer import Transfer
 from studiorecon.models.choices import EnhancerName, FlowName
 
 
@@ -23,6 +25,21 @@ class Enhancing:
         letter="difix",
     )
     seed: int = 0
+
+
+@dataclass(frozen=True)
+class Carrying:
+    """How much of what photos show and renders miss is added; ``auto`` is judged on ``judged_frames`` moments."""
+
+    strength: float | Literal["auto"] = setting(
+        "auto",
+        "Share of the carried-over residual that is added; auto = the factor that best predicts each training"
+        " camera from the others, and none where that is not worth it (effect enhancement).",
+        minimum=0,
+        maximum=1,
+    )
+    judged_frames: int = 5
+    transfer: Transfer = Transfer()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ Computed again from the stored films: what is fed back is what is stored, so the
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -21,6 +21,8 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames_from, to_bytes
 from studiorecon.images.flow import one_thread
 from studiorecon.progress import say
+from studiorecon.scene.decisions import read_decisions
+from studiorecon.scene.effects import INJECTION
 from studiorecon.scene.files import complete
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Place, Written
@@ -89,6 +91,7 @@ def run(
     render: Path,
     render_path: Path,
     video: Path,
+    decisions: Path,
     image: Written,
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
@@ -99,12 +102,14 @@ def run(
         raise UserError(f"shot {shot} has pictures 0 to {len(steps) - 1}, not {picture}")
     segment = steps[picture].segment
     first = next(i for i in range(picture, -1, -1) if i == 0 or steps[i - 1].segment != segment)
-    start = max(first, picture - settings.injection.history)
+    called = read_decisions(decisions).get(INJECTION.name)
+    steadied = replace(settings.injection, history=settings.injection.history if called and called.called_for else 0)
+    start = max(first, picture - steadied.history)
     raw = list(read_frames_from(render, start, picture + 1))
     made = list(read_frames_from(video, start, picture + 1))
     with one_thread(), ThreadPoolExecutor(max_workers=1) as pool:
         search = flow_of(settings.flow, settings.flow_preset, weights, device)
-        injection = for_path(settings.injection, steps)
+        injection = for_path(steadied, steps)
         history = history_of(list(zip(raw[:-1], made[:-1])), injection, search)
         mixed = blend(raw[-1], history, injection, search, pool)
     done, data = cv2.imencode(".png", np.ascontiguousarray(sheet(raw[-1], mixed, made[-1])[..., ::-1]))

@@ -1,111 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``enhance.shot``: one shot, picture by picture, through an enhancer with motion-adaptive consistency injection."""
+"""``enhance.shot``: one shot, picture by picture, through an enhancer with motion-adaptive consistency injection, where
+this scene calls for either (``pilot``)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.configuration.setting import setting
-from studiorecon.enhance.backends import ResidualTransfer, flow_of, network
+from studiorecon.enhance.backends import ResidualTransfer, Unchanged, flow_of, network
+from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.photos import Training, training_of
+from studiorecon.enhance.pilot import called_for, flicker, worth
 from studiorecon.enhance.recursion import enhanced, for_path, stands_still
-from studiorecon.enhance.shared import Enhancing, Film, Injecting
+from studiorecon.enhance.shared import Carrying, Enhancing, Film, Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import Writer, writing
-from studiorecon.footage.video import Playback, read_frames, to_bytes, write_lossless, write_watchable
-from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, carried_over, source
-from studiorecon.models.protocols import Enhancer
+from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
+from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say
-from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.factors import NONE, Factors, read_factors
+from studiorecon.scene.decisions import Decision, forced, switched_on, write_decisions
+from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, force, settled, thresholds
+from studiorecon.scene.factors import read_factors
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
-# Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
-_LEAST_EVIDENCE = 0.01
+if TYPE_CHECKING:
+    Named = str
+else:
+    Named = Literal[tuple(effect.name for effect in FILMED)]
 
 
 @dataclass(frozen=True)
-class Settings(Enhancing, Injecting, Film):
-    """How a film is enhanced; ``auto`` strength is judged on ``judged_frames`` pictures."""
+class Settings(Enhancing, Carrying, Injecting, Film):
+    """How a film is enhanced, and from where it is worth it, which ``survey.effects.Decided`` declares for all."""
 
-    strength: float | Literal["auto"] = setting(
-        "auto",
-        "Share of the carried-over residual that is added; auto = the factor that best predicts each training"
-        " camera from the others.",
-        minimum=0,
-        maximum=1,
-    )
-    judged_frames: int = 5
-    transfer: Transfer = Transfer()
+    thresholds: Mapping[Named, float] = thresholds(FILMED)
+    force: Mapping[Named, str] = force(FILMED)
 
-
-@dataclass(frozen=True)
-class Training:
-    """The training cameras' footage and renders, frame by frame; photos are shown in the ``exposure`` and light of the
-    renders."""
-
-    cameras: Sequence[Camera]
-    photos: Sequence[Playback]
-    renders: Sequence[Playback]
-    depths: Sequence[Playback]
-    frames: int
-    exposure: Factors = NONE
-
-    def photo(self, index: int, frame: int) -> np.ndarray:
-        """(h, w, 3) uint8 photo of one camera, as it were filmed with the common exposure in the plate's light."""
-        return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
-
-    def nearest_frame(self, frame: float) -> int:
-        """The whole frame that is shown at a fractional one."""
-        return int(np.clip(round(frame), 0, self.frames - 1))
-
-    def sources(self, frame: int, transfer: Transfer) -> list[ResidualSource]:
-        """Residual and depth of every training camera at one frame."""
-        return [
-            source(camera, self.photo(k, frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
-            for k, (camera, render, depth) in enumerate(zip(self.cameras, self.renders, self.depths))
-        ]
-
-    def reference(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes
-        (U09)."""
-        cosines = [float(one.forward @ camera.forward) for one in self.cameras]
-        return self.photo(int(np.argmax(cosines)), frame)
-
-
-def judge_strength(training: Training, settings: Settings) -> tuple[float, str]:
-    """Strength of the residual transfer, and why: the factor that best predicts each training camera from the other
-    ones.
-
-    Undetermined, hence 0, when the training cameras see too little in common.
-    """
-    if settings.strength != "auto":
-        return float(settings.strength), "as set"
-    predicted, actual = [], []
-    for frame in evenly_spread(training.frames, settings.judged_frames):
-        sources = training.sources(int(frame), settings.transfer)
-        for index, own in enumerate(sources):
-            predicted.append(
-                carried_over(own.camera, own.depth_m, sources[:index] + sources[index + 1 :], settings.transfer)
-            )
-            actual.append(own.residual)
-    strength, evidence = best_strength(predicted, actual)
-    if evidence < _LEAST_EVIDENCE:
-        return (
-            0.0,
-            f"undetermined: only {100 * evidence:.1f} % of the training pixels are seen by a second training camera",
-        )
-    return strength, f"the best factor between training cameras, judged on {100 * evidence:.0f} % of their pixels"
+    def threshold(self, effect: str) -> float:
+        """From where one of the effects that are decided here is called for."""
+        return self.thresholds.get(effect) or next(one.threshold for one in FILMED if one.name == effect)
 
 
 def run(
@@ -122,17 +64,20 @@ def run(
     videos: list[Path],
     video: Written,
     film: Written,
+    decisions: Written,
     truth: list[Path] | None = None,
     edited: list[Path] | None = None,
     made: list[Path] | None = None,
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
     exposure: list[Path] | None = None,
+    earlier: list[Path] | None = None,
 ) -> None:
     """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders.
 
     Photos are divided by the gains and the light that ``exposure`` names, as the training pictures were: a residual
-    would carry steps of exposure from camera to camera into the film.
+    would carry steps of exposure from camera to camera into the film. What was decided, and why, goes to ``decisions``;
+    ``earlier``: what an earlier run decided, for the hysteresis.
 
     A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never
     photographed, so no photo corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of
@@ -147,43 +92,108 @@ def run(
     if made:
         _write(writers, made_elsewhere(made[0], render, len(steps)), shot, len(steps))
         say(f"shot {shot}: the pictures are those of {made[0]}")
+        write_decisions(decisions, [])
         return
     training = training_of(
         read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames
     )
     training = replace(training, exposure=read_factors(exposure or [], capture.frames))
-    search = flow_of(settings.flow, settings.flow_preset, weights, device)
-    enhancer: Enhancer
-    if settings.enhancer != "residual":
-        enhancer = network(settings.enhancer, weights, device, settings.seed)
-    else:
-        strength, why = judge_strength(training, settings)
-        say(f"shot {shot}: residuals of the training photos are carried over with strength {strength:.2f} ({why})")
-        latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
-        enhancer = ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer)
-    injection = for_path(settings.injection, steps)
-    if injection.history and stands_still(steps, read_frames(render, 0, len(steps))):
-        say(f"shot {shot} stands still, so there is nothing to steady: no earlier outputs are injected")
-        injection = replace(injection, history=0)
-    say(
-        f"shot {shot}: the {injection.history} latest outputs are injected with strength "
-        f"{injection.strength} at full confidence"
-    )
+    was_on = switched_on(earlier or [])
+    enhancer, enhancement = chosen_enhancer(settings, training, weights, device, ENHANCEMENT.name in was_on)
+    say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
 
     instead = to_bytes(read_plate(edited[0])[0]) if edited else None
 
     def reference(step: PathStep) -> np.ndarray:
         return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
-    depths = read_frames(render_depth, 0, len(steps))
-    if truth:
-        depths = (
-            np.where(level > 0, depth, 0)
-            for depth, level in zip(depths, read_frames(truth[0], 0, len(steps)), strict=True)
-        )
-    pictures = read_frames(render, 0, len(steps))
-    outputs = enhanced(steps, pictures, depths, reference, enhancer, injection, search)
+    search = flow_of(settings.flow, settings.flow_preset, weights, device)
+    drawn = Drawn(steps, render, render_depth, truth[0] if truth else None)
+    injection, called = chosen_injection(settings, drawn, reference, enhancer, search, INJECTION.name in was_on)
+    say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
+    write_decisions(decisions, [enhancement, called])
+    if isinstance(enhancer, Unchanged) and not injection.history:
+        say(f"shot {shot}: the film is the render")
+        outputs = drawn.pictures()
+    else:
+        outputs = enhanced(steps, drawn.pictures(), drawn.depths_mm(), reference, enhancer, injection, search)
     _write(writers, outputs, shot, len(steps))
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A rendered film. Where ``truth`` says that pixels were never photographed, its depth is unknown."""
+
+    steps: Sequence[PathStep]
+    render: Path
+    depth: Path
+    truth: Path | None = None
+
+    def pictures(self) -> Iterator[np.ndarray]:
+        """(h, w, 3) uint8, in order."""
+        return read_frames(self.render, 0, len(self.steps))
+
+    def depths_mm(self) -> Iterator[np.ndarray]:
+        """(h, w) uint16 millimetres, in order; 0 where unknown."""
+        depths = read_frames(self.depth, 0, len(self.steps))
+        if self.truth is None:
+            return depths
+        levels = read_frames(self.truth, 0, len(self.steps))
+        return (np.where(level > 0, depth, 0) for depth, level in zip(depths, levels, strict=True))
+
+
+def chosen_enhancer(
+    settings: Settings, training: Training, weights: Path, device: str, was_on: bool
+) -> tuple[Enhancer, Decision]:
+    """What improves the pictures, and why: a network that was asked for, or what photos show and renders miss, where
+    that is worth adding."""
+    if settings.enhancer != "residual":
+        on = settings.enhancer != "none"
+        decision = settled(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
+        (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
+        name = settings.enhancer if decision.called_for else "none"
+        return network(name, weights, device, settings.seed), decision
+    if settings.strength == "auto":
+        strength, decision = worth(
+            training, settings.judged_frames, settings.transfer, settings.threshold(ENHANCEMENT.name), was_on
+        )
+    else:
+        strength = float(settings.strength)
+        decision = settled(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
+    (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
+    if not decision.called_for or strength == 0:
+        return Unchanged(), decision
+    latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
+    return ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer), decision
+
+
+def chosen_injection(
+    settings: Settings,
+    drawn: Drawn,
+    reference: Callable[[PathStep], np.ndarray],
+    enhancer: Enhancer,
+    search: Flow,
+    was_on: bool,
+) -> tuple[Injection, Decision]:
+    """How earlier outputs enter later ones, and why: where enhanced pictures flicker more than renders do."""
+    injection = for_path(settings.injection, drawn.steps)
+    if not injection.history:
+        decision = settled(INJECTION, False, "enhance.injection.history is 0")
+    elif settings.force.get(INJECTION.name):
+        decision = settled(INJECTION, False, "not measured")
+    elif isinstance(enhancer, Unchanged):
+        decision = settled(INJECTION, False, "nothing is enhanced, so nothing flickers that did not before")
+    elif stands_still(drawn.steps, drawn.pictures()):
+        decision = settled(INJECTION, False, "the film stands still, so there is nothing to steady")
+    else:
+        change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
+        decision = called_for(change, settings.threshold(INJECTION.name), was_on)
+    (decision,) = forced([decision], _of(settings.force, INJECTION.name))
+    return injection if decision.called_for else replace(injection, history=0), decision
+
+
+def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
+    return {effect: verdicts[effect]} if effect in verdicts else {}
 
 
 def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[np.ndarray]:
@@ -210,24 +220,3 @@ def _write(writers: Sequence[Writer], outputs: Iterable[np.ndarray], shot: str, 
     with writing(writers) as put:
         for output in progress(outputs, f"pictures of {shot}", total=count):
             put(output, output)
-
-
-def training_of(
-    cameras: list[Camera], steps: list[PathStep], videos: list[Path], renders: Path, depths: Path, frames: int
-) -> Training:
-    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of one camera after the
-    other (``steps``).
-
-    Raises UserError when the films are of other cameras or frames.
-    """
-    segments = [step.segment for step in steps]
-    if [camera.name for camera in cameras] != list(dict.fromkeys(segments)) or len(segments) != len(cameras) * frames:
-        raise UserError(f"{renders} does not show {frames} frames of each training camera; render the shot train again")
-    parts = range(len(cameras))
-    return Training(
-        cameras,
-        [Playback(one, 0, frames) for one in videos],
-        [Playback(renders, part * frames, frames) for part in parts],
-        [Playback(depths, part * frames, frames) for part in parts],
-        frames,
-    )

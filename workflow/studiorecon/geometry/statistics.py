@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A number and where it lies with its uncertainty: shares, medians, and the largest of several estimates."""
+"""A number and where it lies with its uncertainty: shares, means, medians, and the largest of several estimates."""
 
 from __future__ import annotations
 
@@ -49,6 +49,16 @@ def median(values: Num[np.ndarray, " N"], least: int) -> Estimate:
         return NOTHING
     middle = float(np.median(known))
     error = 1.25 * 1.4826 * float(np.median(np.abs(known - middle))) / np.sqrt(len(known))
+    return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
+
+
+def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
+    """Mean of the finite ``values`` (N,) with its standard error; nothing below ``least``, which is 2 or more."""
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    if len(known) < max(least, 2):
+        return NOTHING
+    middle, error = float(known.mean()), float(known.std(ddof=1) / np.sqrt(len(known)))
     return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
 
 

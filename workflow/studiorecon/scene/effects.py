@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an effect is: its statistic, its threshold and how a measurement becomes a decision; the settings that follow
-from it; and the effects that only a trained scene shows, which human training and the report measure."""
+from it; and the effects that only a trained scene shows, which human training, films and the report measure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,11 @@ def force(effects: Iterable[Effect]) -> Any:
     )
 
 
+def settled(effect: Effect, on: bool, reason: str) -> Decision:
+    """A verdict that nothing had to be measured for."""
+    return replace(effect.decide(None, None, reason), verdict="on" if on else "off")
+
+
 REFINEMENT = Effect(
     name="refinement",
     statistic="share of pixels from ±15 % height with alpha below 0.95 or a quarter of the median density of Gaussians",
@@ -143,15 +148,18 @@ TEMPORAL_APPEARANCE = Effect(
 )
 ENHANCEMENT = Effect(
     name="enhancement",
-    statistic="LPIPS at training views over 0.15, or unseen share of the films over 10 %, whichever is larger",
-    threshold=1.0,
+    statistic="gain at training cameras that took no part, of carrying over what photos show and renders miss",
+    unit="dB",
+    threshold=0.1,
     paper="always",
+    obeyed_by="enhance.shot, which measures it before it enhances; a network that was asked for is always used",
 )
 INJECTION = Effect(
     name="injection",
-    statistic="change between frames of the enhanced film over the raw one's, static pixels, less 1",
+    statistic="change between enhanced pictures along the flow of the renders, over that of the renders, less 1",
     threshold=0.2,
     paper="always",
+    obeyed_by="enhance.shot, which measures it on pairs of pictures of the film before it makes the film",
 )
-# Measured when the scene is trained and filmed, in this order.
-LATE = (REFINEMENT, TEMPORAL_APPEARANCE, ENHANCEMENT, INJECTION)
+# Measured when the scene is trained, and by every film of its own.
+TRAINED, FILMED = (REFINEMENT, TEMPORAL_APPEARANCE), (ENHANCEMENT, INJECTION)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The training cameras' photos beside their renders: what an enhancer looks at, and what it is judged on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.video import Playback
+from studiorecon.images.transfer import ResidualSource, Transfer, source
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import NONE, Factors
+from studiorecon.scene.path import PathStep
+
+
+@dataclass(frozen=True)
+class Training:
+    """The training cameras' footage and renders, frame by frame; photos are shown in the ``exposure`` and light of the
+    renders."""
+
+    cameras: Sequence[Camera]
+    photos: Sequence[Playback]
+    renders: Sequence[Playback]
+    depths: Sequence[Playback]
+    frames: int
+    exposure: Factors = NONE
+
+    def photo(self, index: int, frame: int) -> np.ndarray:
+        """(h, w, 3) uint8 photo of one camera, as it were filmed with the common exposure in the plate's light."""
+        return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
+
+    def nearest_frame(self, frame: float) -> int:
+        """The whole frame that is shown at a fractional one."""
+        return int(np.clip(round(frame), 0, self.frames - 1))
+
+    def sources(self, frame: int, transfer: Transfer) -> list[ResidualSource]:
+        """Residual and depth of every training camera at one frame."""
+        return [
+            source(camera, self.photo(k, frame), render.at(frame), depth.at(frame).astype(np.float32) / 1000, transfer)
+            for k, (camera, render, depth) in enumerate(zip(self.cameras, self.renders, self.depths))
+        ]
+
+    def residual(self, index: int, frame: int) -> np.ndarray:
+        """(h, w, 3) float32 photo less render of one camera, colours in 0..1."""
+        photo = self.photo(index, frame)
+        render = self.renders[index].at(frame)[: photo.shape[0], : photo.shape[1]]
+        return (photo.astype(np.float32) - render.astype(np.float32)) / 255
+
+    def reference(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes
+        (U09)."""
+        cosines = [float(one.forward @ camera.forward) for one in self.cameras]
+        return self.photo(int(np.argmax(cosines)), frame)
+
+
+def training_of(
+    cameras: list[Camera], steps: list[PathStep], videos: list[Path], renders: Path, depths: Path, frames: int
+) -> Training:
+    """The footage ``videos`` of ``cameras``, with their renders and depths, which are films of one camera after the
+    other (``steps``).
+
+    Raises UserError when the films are of other cameras or frames.
+    """
+    segments = [step.segment for step in steps]
+    if [camera.name for camera in cameras] != list(dict.fromkeys(segments)) or len(segments) != len(cameras) * frames:
+        raise UserError(f"{renders} does not show {frames} frames of each training camera; render the shot train again")
+    parts = range(len(cameras))
+    return Training(
+        cameras,
+        [Playback(one, 0, frames) for one in videos],
+        [Playback(renders, part * frames, frames) for part in parts],
+        [Playback(depths, part * frames, frames) for part in parts],
+        frames,
+    )

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Does this film call for enhancement, and for earlier outputs in it? Told on a few pictures, before the film is made.
+
+``worth``: what residuals that are carried over gain at training cameras that took no part; ``flicker``: how much more
+enhanced pictures change than the renders they are made of. Held-out cameras have no say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.enhance.alignment import backward_flow
+from studiorecon.enhance.photos import Training
+from studiorecon.footage.video import read_frames_from, to_float
+from studiorecon.geometry.statistics import NOTHING, Estimate, mean, median
+from studiorecon.images.flow import one_thread
+from studiorecon.images.transfer import Transfer, best_strength, carried_over
+from studiorecon.images.warp import warp
+from studiorecon.models.protocols import Enhancer, Flow, Moment
+from studiorecon.scene.decisions import Decision
+from studiorecon.scene.effects import ENHANCEMENT, INJECTION
+from studiorecon.scene.path import PathStep
+
+# Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
+_LEAST_EVIDENCE = 0.01
+# Neighbouring pictures of a film that are compared, and how few say nothing; a change of less than one level is none.
+_PAIRS, _LEAST_PAIRS, _LEVEL = 8, 3, 1 / 255
+
+
+def worth(
+    training: Training, frames: int, transfer: Transfer, threshold: float, was_on: bool = False
+) -> tuple[float, Decision]:
+    """Strength of the residual transfer, the factor that best predicts each training camera from the other ones, and
+    whether it is worth adding.
+
+    Every camera is predicted with the factor of the others, over ``frames`` moments; its gain, in dB, is that of the
+    pixels that others see too, for films stay nearer to the cameras than those are to one another. Undetermined, and
+    strength 0, when the training cameras see too little in common.
+    """
+    count = len(training.cameras)
+    predicted: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in range(count)]
+    smoothed: list[list[np.ndarray]] = [[] for _ in range(count)]
+    before, with_photo, with_itself = np.zeros(count), np.zeros(count), np.zeros(count)
+    for frame in evenly_spread(training.frames, frames):
+        sources = training.sources(int(frame), transfer)
+        for index, own in enumerate(sources):
+            others = sources[:index] + sources[index + 1 :]
+            found, cover = carried_over(own.camera, own.depth_m, others, transfer)
+            predicted[index].append((found, cover))
+            smoothed[index].append(own.residual)
+            whole, added = training.residual(index, int(frame)), cover[..., None] * found
+            before[index] += float((whole * whole)[cover > 0].sum(dtype=np.float64))
+            with_photo[index] += float((whole * added).sum(dtype=np.float64))
+            with_itself[index] += float((added * added).sum(dtype=np.float64))
+    everybody = range(count)
+    strength, evidence = best_strength(*_of(everybody, predicted, smoothed))
+    if evidence < _LEAST_EVIDENCE:
+        few = f"only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
+        return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold, was_on=was_on)
+    gains = np.full(count, np.nan)
+    for index in everybody:
+        factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
+        left = before[index] - 2 * factor * with_photo[index] + factor**2 * with_itself[index]
+        if shared >= _LEAST_EVIDENCE:
+            # Renders that are the photos leave nothing to gain.
+            gains[index] = 10 * np.log10(before[index] / max(left, 1e-9 * before[index])) if before[index] > 0 else 0.0
+    gain = mean(gains, 2)
+    if gain.value is None:
+        few = "fewer than two training cameras see what the others see"
+        return strength, ENHANCEMENT.decide(None, None, few, threshold=threshold, was_on=was_on)
+    reason = (
+        f"what photos show and renders miss, carried over with strength {strength:.2f}, gains {gain.value:+.2f} dB at "
+        f"a training camera that took no part, where others see it too ({100 * evidence:.0f} % of the pixels)"
+    )
+    decision = ENHANCEMENT.decide(gain.value, gain.interval, reason, threshold=threshold, was_on=was_on)
+    return strength, decision
+
+
+def _of(
+    cameras: Iterable[int], predicted: list[list[tuple[np.ndarray, np.ndarray]]], residuals: list[list[np.ndarray]]
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
+    chosen = list(cameras)
+    return [one for k in chosen for one in predicted[k]], [one for k in chosen for one in residuals[k]]
+
+
+def flicker(
+    steps: Sequence[PathStep],
+    render: Path,
+    depth: Path,
+    reference: Callable[[PathStep], np.ndarray],
+    enhancer: Enhancer,
+    search: Flow,
+) -> Estimate:
+    """By which share the change between neighbouring pictures of a film grows through enhancement, along the flow of
+    the renders; nothing for films of fewer than three pairs.
+
+    ``render``, ``depth``: the film's pictures and its millimetres; ``reference``: the photo beside a picture.
+    """
+    pairs = [i for i in range(1, len(steps)) if steps[i].segment == steps[i - 1].segment]
+    grown = []
+    for index in (pairs[i] for i in evenly_spread(len(pairs), min(_PAIRS, len(pairs)))):
+        drawn = list(read_frames_from(render, index - 1, index + 1))
+        depths = list(read_frames_from(depth, index - 1, index + 1))
+        better = [
+            _alone(enhancer, picture, millimetres, steps[at], reference(steps[at]))
+            for at, picture, millimetres in zip((index - 1, index), drawn, depths, strict=True)
+        ]
+        if drawn[0].shape != drawn[1].shape:
+            continue
+        with one_thread():
+            back, valid = backward_flow(drawn[1], drawn[0], search, check=True)
+        changes = []
+        for earlier, later in ((to_float(drawn[0]), to_float(drawn[1])), (better[0], better[1])):
+            warped, inside = warp(earlier, back)
+            changes.append(np.abs(later - warped).mean(axis=-1)[inside & valid])
+        if len(changes[0]):
+            raw, enhanced = (float(change.mean(dtype=np.float64)) for change in changes)
+            grown.append((enhanced - raw) / max(raw, _LEVEL))
+    return median(np.array(grown), _LEAST_PAIRS) if grown else NOTHING
+
+
+def _alone(
+    enhancer: Enhancer, picture: np.ndarray, millimetres: np.ndarray, step: PathStep, photo: np.ndarray
+) -> np.ndarray:
+    """A picture (h, w, 3) through the enhancer without earlier ones; what is not finite stays as rendered."""
+    depth_m, image = millimetres.astype(np.float32) / 1000, to_float(picture)
+    moment = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
+    output = enhancer.enhance(image, to_float(photo), moment)
+    return np.where(np.isfinite(output), output, image).astype(np.float32)
+
+
+def called_for(change: Estimate, threshold: float, was_on: bool = False) -> Decision:
+    """Do enhanced pictures change so much more than the renders that earlier ones should be injected?"""
+    if change.value is None:
+        reason = "the film has too few pictures that follow one another"
+        return INJECTION.decide(None, None, reason, threshold=threshold, was_on=was_on)
+    reason = f"enhanced pictures change {change.value:+.0%} more from one to the next than the renders they are made of"
+    return INJECTION.decide(change.value, change.interval, reason, threshold=threshold, was_on=was_on)
