@@ -21,6 +21,13 @@ from studiorecon.scene.path import PathStep, write_path
 from tests.made.scene import FPS, FRAMES, WH, write_scene
 
 
+def nobody_recognised(folder: Path) -> Path:
+    """What ``report.recognition`` writes where the photos show nobody."""
+    none = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "the detector finds nobody"}
+    write_json(folder / "recognition.json", {"raw": none, "enhanced": none, "detector": "made"})
+    return folder / "recognition.json"
+
+
 def poses_of_nobody(folder: Path) -> Path:
     """What ``cameras.held_out`` writes where nobody was looked for."""
     write_json(folder / "poses.json", {"cameras": []})
@@ -80,6 +87,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         fits=[],
         detections=[],
         identities=[],
+        recognition=nobody_recognised(folder / "report"),
         metrics=folder / "report/metrics.json",
         lpips=lpips,
     )

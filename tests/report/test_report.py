@@ -18,6 +18,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, write_lossless
 from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
+from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import compare_bodies, match, similarity_aligned
 from studiorecon.report.metrics.measures import Flicker, measure_picture, summary
 from studiorecon.report.metrics.truth import TrueView, regions
@@ -30,7 +31,7 @@ from studiorecon.scene.files import read_json, read_table, write_json
 from studiorecon.scene.path import PathStep, write_path
 from studiorecon.scene.people import Person
 
-from tests.made.report import poses_of_nobody, report_scene
+from tests.made.report import nobody_recognised, poses_of_nobody, report_scene
 from tests.made.scene import FPS, FRAMES, WH, ring
 from tests.made.vgg import random_weights
 
@@ -325,6 +326,7 @@ def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
         fits=[],
         detections=[],
         identities=[],
+        recognition=nobody_recognised(tmp_path),
         metrics=tmp_path / "metrics.json",
     )
     values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
@@ -490,7 +492,7 @@ def test_a_film_of_another_run_is_refused_by_name(reported: Path, tmp_path: Path
     name = "elsewhere" if frames is None else held_out[0].name
     write_path(tmp_path / "heldout.json", [PathStep(held_out[0], float(f), name) for f in frames or range(FRAMES)], FPS)
     with pytest.raises(UserError, match=r"heldout\.json .* belongs to another run"):
-        evaluate.first_frames(tmp_path / "heldout.json", held_out[:1], capture)
+        films.first_frames(tmp_path / "heldout.json", held_out[:1], capture)
 
 
 def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
@@ -518,6 +520,7 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
         fits=[],
         detections=[],
         identities=[],
+        recognition=nobody_recognised(tmp_path),
         metrics=tmp_path / "metrics.json",
     )
     metrics = read_json(tmp_path / "metrics.json")

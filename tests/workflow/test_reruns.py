@@ -19,6 +19,7 @@ AFTER_HUMANS = {
     "enhance_shot",
     "enhance_comparison",
     "report_audit",
+    "report_recognition",
     "report_evaluate",
     "report_page",
     "deliver_export",

@@ -28,6 +28,36 @@ rule report_audit:
         command("report.audit")
 
 
+# Whom the detector finds in the films, against whom it finds in the photos of the same cameras.
+rule report_recognition:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model=MODEL,
+        heldout_model=HELDOUT_MODEL,
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv", camera=PLAN.held_out or PLAN.training, allow_missing=True
+        ),
+        render=collect("results/{scene}/render/{shot}.mkv", shot=PLAN.judged, allow_missing=True),
+        render_path=collect("results/{scene}/render/{shot}.json", shot=PLAN.judged, allow_missing=True),
+        enhanced=collect("results/{scene}/enhance/{shot}.mkv", shot=PLAN.heldout_film, allow_missing=True),
+        networks=files.detector,
+    output:
+        recognition="results/{scene}/report/recognition.json",
+    log:
+        "logs/{scene}/report/recognition.log",
+    benchmark:
+        "benchmarks/{scene}/report/recognition.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        code=code("report.recognition"),
+    shell:
+        command("report.recognition")
+
+
 rule report_evaluate:
     input:
         manifest="results/{scene}/capture/manifest.json",
@@ -52,6 +82,7 @@ rule report_evaluate:
         fits=files.fits,
         detections=files.detections,
         identities=files.identities,
+        recognition="results/{scene}/report/recognition.json",
         truth=files.truth,
     output:
         metrics="results/{scene}/report/metrics.json",

@@ -27,8 +27,9 @@ from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
-from studiorecon.report.metrics.definitions import NO_LPIPS, NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, opened
+from studiorecon.report.metrics.films import first_frames
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
 from studiorecon.report.metrics.measures import (
@@ -45,9 +46,8 @@ from studiorecon.report.metrics.motion import jitter
 from studiorecon.report.metrics.truth import read_views, regions, true_joints
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.capture import Manifest, common_start, read_manifest
+from studiorecon.scene.capture import common_start, read_manifest
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.scene.path import read_path
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Place, Written
 
@@ -152,32 +152,6 @@ def score_pictures(
     }
 
 
-def first_frames(path: Path, cameras: Sequence[Camera], capture: Manifest) -> dict[str, int]:
-    """camera → index of its first picture in a film; UserError, naming the path's file, when the film is not of this
-    capture's every frame.
-
-    A film of other cameras, another length or every second frame would pair pictures with the wrong photos without an
-    error.
-    """
-    steps, _ = read_path(path)
-    starts: dict[str, int] = {}
-    for index, step in enumerate(steps):
-        starts.setdefault(step.segment, index)
-    for camera in cameras:
-        if camera.name not in starts:
-            raise UserError(
-                f"{path} has no pictures of camera {camera.name}: it belongs to another run; render it again"
-            )
-        shown = [step.frame for step in steps if step.segment == camera.name]
-        if shown != list(range(capture.frames)):
-            raise UserError(
-                f"{path} shows {len(shown)} pictures of camera {camera.name} and the capture "
-                f"has {capture.frames} frames, one each: "
-                "it belongs to another run; render it again"
-            )
-    return starts
-
-
 def score_bodies(people: Sequence[Person], truth: Path | None, first_frame: int) -> dict[str, Any]:
     """Joint errors of the fits against the true bodies, or the reason there are none."""
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
@@ -217,14 +191,15 @@ def run(
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
+    recognition: Path,
     metrics: Written,
     truth: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
     threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
-    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``lpips`` is the folder
-    of LPIPS' weights."""
+    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``recognition``
+    is whom a detector finds in the films, ``lpips`` is the folder of LPIPS' weights."""
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     exact = truth[0] if truth else None
@@ -264,7 +239,7 @@ def run(
             "held_out_cameras": read_json(poses)["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
-            "pck": {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": NO_PCK},
+            "pck": read_json(recognition),
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
             "identities": _identities(detections, identities, training, joints),
             "coverage": coverage(truth_maps),

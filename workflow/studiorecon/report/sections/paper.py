@@ -41,7 +41,9 @@ def own_row(metrics: Mapping[str, Any], version: str) -> dict[str, float | None]
     """
     pictures, people = metrics["pictures"].get(version, {}), metrics.get("jitter", {}).values()
     row = {name: pictures.get(name, {}).get("value") for name, _, _ in MEASURES}
-    row |= {name: metrics.get("pck", {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")}
+    row |= {
+        name: metrics.get("pck", {}).get(version, {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")
+    }
     row |= {f"association_{name}": metrics.get("identities", {}).get(name) for name in ("accuracy", "precision")}
     row["jitter_mm_f2"] = mean_of(person["joints_mm_f2"] for person in people)
     row["jitter_deg_f2"] = mean_of(person["pose_deg_f2"] for person in people)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``report.recognition``: do people in the films look like people to a detector? PCK and detection rate of what it
+finds in the films against what it finds in the photos of the same cameras and moments.
+
+The paper does so with DWPose; here it is the embedded detector, on a few moments of every camera. It needs no truth:
+who is not found in the photo does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.detector.blazepose import BlazePose
+from studiorecon.detector.following import believed, newcomers
+from studiorecon.detector.windows import grid
+from studiorecon.footage.video import read_frames_from
+from studiorecon.progress import progress, say
+from studiorecon.report.metrics.films import first_frames
+from studiorecon.report.metrics.keypoints import TruePerson, score
+from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.signature import Written
+
+# Moments of every camera, spread evenly: people move little from one picture to the next.
+_MOMENTS = 4
+# Points of the photo that the detector says it saw; of fewer a person's size cannot be told.
+_SEEN, _LEAST = 0.5, 6
+
+
+def run(
+    manifest: Path,
+    model: Path,
+    heldout_model: Path,
+    videos: list[Path],
+    render: list[Path],
+    render_path: list[Path],
+    enhanced: list[Path],
+    networks: list[Path],
+    recognition: Written,
+) -> None:
+    """Write the scores of the film as rendered (``raw``) and as ``enhanced``; None for a version that is not there.
+
+    ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the training cameras;
+    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
+    """
+    detection, landmarks, table = networks
+    network, worth = BlazePose(detection, landmarks), read_json(table)
+    capture, footage = read_manifest(manifest), {video.stem: video for video in videos}
+    cameras = read_model(heldout_model.parent) or read_model(model.parent)
+    films = {name: files[0] for name, files in (("raw", render), ("enhanced", enhanced)) if files and render_path}
+    starts = first_frames(render_path[0], cameras, capture) if films else {}
+    found: dict[str, list[tuple[list[np.ndarray], list[TruePerson]]]] = {name: [] for name in films}
+    for camera in progress(cameras if films else [], "cameras"):
+        for frame in evenly_spread(capture.frames, _MOMENTS):
+            photo = _picture(footage[camera.name], int(frame))
+            people = [person for one in found_in(network, photo, worth) if (person := as_truth(one)) is not None]
+            told: list[tuple[np.ndarray, list[np.ndarray]]] = []
+            for name, film in films.items():
+                drawn = _picture(film, starts[camera.name] + int(frame))[: photo.shape[0], : photo.shape[1]]
+                # Where nothing was enhanced, the two films are one.
+                points = next((points for other, points in told if np.array_equal(other, drawn)), None)
+                if points is None:
+                    points = [one[:, :2] for one in found_in(network, drawn, worth)]
+                told.append((drawn, points))
+                found[name].append((points, people))
+    scores = {name: with_reason(score(pictures)) for name, pictures in found.items()}
+    nothing = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "no film shows a camera's own view"}
+    for name, one in scores.items():
+        if one["people"]:
+            say(
+                f"{name}: the detector finds {one['detection_rate']:.0%} of the photos' people again, "
+                f"{one['pck_0.05']:.1%} of their points within 5 % of their size"
+            )
+    write_json(
+        recognition, {name: scores.get(name, nothing) for name in ("raw", "enhanced")} | {"detector": landmarks.stem}
+    )
+
+
+def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
+    """The scores, with the reason where nobody counted."""
+    return scored | {"reason": None if scored["people"] else "the detector finds nobody in the photos"}
+
+
+def found_in(network: BlazePose, picture: np.ndarray, worth: dict[str, list[float]]) -> list[np.ndarray]:
+    """Keypoints (33, 3) of everybody in a picture: x, y in pixels and confidence. Photos and films are searched alike,
+    and all over: who is found only where one knows to look is not found."""
+    wh = picture.shape[1], picture.shape[0]
+    return [believed(one.keypoints, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
+
+
+def as_truth(keypoints: np.ndarray) -> TruePerson | None:
+    """Somebody of a photo as whom to look for in the film; None for somebody of whom too little is seen."""
+    visible = keypoints[:, 2] >= _SEEN
+    if visible.sum() < _LEAST:
+        return None
+    extent = np.ptp(keypoints[visible, :2], axis=0)
+    return TruePerson(keypoints[:, :2], visible, (float(extent[0]), float(extent[1])))
+
+
+def _picture(film: Path, index: int) -> np.ndarray:
+    pictures: Iterator[np.ndarray] = read_frames_from(film, index, index + 1)
+    return next(pictures)
