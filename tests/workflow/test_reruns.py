@@ -61,7 +61,8 @@ def test_a_replaced_person_renders_again_and_trains_nothing(finished: House) -> 
     stranger = finished.folder / "stranger.ply"
     stranger.touch()
     overlay = finished.overlay(render={"shots": {"orbit": {"replace": {"p0": str(stranger), "p1": "p0"}}}})
-    assert set(finished.plan("--configfile", overlay)) == AFTER_HUMANS
+    # The held-out film shows everybody as they are, so whom a detector finds there is known.
+    assert set(finished.plan("--configfile", overlay)) == AFTER_HUMANS - {"report_recognition"}
 
 
 def test_a_human_setting_trains_the_humans_and_leaves_the_room(finished: House) -> None:
