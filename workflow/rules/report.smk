@@ -92,7 +92,7 @@ rule report_evaluate:
         "benchmarks/{scene}/report/evaluate.tsv"
     container:
         image(PLAN.networks.drawn_by)
-    threads: 2
+    threads: 1  # of two, all but LPIPS would leave one idle
     resources:
         mem_mb=1500,
     params:
