@@ -14,6 +14,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.body.model import BodyModel
+from studiorecon.calibration.room_edges import edges_of
 from studiorecon.errors import UserError
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.geometry.bundle import Adjusted, LensPrior
@@ -24,9 +25,10 @@ from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say, warn
 from studiorecon.rig.bundle import Agreement
 from studiorecon.rig.certainty import between_deg, sigma_of
-from studiorecon.rig.from_people import Rig, adjusted, bone_factor, rigs, scaled, settled, sightings
+from studiorecon.rig.from_people import Rig, bone_factor, rigs, scaled, sightings
 from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
 from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
@@ -36,8 +38,6 @@ from studiorecon.signature import Written
 
 # Widths of view that are tried when nobody says: phones, action cameras, webcams, tele ends.
 _HFOV_DEG = (65.0, 85.0, 48.0, 105.0, 36.0)
-_SELF_CALIBRATION_ROUNDS = 6
-_SETTLED_SHARE = 0.002
 _SAME_DEG = 5.0
 _WIDER = (1.0, 2.0)
 # So many times the accepted standard deviations, and the bodies are not where the people were.
@@ -88,13 +88,15 @@ def pose_cameras(
     told_px: Mapping[str, float] | None = None,
     given: GivenLengths = _NO_LENGTHS,
     stature: float = 1.7,
+    edges: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
     little.
 
     ``focal_px``: given focal lengths by camera name, ``told_px`` those that the files tell; the others are found along
     with the poses, or kept as guessed when the people do not determine them. ``given``: lengths that were measured;
-    ``stature``: height of the mean body, metres.
+    ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, of the
+    cameras whose pictures were looked at.
     """
     names = [d.camera for d in detections]
     chosen = evenly_spread(frames, settings.people_rig.frames)
@@ -119,8 +121,10 @@ def pose_cameras(
     wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
     lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
     known_px = {v: known[n] for v, n in enumerate(names) if n in known}
-    rig, result = _self_calibrated(best[0], seen, template_m, lens, known_px, settings)
-    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px)
+    rig, result = self_calibrated(best[0], seen, template_m, lens, known_px, settings)
+    told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
+    rig, result, turns = turned_by_edges(rig, result, seen, template_m, lens, known_px, told, settings)
+    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px, turns)
     uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, settings.people_rig)
     cameras, points, how, scale = _settled_in_the_world(result, rig, template_m, given, stature)
     error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
@@ -144,6 +148,7 @@ def pose_cameras(
         "points": points,
         "between_deg": between_deg(turn),
         "uncertain": uncertain,
+        "along_edges": {names[v]: turn.along for v, turn in turns.items()},
         "scale": scale.told,
         "scale_sigma": scale.sigma,
         "focal_from": {n: "given" if n in focal_px else "told by the file" if n in known else "people" for n in names},
@@ -227,25 +232,6 @@ def _relative_turn(first: Rig, second: Rig, view: int) -> float:
     return float(np.degrees(angle(a, b)))
 
 
-def _self_calibrated(
-    rig: Rig, seen: Any, template_m: np.ndarray, lens: LensPrior, known_px: Mapping[int, float], settings: Settings
-) -> tuple[Rig, Adjusted]:
-    """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
-    stay."""
-    result, _ = adjusted(rig, lens, settings.limits, known_px)
-    for _ in range(_SELF_CALIBRATION_ROUNDS):
-        before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
-        after = np.array([c.focal_px[0] for c in result.cameras])
-        again = settled(seen, dict(enumerate(result.cameras)), template_m, settings.gate_m, settings.limits)
-        if again is None:
-            break
-        rig = again
-        if np.abs(after / before - 1).max() < _SETTLED_SHARE:
-            break
-        result, _ = adjusted(rig, lens, settings.limits, known_px)
-    return rig, adjusted(rig, lens, settings.limits, known_px)[0]
-
-
 def _settled_in_the_world(
     result: Adjusted, rig: Rig, template_m: np.ndarray, given: GivenLengths, stature: float
 ) -> tuple[list[Camera], int, str, Scale]:
@@ -326,13 +312,28 @@ def run(
     given_px = json.loads(focal_px or "{}")
     told_px = _told_by_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
+    edges = edges_of(cameras, sources, size_of)
     found, report = pose_cameras(
-        detections, wh, given_px, common.frames, mean_body(fitted), settings, told_px, measured, stature_m(fitted)
+        detections,
+        wh,
+        given_px,
+        common.frames,
+        mean_body(fitted),
+        settings,
+        told_px,
+        measured,
+        stature_m(fitted),
+        edges,
     )
     notes = [
         f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
         f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
         f"±{2 * max(report['sigma_m'].values()):.2f} m (95 %, a detector's own errors counted in)",
+        "turned by the room's edges: "
+        + (
+            ", ".join(f"{n} ({share:.0%} of their length)" for n, share in report["along_edges"].items())
+            or "none, they do not run along three directions"
+        ),
         report["scale"],
         report["world"],
         "focal lengths: "

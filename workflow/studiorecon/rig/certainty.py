@@ -9,45 +9,48 @@ of the body other joints: what the cameras found from them differ by is an error
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior, without_drift
 from studiorecon.geometry.triangulation import Limits, Triangulated
 from studiorecon.rig.from_people import Rig, adjusted, places_of_joints
+from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.rig.stale import HALF_OF_THE_JOINTS, moves
 
 # What stays when every half agrees: joints that are defined otherwise seen from the front than from behind.
 _FLOOR_DEG = 0.2
+# Where the optical axis meets the picture, which is taken for the middle: off by this share of the longer side along
+# each axis in the lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
+_PRINCIPAL_SHARE = 0.006
 _LEAST_POINTS = 60
 
 
 def sigma_of(
-    rig: Rig, result: Adjusted, lens: LensPrior, limits: Limits, known_px: Mapping[int, float] | None = None
+    rig: Rig,
+    result: Adjusted,
+    lens: LensPrior,
+    limits: Limits,
+    known_px: Mapping[int, float] | None = None,
+    turns: Mapping[int, RoomTurn] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(V,) standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
     another.
 
-    The larger of what the residuals say (``Adjusted.sigma``, with all places of a joint as one observation) and what
-    four half fits (both halves of the clip, both of the joints) are off in the root mean square, and 0.2° of what no
-    half shows, with what that means in place at the people's distance. The difference of a half from the whole is as
-    uncertain as the whole where errors are independent. Focal lengths are known no worse than ``lens`` says;
-    ``known_px`` as for ``adjusted``.
+    The largest of what the residuals say (``Adjusted.sigma``, with all places of a joint as one observation), and of
+    what half fits are off in the root mean square, of the clip and of the joints; and 0.2° of what no half shows, with
+    what that means in place at the people's distance; and the principal point, which nobody looks for. The difference
+    of a half from the whole is as uncertain as the whole where errors are independent. Focal lengths are known no worse
+    than ``lens`` says; ``known_px`` and ``turns`` as for ``adjusted``.
     """
     counted = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     early = rig.seen.frame <= np.median(rig.seen.frame[counted]) if counted.any() else counted
-    half = HALF_OF_THE_JOINTS[rig.seen.keypoint]
-    turns, places, focals = [], [], []
-    for chosen in (early, ~early, half, ~half):
-        if (chosen & counted).sum() < _LEAST_POINTS:
-            continue
-        part, _ = adjusted(_part(rig, chosen), lens, limits, known_px)
-        laid = without_drift(part.cameras, result.cameras)[0]
-        degrees, metres = moves(laid, result.cameras)
-        turns.append(degrees)
-        places.append(metres)
-        focals.append([np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)])
+    half, side = HALF_OF_THE_JOINTS[rig.seen.keypoint], rig.seen.keypoint % 2 == 0
+    # What moments disagree by and what joints disagree by are different errors: the larger counts, not their mean.
+    of_kinds = [
+        _off_by(rig, result, patterns, counted, lens, limits, known_px, turns) for patterns in ((early,), (half, side))
+    ]
     joints = len(np.unique(np.stack([rig.seen.group[counted], rig.seen.keypoint[counted]]), axis=1).T)
     wider = np.sqrt(places_of_joints(rig, counted) / max(joints, 1))
     formal = (
@@ -55,13 +58,37 @@ def sigma_of(
         wider * result.sigma[:, 3:6].max(1),
         wider * result.sigma[:, 6],
     )
-    # A turn has three numbers and so has a place: per number, as the formal ones are.
-    seen = [np.sqrt(np.mean(np.square(v), axis=0) / n) if v else 0.0 for v, n in ((turns, 3), (places, 3), (focals, 1))]
+    seen = np.max(of_kinds, axis=0)
     middle = np.median(result.points_m, axis=0)
     away = np.array([np.linalg.norm(c.centre_m - middle) for c in result.cameras])
-    floor = _FLOOR_DEG, np.radians(_FLOOR_DEG) * away, 0.0
+    principal = np.degrees([_PRINCIPAL_SHARE * max(c.wh) / c.focal_px[0] for c in result.cameras])
+    floor = np.hypot(_FLOOR_DEG, principal), np.radians(_FLOOR_DEG) * away, 0.0
     turn, place, focal = (np.hypot(np.maximum(f, s), least) for f, s, least in zip(formal, seen, floor))
     return turn, place, np.minimum(focal, lens.log_focal)
+
+
+def _off_by(
+    rig: Rig,
+    result: Adjusted,
+    patterns: Sequence[np.ndarray],
+    counted: np.ndarray,
+    lens: LensPrior,
+    limits: Limits,
+    known_px: Mapping[int, float] | None,
+    turns: Mapping[int, RoomTurn] | None,
+) -> np.ndarray:
+    """(3, V) root mean square of what the halves of ``patterns`` (N,) bool are off ``result``: turn (degrees) and place
+    (metres) per number, focal length (share); zeros where no half has enough points."""
+    off = []
+    for chosen in (half for pattern in patterns for half in (pattern, ~pattern)):
+        if (chosen & counted).sum() < _LEAST_POINTS:
+            continue
+        part, _ = adjusted(_part(rig, chosen), lens, limits, known_px, turns)
+        degrees, metres = moves(without_drift(part.cameras, result.cameras)[0], result.cameras)
+        focal = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)]
+        # A turn has three numbers and so has a place: per number, as the formal ones are.
+        off.append([degrees / np.sqrt(3), metres / np.sqrt(3), focal])
+    return np.sqrt(np.mean(np.square(off), axis=0)) if off else np.zeros((3, len(result.cameras)))
 
 
 def _part(rig: Rig, chosen: np.ndarray) -> Rig:
@@ -79,8 +106,8 @@ def _part(rig: Rig, chosen: np.ndarray) -> Rig:
 
 def between_deg(turn_deg: np.ndarray) -> float:
     """95 % interval (half width, degrees) of the rotation between the two least certain of cameras with ``sigma_of``'s
-    turns (V,).
+    turns (V,), which the worst of all pairs of them keeps.
 
-    2.5 standard deviations: between 2 for an error about one axis and 2.8 for one about all three.
+    3 standard deviations: of six pairs, between 2.6 for errors about one axis and 3.4 for such about all three.
     """
-    return float(2.5 * np.sqrt((np.sort(turn_deg)[-2:] ** 2).sum()))
+    return float(3.0 * np.sqrt((np.sort(turn_deg)[-2:] ** 2).sum()))

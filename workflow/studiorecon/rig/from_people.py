@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, moved
 from studiorecon.geometry.relative_pose import essential_of, in_front, misses, relative_pose, resection, sampson
 from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -30,9 +31,10 @@ if TYPE_CHECKING:
 
 _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("left", "right") for bone in _BONES])
-# Pairs of tracks that are tried per pair of cameras, and pairs of cameras that the world is grown from.
+# Pairs of tracks that are tried per pair of cameras; pairs of cameras that a world is grown from at most, and worlds of
+# all cameras that are enough.
 _TRIED_TRACKS = 9
-_TRIED_SEEDS = 2
+_TRIED_SEEDS, _ENOUGH_WORLDS = 8, 2
 _LEAST_SHARED = 60
 # Share of a pair of tracks that must agree to be one person: wrong pairs of one pair of cameras reach 0.8 by
 # themselves, but not together with the right ones of everybody else.
@@ -97,29 +99,44 @@ def rigs(
     unit = float(np.mean(unit_px(cameras, limits) / [np.mean(c.focal_px) for c in cameras]))
     seeds = [s for a, b in combinations(range(len(cameras)), 2) if (s := _pair(seen, cameras, a, b, unit)) is not None]
     seeds.sort(key=lambda s: (-s[0], s[1]))
-    grown = [_grown(seen, cameras, seed, template_m, gate_m, limits) for seed in seeds[:_TRIED_SEEDS]]
-    return sorted((r for r in grown if r is not None), key=lambda r: (-len(r.cameras), -r.support))
+    grown: list[Rig] = []
+    for seed in seeds[:_TRIED_SEEDS]:
+        # Two people of one height may fit a pair of cameras better than one person does: such a world does not grow.
+        if sum(len(r.cameras) == len(cameras) for r in grown) >= _ENOUGH_WORLDS:
+            break
+        rig = _grown(seen, cameras, seed, template_m, gate_m, limits)
+        grown += [rig] if rig is not None else []
+    return sorted(grown, key=lambda r: (-len(r.cameras), -r.support))
 
 
 def adjusted(
-    rig: Rig, lens: LensPrior, limits: Limits, known_px: Mapping[int, float] | None = None
+    rig: Rig,
+    lens: LensPrior,
+    limits: Limits,
+    known_px: Mapping[int, float] | None = None,
+    turns: Mapping[int, RoomTurn] | None = None,
 ) -> tuple[Adjusted, np.ndarray]:
     """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points (N,) it used.
 
     ``known_px``: view → the focal length that the lens's prior is about; where there is none it is the rig's own.
+    ``turns``: view → how the room's edges say that it is turned.
 
     A detector misplaces a joint in the same way wherever the body stays the same, so observations weigh by the number
     of places (cells of 20 cm) where a joint was seen, not by the number of frames: somebody who stands still is one
     observation.
     """
-    cameras = [rig.cameras[v] for v in sorted(rig.cameras)]
+    views, told = sorted(rig.cameras), turns or {}
+    cameras = [rig.cameras[v] for v in views]
+    given = [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(views, cameras)]
+    given = [moved(c, told[v].rotation_camera_from_world, c.centre_m) if v in told else c for v, c in zip(views, given)]
+    held_deg = np.array([told[v].sigma_deg if v in told else _FREE.prior_deg for v in views])
     found = rig.points
     used = found.verified if len(cameras) > 2 else found.valid
     distinct = places_of_joints(rig, used)
     weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * (distinct / max(int(used.sum()), 1))
     return adjust_with_lenses(
-        cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits), _FREE, lens,
-        [with_focal(c, (known_px or {}).get(v, c.focal_px[0])) for v, c in zip(sorted(rig.cameras), cameras)],
+        cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits),
+        replace(_FREE, prior_deg=held_deg), lens, given,
     ), used  # fmt: skip
 
 
@@ -187,7 +204,7 @@ def _pair(
         matched, votes = _voted(first, second, shared, found[0], found[1], unit)
         if best is None or votes > best[0]:
             best = votes, matched, found
-    if best is None:
+    if best is None or not best[1]:
         return None
     _, matched, found = best
     one = np.concatenate([first[i][shared[i, j]] for i, j in matched])
@@ -262,11 +279,13 @@ def settled(
     gate_m: float,
     limits: Limits,
     first_pair: bool = False,
+    turns: Mapping[int, RoomTurn] | None = None,
 ) -> Rig | None:
     """The rig after two rounds of grouping, triangulation and adjustment; a first pair is made metric by people's
     bones.
 
-    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline.
+    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` as for
+    ``adjusted``.
     """
     views = sorted(placed)
     current = dict(placed)
@@ -285,7 +304,7 @@ def settled(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits)
+        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits, turns=turns)
         all_points = np.full_like(points.points_m, np.nan)
         all_points[used] = better.points_m
         factor = bone_factor(all_points, points, found, template_m)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How cameras are turned to one another by the straight edges of the room: walls, windows and furniture run along
+three directions that all cameras share.
+
+People leave relative rotations uncertain by degrees where they stay on one spot, since a detector misplaces joints in
+the same way all the time. Edges know nothing of people: with rotations that are right within some degrees, every
+camera's own edges say the rest (vanishing points of a Manhattan world; Coughlan and Yuille 1999). Which of the 24
+equivalent frames is meant, the people's rotations decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from studiorecon.arrays import require
+from studiorecon.geometry.rotations import angle, exp, log
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# How far people's rotations may be off, degrees, and the step of the search within that.
+_REACH_DEG, _STEP_DEG = 8.0, 2.0
+# Frames that are tried for the room: 6° apart.
+_FRAMES = 3000
+_REFINED = 12
+# Widths of agreement from coarse to fine, degrees: across cameras, whose turns are off, and within one camera.
+_ACROSS_DEG, _COARSE_DEG, _FINE_DEG = (5.0, 4.0), (1.5, 1.0, 0.6), 0.6
+# Edges that tell: so much of their length along the three directions (chance: 5 %), along two of them at least so much
+# and so many.
+_ALONG, _ALONG_EACH, _LEAST_EDGES = 0.25, 0.05, 6
+# Another turn of a camera with this share of the support, further away than this, leaves it untold.
+_RIVAL, _ELSEWHERE_DEG = 0.8, 1.5
+# Walls and furniture are square to about this; what a real room's edges and a motion-capture system's calibration
+# differed by, camera for camera.
+_SQUARE_DEG = 0.3
+_HELD_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class RoomTurn:
+    """How one camera is turned.
+
+    Attributes:
+        rotation_camera_from_world: (3, 3), in the world of the rotations that were given.
+        sigma_deg: standard deviation of each of its three numbers.
+        along: share of the length of its edges that runs along the room's three directions.
+    """
+
+    rotation_camera_from_world: Num[np.ndarray, "3 3"]
+    sigma_deg: float
+    along: float
+
+
+@dataclass(frozen=True)
+class _Edges:
+    """Edges of one camera as planes through its centre: unit normals (N, 3), weights (N,) that sum to 1, and in which
+    of two patterns of halves (2, N) bool each lies."""
+
+    normals: np.ndarray
+    weights: np.ndarray
+    halves: np.ndarray
+
+
+def room_turns(cameras: Mapping[int, Camera], edges: Mapping[int, Num[np.ndarray, "N 4"]]) -> dict[int, RoomTurn]:
+    """view → its turn, for the views whose ``edges`` (N, 4: ends, pixels) tell; empty when fewer than two do.
+
+    ``cameras``: with rotations relative to one another that are right within 8°. Raises ValueError for other shapes.
+    """
+    planes = {v: _planes(cameras[v], edges[v]) for v in sorted(edges) if v in cameras and len(edges[v])}
+    if len(planes) < 2:
+        return {}
+    turned = {v: cameras[v].camera_from_world[:3, :3] for v in planes}
+    world_from_room = _room(list(planes.values()), [turned[v] for v in planes])
+    found = {}
+    for v, own in planes.items():
+        turn = _turn(own, turned[v] @ world_from_room)
+        if turn is not None:
+            rotation, sigma_deg, along = turn
+            found[v] = RoomTurn(rotation @ world_from_room.T, sigma_deg, along)
+    return found if len(found) >= 2 else {}
+
+
+def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
+    require("edges", ends, ("N", 4), finite=True)
+    points = ends.reshape(-1, 2, 2)
+    rays = np.concatenate(
+        [(points - camera.principal_px) / np.array(camera.focal_px), np.ones((len(ends), 2, 1))], axis=-1
+    )
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    normals = np.cross(rays[:, 0], rays[:, 1])
+    length = np.linalg.norm(normals, axis=-1)
+    told = length > 0
+    # Neighbouring edges err together (both sides of one window frame): halves are fields of a chessboard, and stripes.
+    cells = np.floor(points.mean(1) / np.array(camera.wh) * 4).astype(int)
+    halves = np.stack([cells.sum(1) % 2 == 0, cells[:, 1] % 2 == 0])
+    return _Edges(normals[told] / length[told, None], length[told] / length[told].sum(), halves[:, told])
+
+
+def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> np.ndarray:
+    """(...,) share of the edges' length that runs along one of the room's directions, to within about ``width_deg``."""
+    off = np.abs(np.einsum("ni,...ij->...nj", edges.normals, camera_from_room)).min(-1)
+    return (edges.weights * np.exp(-0.5 * (off / np.radians(width_deg)) ** 2)).sum(-1)
+
+
+def _room(edges: Sequence[_Edges], rotations: Sequence[np.ndarray]) -> np.ndarray:
+    """(3, 3) world_from_room that the edges of all cameras support best, by their given rotations."""
+    tried = Rotation.random(_FRAMES, np.random.default_rng(0)).as_matrix()
+    wide, narrow = _ACROSS_DEG
+
+    def total(frames: np.ndarray, width_deg: float) -> np.ndarray:
+        return np.sum([support(e, r @ frames, width_deg) for e, r in zip(edges, rotations)], axis=0)
+
+    best = tried[np.argsort(-total(tried, wide), kind="stable")[:_REFINED]]
+    for step_deg in (3.0, 1.5, 0.75):
+        around = exp(np.radians(step_deg) * _ball(1.0, 1.0))
+        near = (best[:, None] @ around[None]).reshape(-1, 3, 3)
+        best = near[np.argsort(-total(near, narrow), kind="stable")[:_REFINED]]
+    return best[0]
+
+
+def _ball(reach: float, step: float) -> np.ndarray:
+    """(M, 3) points of a grid, none further than ``reach`` along an axis."""
+    along = np.arange(-reach, reach + step / 2, step)
+    return np.stack(np.meshgrid(along, along, along, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _turn(edges: _Edges, start: np.ndarray) -> tuple[np.ndarray, float, float] | None:
+    """(camera_from_room, standard deviation in degrees, share along it) nearest ``start``; None where the edges do not
+    tell."""
+    offsets = _ball(_REACH_DEG, _STEP_DEG)
+    near = exp(np.radians(offsets[np.linalg.norm(offsets, axis=1) <= _REACH_DEG])) @ start
+    first = near[np.argsort(-support(edges, near, _COARSE_DEG[0]), kind="stable")[:_REFINED]]
+    refined = np.stack([_refined(edges, r) for r in first])
+    shares = support(edges, refined, _FINE_DEG)
+    best = refined[int(np.argmax(shares))]
+    elsewhere = np.degrees(angle(refined, best[None])) > _ELSEWHERE_DEG
+    if shares.max() < _ALONG or (shares[elsewhere] > _RIVAL * shares.max()).any() or not _two_ways(edges, best):
+        return None
+    if np.degrees(angle(best, start)) > 1.5 * _REACH_DEG:
+        return None
+    parts = [
+        _refined(_Edges(edges.normals[h], edges.weights[h], edges.halves[:, h]), best, held=True)
+        for half in edges.halves
+        for h in (half, ~half)
+        if h.sum() >= _LEAST_EDGES
+    ]
+    apart = np.degrees(log(np.stack(parts) @ best.T)) if parts else np.full((1, 3), _HELD_DEG)
+    return best, float(np.hypot(np.sqrt((apart**2).mean()), _SQUARE_DEG)), float(shares.max())
+
+
+def _two_ways(edges: _Edges, camera_from_room: np.ndarray) -> bool:
+    """Whether enough edges run along two of the room's directions: along one alone a turn about it is not told."""
+    off = np.abs(edges.normals @ camera_from_room)
+    which, near = off.argmin(1), off.min(1) < 2 * np.radians(_FINE_DEG)
+    along = [near & (which == k) for k in range(3)]
+    return sum(a.sum() >= _LEAST_EDGES and edges.weights[a].sum() >= _ALONG_EACH for a in along) >= 2
+
+
+def _refined(edges: _Edges, camera_from_room: np.ndarray, held: bool = False) -> np.ndarray:
+    """The rotation where the edges agree best, by Gauss-Newton from ``camera_from_room``; ``held``: to about 1° there,
+    for parts of the edges that may not tell all of it."""
+    found = camera_from_room
+    for width_deg in _COARSE_DEG:
+        for _ in range(6):
+            off = edges.normals @ found
+            k = np.abs(off).argmin(1)
+            residual = off[np.arange(len(k)), k]
+            weight = edges.weights * np.exp(-0.5 * (residual / np.radians(width_deg)) ** 2)
+            of_turn = np.cross(found.T[k], edges.normals)
+            normal = (of_turn * weight[:, None]).T @ of_turn
+            side = (of_turn * weight[:, None]).T @ residual
+            if held:
+                pull = weight.sum() * (_FINE_DEG / _HELD_DEG) ** 2 / max(len(k), 1)
+                normal = normal + pull * np.eye(3)
+                side = side + pull * log(found @ camera_from_room.T)
+            found = exp(-np.linalg.solve(normal + 1e-9 * np.eye(3), side)) @ found
+    return found

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig from people, made exact: poses and focal lengths together, then the room's edges, with people grouped anew in
+between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.progress import say
+from studiorecon.rig.bundle import Agreement
+from studiorecon.rig.from_people import Rig, Sightings, adjusted, settled
+from studiorecon.rig.room_turns import RoomTurn, room_turns
+
+_ROUNDS = 6
+_SETTLED_SHARE = 0.002
+# Rounds in which people's groups are formed anew after the room's edges turned the cameras; what people may lose by it.
+_EDGE_ROUNDS = 2
+_KEPT_SUPPORT, _EDGES_COST = 0.9, 1.2
+
+
+def self_calibrated(
+    rig: Rig,
+    seen: Sightings,
+    template_m: np.ndarray,
+    lens: LensPrior,
+    known_px: Mapping[int, float],
+    agreement: Agreement,
+) -> tuple[Rig, Adjusted]:
+    """Poses and focal lengths together, with the groups formed anew after every change, until the focal lengths
+    stay."""
+    result, _ = adjusted(rig, lens, agreement.limits, known_px)
+    for _ in range(_ROUNDS):
+        before = np.array([rig.cameras[v].focal_px[0] for v in sorted(rig.cameras)])
+        after = np.array([c.focal_px[0] for c in result.cameras])
+        again = settled(seen, dict(enumerate(result.cameras)), template_m, agreement.gate_m, agreement.limits)
+        if again is None:
+            break
+        rig = again
+        if np.abs(after / before - 1).max() < _SETTLED_SHARE:
+            break
+        result, _ = adjusted(rig, lens, agreement.limits, known_px)
+    return rig, adjusted(rig, lens, agreement.limits, known_px)[0]
+
+
+def turned_by_edges(
+    rig: Rig,
+    result: Adjusted,
+    seen: Sightings,
+    template_m: np.ndarray,
+    lens: LensPrior,
+    known_px: Mapping[int, float],
+    edges: Mapping[int, np.ndarray],
+    agreement: Agreement,
+) -> tuple[Rig, Adjusted, dict[int, RoomTurn]]:
+    """The rig with what the room's edges say about its turns, and that; as it is where they say nothing, or where
+    people contradict them."""
+    turns = room_turns(dict(enumerate(result.cameras)), edges)
+    if not turns:
+        return rig, result, {}
+    held, after = rig, result
+    for _ in range(_EDGE_ROUNDS):
+        again = settled(
+            seen, dict(enumerate(after.cameras)), template_m, agreement.gate_m, agreement.limits, turns=turns
+        )
+        if again is None:
+            return rig, result, {}
+        held, (after, _) = again, adjusted(again, lens, agreement.limits, known_px, turns)
+    if held.support < _KEPT_SUPPORT * rig.support or after.error_units > _EDGES_COST * result.error_units:
+        say(
+            f"the room's edges were left out: with them people agree less ({held.support} keypoints instead of "
+            f"{rig.support}, {after.error_units / result.error_units - 1:+.0%} error)"
+        )
+        return rig, result, {}
+    return held, after, turns
