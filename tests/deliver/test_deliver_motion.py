@@ -74,7 +74,7 @@ def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel)
         world[j] = local[:, j] if parent < 0 else world[parent] @ local[:, j]
         joints[:, j] = places if parent < 0 else joints[:, parent] + (world[parent] @ np.array(offsets[j]))
     order = [motion_files.JOINT_NAMES.index(n) for n in names]
-    assert np.abs(joints - 100 * y_up(person.joints[:, order])).max() < 2e-3, "centimetres"
+    assert np.abs(joints - y_up(person.joints[:, order])).max() < 2e-5, "metres, to six digits"
 
 
 @pytest.mark.parametrize("pitch", [90.0, -90.0, 89.9999, 0.0])

@@ -16,6 +16,7 @@ from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model, read_points
 from studiorecon.configuration.setting import setting
 from studiorecon.deliver import camera_files, keypoint_files, motion_files
+from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import UserError
 from studiorecon.progress import say
@@ -56,8 +57,8 @@ _PERSONS = (
     "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's "
     "24-joint order, trans = pelvis, which frames\n"
     "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, "
-    "centimetres), .trc (OpenSim markers, y up,\n"
-    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (mesh, skeleton "
+    "metres), .trc (OpenSim markers, y up,\n"
+    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (coloured mesh, skeleton "
     "and animation, y up) are for other programs\n"
 )
 
@@ -113,18 +114,20 @@ def copy_files(copies: Mapping[Path, Path]) -> None:
             shutil.copyfile(source, partial)
 
 
-def motion(folder: Path, person: Person, body: BodyModel) -> list[Path]:
-    """One person's motion in every format, ``<folder>/<person>.<ending>``; raises UserError when the fit is of another
-    body model."""
+def motion(folder: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> list[Path]:
+    """One person's motion in every format, ``<folder>/<person>.<ending>``, the mesh grey without ``colours``; raises
+    UserError when the fit is of another body model."""
     if person.body != body.identity:
         raise UserError(
             f"{person.name} was fitted with the body model {person.body}, but "
             f"{body.identity} was given; use the same body file"
         )
     written = []
-    for ending, write in {**motion_files.WRITERS, "glb": write_glb}.items():
+    for ending, write in motion_files.WRITERS.items():
         written.append(folder / f"{person.name}.{ending}")
         write(written[-1], person, body)
+    written.append(folder / f"{person.name}.glb")
+    write_glb(written[-1], person, body, colours)
     return written
 
 
@@ -168,8 +171,12 @@ def run(
         for d in seen:
             numbers = keypoint_files.numbers_of(d.camera, known, names)
             other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
+    colours = {one.person: body_colours(one) for one in people}
     for fit in fits:
-        other += motion(folder / "bodies", read_person(fit), body_model)
+        person = read_person(fit)
+        if colours.get(person.name) is None:
+            say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
+        other += motion(folder / "bodies", person, body_model, colours.get(person.name))
     copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
     copy_files(copies)

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
+from studiorecon.deliver.body_colours import BodyColours
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.files import complete
 from studiorecon.scene.people import Person
 
-_FLOAT, _UBYTE, _UINT = 5126, 5121, 5125
+_FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _BONES = 4
 
@@ -69,9 +70,25 @@ def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0]).astype(np.float32)
 
 
-def write_glb(path: Path, person: Person, body: BodyModel) -> None:
+def linear(rgb: np.ndarray) -> np.ndarray:
+    """Colours as displayed (sRGB, IEC 61966-2-1) as glTF wants those of vertices: proportional to light."""
+    rgb = np.clip(rgb, 0, 1)
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
+def add_colours(buffer: Buffer, rgb: np.ndarray, provenance: np.ndarray) -> dict[str, int]:
+    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,)."""
+    colours = np.full((len(rgb), 4), 65535, np.uint16)
+    colours[:, :3] = np.rint(linear(rgb) * 65535)
+    held = buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER)
+    buffer.accessors[held]["normalized"] = True
+    marks = buffer.add(provenance.astype(np.float32)[:, None], "SCALAR", _FLOAT, _ARRAY_BUFFER)
+    return {"COLOR_0": held, "_PROVENANCE": marks}
+
+
+def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
     """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
-    included."""
+    included. Grey without ``colours``."""
     rest, joints = body.rest_vertices(person.betas), body.rest_joints(person.betas)
     buffer = Buffer()
     bones, weights = strongest_bones(body.weights)
@@ -81,6 +98,7 @@ def write_glb(path: Path, person: Person, body: BodyModel) -> None:
         "JOINTS_0": buffer.add(bones, "VEC4", _UBYTE, _ARRAY_BUFFER),
         "WEIGHTS_0": buffer.add(weights, "VEC4", _FLOAT, _ARRAY_BUFFER),
     }
+    attributes |= add_colours(buffer, colours.rgb, colours.provenance) if colours else {}
     indices = buffer.add(body.faces.reshape(-1, 1).astype(np.uint32), "SCALAR", _UINT, _ELEMENT_BUFFER)
     inverse_bind = np.tile(np.eye(4, dtype=np.float32), (24, 1, 1))
     inverse_bind[:, 3, :3] = -joints  # column-major: the translation is the last row here
@@ -102,7 +120,7 @@ def write_glb(path: Path, person: Person, body: BodyModel) -> None:
         "materials": [
             {
                 "pbrMetallicRoughness": {
-                    "baseColorFactor": [0.7, 0.7, 0.7, 1.0],
+                    "baseColorFactor": [1.0] * 4 if colours else [0.7, 0.7, 0.7, 1.0],
                     "metallicFactor": 0.0,
                     "roughnessFactor": 0.9,
                 }

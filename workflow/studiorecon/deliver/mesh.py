@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver.fusion import FusedSurface, decimated, fused, look, without
-from studiorecon.deliver.gltf import Buffer, vertex_normals, write_document
+from studiorecon.deliver.gltf import Buffer, add_colours, vertex_normals, write_document
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
 from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
 from studiorecon.errors import UserError
@@ -35,14 +35,8 @@ TRIANGLES = 60_000
 PLANE_STEP_M, PLANE_VERTICES = 0.05, 40_000
 # What lies this near a plane that is kept is that plane, seen with noise.
 _OF_PLANE_M = 0.06
-_FLOAT, _USHORT, _UINT = 5126, 5123, 5125
+_FLOAT, _UINT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
-
-
-def linear(rgb: np.ndarray) -> np.ndarray:
-    """Colours as displayed (sRGB, IEC 61966-2-1) as glTF wants those of vertices: proportional to light."""
-    rgb = np.clip(rgb, 0, 1)
-    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_out: list[str]) -> None:
@@ -55,15 +49,10 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
         parts.append(("standing", standing.vertices_m, standing.triangles, standing.rgb, nothing_invented))
     for name, vertices_m, triangles, rgb, provenance in parts:
         places = (vertices_m @ Y_UP_FROM_Z_UP.T).astype(np.float32)
-        colours = np.full((len(rgb), 4), 65535, np.uint16)
-        colours[:, :3] = np.rint(linear(rgb) * 65535)
         attributes = {
             "POSITION": buffer.add(places, "VEC3", _FLOAT, _ARRAY_BUFFER),
             "NORMAL": buffer.add(vertex_normals(places.astype(np.float64), triangles), "VEC3", _FLOAT, _ARRAY_BUFFER),
-            "COLOR_0": buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER),
-            "_PROVENANCE": buffer.add(provenance.astype(np.float32)[:, None], "SCALAR", _FLOAT, _ARRAY_BUFFER),
-        }
-        buffer.accessors[attributes["COLOR_0"]]["normalized"] = True
+        } | add_colours(buffer, rgb, provenance)
         indices = buffer.add(triangles.astype(np.uint32).reshape(-1, 1), "SCALAR", _UINT, _ELEMENT_BUFFER)
         meshes.append({"name": name, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]})
     document: dict[str, Any] = {

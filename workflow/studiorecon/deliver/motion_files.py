@@ -21,8 +21,6 @@ from studiorecon.scene.people import Person
 
 # Carries the z-up world to a y-up one: (x, y, z) → (x, z, −y).
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-# Unit of BVH files: none is written in them, centimetres are what most programs assume.
-_CENTIMETRES = 100.0
 # Points of TRC and OpenPose files, in OpenPose's order and under OpenPose's names.
 _BODY_25 = LAYOUTS["body_25"].keypoints
 
@@ -46,12 +44,13 @@ def amass(path: Path, person: Person, body: BodyModel) -> None:
 
 
 def bvh(path: Path, person: Person, body: BodyModel) -> None:
-    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, centimetres, degrees.
+    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, metres, degrees.
 
     Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled
-    frames are included: a film must not blink.
+    frames are included: a film must not blink. A BVH file names no unit; metres are the unit of every other file here,
+    and what Blender reads it as.
     """
-    rest = _CENTIMETRES * body.rest_joints(person.betas)
+    rest = body.rest_joints(person.betas)
     children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
     lines, order = ["HIERARCHY"], []
 
@@ -79,7 +78,7 @@ def bvh(path: Path, person: Person, body: BodyModel) -> None:
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     angles = euler_zxy_deg(turned)[:, order].reshape(len(turned), -1)
-    places = _CENTIMETRES * person.trans @ Y_UP_FROM_Z_UP.T
+    places = person.trans @ Y_UP_FROM_Z_UP.T
     lines += ["MOTION", f"Frames: {len(angles)}", f"Frame Time: {1 / person.fps:.9f}"]
     lines += [f"{_numbers(place)} {_numbers(row)}" for place, row in zip(places, angles)]
     write_text(path, "\n".join(lines) + "\n")

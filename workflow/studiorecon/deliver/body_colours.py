@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The colours of a body's surface, from the Gaussians that were trained on it: for programs that draw meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from scipy.spatial import KDTree
+
+from studiorecon.body.avatar.files import Avatar
+from studiorecon.scene.gaussians import SH_C0
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
+# A surface is several Gaussians deep: clothes, and now and then a stray of the wall behind, which few others outvote.
+_NEAREST = 8
+# Weight of a Gaussian that nobody sees, so that a place where all are faint has their colour too.
+_LEAST_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True)
+class BodyColours:
+    """Attributes:
+    rgb: (V, 3) float64 in [0, 1] as displayed, one per vertex of the body model.
+    provenance: (V,) uint8 of the nearest Gaussian, see ``scene/provenance.py``.
+    """
+
+    rgb: Float[np.ndarray, "V 3"]
+    provenance: Integer[np.ndarray, " V"]
+
+
+def body_colours(avatar: Avatar) -> BodyColours | None:
+    """What the Gaussians nearest to each vertex show in the rest pose, the more opaque the more it counts; from all
+    sides and at all times alike. None for a person without Gaussians."""
+    own = avatar.gaussians
+    if not own.count:
+        return None
+    vertices_m = avatar.model.rest_vertices(avatar.betas)
+    _, near = KDTree(own.means_m).query(vertices_m, min(_NEAREST, own.count))
+    near = near.reshape(len(vertices_m), -1)
+    shares = np.maximum(scipy.special.expit(own.logit_opacities.astype(np.float64)), _LEAST_WEIGHT)[near]
+    shares /= shares.sum(axis=1, keepdims=True)
+    rgb = 0.5 + SH_C0 * own.sh[:, 0].astype(np.float64)
+    blended = np.einsum("vk,vkc->vc", shares, rgb[near])
+    return BodyColours(np.clip(blended, 0, 1), np.asarray(avatar.provenance, np.uint8)[near[:, 0]])
