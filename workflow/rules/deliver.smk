@@ -96,3 +96,39 @@ rule room_mesh:
     input:
         f"results/{PLAN.scene}/deliver/room.glb",
     localrule: True
+
+
+rule deliver_usd:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model=MODEL,
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
+        objects=files.loose_objects,
+    output:
+        stage="results/{scene}/deliver/scene.usdc",
+    log:
+        "logs/{scene}/deliver/usd.log",
+    benchmark:
+        "benchmarks/{scene}/deliver/usd.tsv"
+    container:
+        image("vision")
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        code=code("deliver.usd"),
+    message:
+        "The scene as a stage of OpenUSD: {output.stage}"
+    shell:
+        command("deliver.usd")
+
+
+# On request: the extra usd takes 210 MB, and most never open a stage.
+rule scene_usd:
+    input:
+        f"results/{PLAN.scene}/deliver/scene.usdc",
+    localrule: True

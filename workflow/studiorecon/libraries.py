@@ -16,6 +16,7 @@ EXTRAS = {
     "gsplat": "gpu",
     "kornia": "gpu",
     "open3d": "mesh",
+    "pxr": "usd",
 }
 """Library, as it is imported, → the extra that brings it; every other library of the package is part of the plain
 environment."""

@@ -34,6 +34,7 @@ background.ply    the static room: 3D Gaussians, binary PLY in the layout of the
 {keypoints}films/            H.264 films, enhanced: {films}
 player.html       the scene to move through, in a browser, without a network
 room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, in metres
+scene.usdc        only on request (snakemake scene_usd): room, people, things and cameras as a stage for usdview, z up
 manifest.json     size and SHA-256 of every other file here
 
 World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward;
@@ -46,7 +47,7 @@ invented (the report shows where), and a PLY cannot say which. The people's PLY 
 in bodies/.
 """
 # What other steps leave in the same folder, or are about to: a file that is being written bears a longer name.
-OF_OTHER_STEPS = ("room.glb", "player.html", "player.jpg")
+OF_OTHER_STEPS = ("room.glb", "scene.usdc", "player.html", "player.jpg")
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
     "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "
