@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import studiorecon
 from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frame, to_bytes
 from studiorecon.scene.files import read_json, write_json, write_npz
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep, write_path
@@ -103,3 +104,31 @@ def test_the_readme_s_lines_run(
     monkeypatch.chdir(tmp_path)
     exec(compile(written.group(1), "README.md", "exec"), {})
     assert f"({FRAMES}, 72)" in capsys.readouterr().out
+
+
+def test_a_picture_of_the_scene_is_what_its_cameras_filmed(tmp_path: Path, root: Path) -> None:
+    folder = results(tmp_path, root, 2)
+    write_scene(folder, root, 2)
+    scene = studiorecon.load(folder)
+    camera = scene.cameras[1]
+    drawn = studiorecon.draw(scene, camera, 2, without=["o0"])
+    filmed = read_frame(folder / f"capture/{camera.name}.mkv", 2)
+    np.testing.assert_array_equal(to_bytes(drawn.rgb), filmed)
+    assert drawn.depth_m.shape == drawn.alpha.shape == filmed.shape[:2]
+    alone = studiorecon.draw(scene, camera, 2, without=["o0", "p0", "room"], background_rgb=(1.0, 1.0, 1.0))
+    assert 0 < float((alone.alpha > 0.5).mean()) < 0.3, "one person"
+    np.testing.assert_array_equal(alone.rgb[alone.alpha == 0], 1.0)
+    between = studiorecon.draw(scene, camera, 1.5).rgb
+    assert np.abs(between - drawn.rgb).max() > 0.1, "somebody moves, and the thing is there"
+
+
+@pytest.mark.parametrize(
+    ("frame", "without", "words"),
+    [(99, [], "frames 0 to"), (-1, [], "frames 0 to"), (0, ["p7"], "has no p7; it has room, p0")],
+)
+def test_what_is_not_there_cannot_be_drawn(
+    tmp_path: Path, root: Path, frame: float, without: list[str], words: str
+) -> None:
+    scene = studiorecon.load(results(tmp_path, root, 1))
+    with pytest.raises(UserError, match=words):
+        studiorecon.draw(scene, scene.cameras[0], frame, without)

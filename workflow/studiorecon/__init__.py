@@ -16,7 +16,7 @@ truth, ``planner`` says where to put cameras, ``sweep`` measures what accuracy c
 Foundations (never import a stage, and of one another only those before): ``pages`` (for people to read), ``scene``
 (nouns and their files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``,
 ``rig``, ``splatting``; ``models`` holds the upstream networks' adapters. ``results`` reads a finished scene:
-``studiorecon.load(FOLDER)``.
+``studiorecon.load(FOLDER)``, and ``studiorecon.draw`` makes a picture of it.
 
 Words
 -----
@@ -50,9 +50,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from studiorecon.deliver.finished import FinishedScene
+    from studiorecon.scene.camera import Camera
+    from studiorecon.splatting.rendering import Rendering
 
 
 def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
@@ -64,3 +67,17 @@ def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
     from studiorecon import results  # not at once: every step imports this page
 
     return results.load(folder, body)
+
+
+def draw(
+    scene: FinishedScene,
+    camera: Camera,
+    frame: float,
+    without: Collection[str] = (),
+    background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Rendering:
+    """The scene as ``camera`` sees it at a frame: (H, W, 3) ``rgb``, (H, W) ``alpha`` and ``depth_m``; see
+    ``results.draw``."""
+    from studiorecon import results
+
+    return results.draw(scene, camera, frame, without, background_rgb)

@@ -1,17 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``results/<scene>`` as numpy arrays, for people: cameras, the room, people, loose things and the films' paths."""
+"""``results/<scene>`` as numpy arrays, for people: cameras, the room, people, loose things and the films' paths; and
+pictures of it from anywhere."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from studiorecon.body.avatar.files import Avatar
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.progress import warn
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import read_decisions
+from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.people import read_people
+from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.rendering import Rendering
+from studiorecon.splatting.rigid_object import RigidObject
+
+# Nearer to the lens nothing is drawn.
+_NEAR_M = 0.2
 
 
 def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
@@ -56,6 +67,32 @@ def load(folder: str | Path, body: str | Path | None = None) -> FinishedScene:
                 f"{capture.frames}; run snakemake again"
             )
     return scene
+
+
+def draw(
+    scene: FinishedScene,
+    camera: Camera,
+    frame: float,
+    without: Collection[str] = (),
+    background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Rendering:
+    """The scene as a camera sees it at a 0-based, possibly fractional frame of the capture: colours, alpha and depth.
+
+    The room, everybody and every loose thing but those named in ``without`` (``p0``, ``o1``, ``room``). Films of the
+    workflow have people's shadows and the plates' light besides (``render.shot``).
+
+    Raises:
+        UserError: the frame lies outside of the capture, or nobody is called so.
+    """
+    moving: dict[str, Avatar | RigidObject] = {one.person: one for one in scene.people}
+    moving |= {one.person: one for one in scene.things}
+    if unknown := sorted(set(without) - {"room", *moving}):
+        raise UserError(f"scene {scene.name} has no {unknown[0]}; it has room, {', '.join(moving) or 'and nobody'}")
+    if not 0 <= frame <= scene.capture.frames - 1:
+        raise UserError(f"scene {scene.name} has frames 0 to {scene.capture.frames - 1}, not {frame:g}")
+    shown = [] if "room" in without else [scene.room]
+    shown += [one.posed(frame) for name, one in moving.items() if name not in without]
+    return rasteriser("cpu", near_m=_NEAR_M).forward(concatenate(shown), camera, background_rgb)
 
 
 def _people(place: Path, scene: str) -> list[str]:
