@@ -138,16 +138,15 @@ def _gather(
     for camera, plate, measured, depth_m in zip(cameras, plates, known, depths_m):
         pixels, z = camera.project(nodes)
         inside = np.all((pixels > 1) & (pixels < np.array(camera.wh) - 1), axis=-1)
-        maps = [
-            np.where(inside, pixels[..., k] - 0.5, -1).astype(np.float32) for k in (0, 1)
-        ]  # cv2 counts centres as integers
-        there = cv2.remap(np.where(measured, depth_m, 0).astype(np.float32), *maps, cv2.INTER_NEAREST)
+        # cv2 counts centres as integers
+        columns, rows = (np.where(inside, pixels[..., k] - 0.5, -1).astype(np.float32) for k in (0, 1))
+        there = cv2.remap(np.where(measured, depth_m, 0).astype(np.float32), columns, rows, cv2.INTER_NEAREST)
         floor_of = cv2.erode(depth_m.astype(np.float32), np.ones((3, 3), np.uint8))
-        beside = cv2.remap(floor_of, *maps, cv2.INTER_NEAREST)
+        beside = cv2.remap(floor_of, columns, rows, cv2.INTER_NEAREST)
         agrees = (
             inside & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M) & (beside > there * _NEARER_SHARE - _NEARER_M)
         )
-        colours = cv2.remap(plate.astype(np.float32), *maps, cv2.INTER_LINEAR)
+        colours = cv2.remap(plate.astype(np.float32), columns, rows, cv2.INTER_LINEAR)
         frontal = np.abs((nodes - camera.centre_m) @ face.normal)
         weight = np.where(agrees, frontal / np.maximum(z, 0.1) ** 3, 0)
         sums += colours * weight[..., None]

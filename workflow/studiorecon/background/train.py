@@ -7,7 +7,7 @@ Writes ``background/scene.ply`` and ``background/provenance.npz`` (``provenance`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -124,8 +124,8 @@ def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
 
 def view_targets(
     steps: Sequence[PathStep],
-    pictures: Sequence[np.ndarray],
-    supports: Sequence[np.ndarray],
+    pictures: Iterable[np.ndarray],
+    supports: Iterable[np.ndarray],
     cameras: Sequence[Camera],
     settings: Settings,
 ) -> list[Target]:

@@ -74,7 +74,9 @@ def examined(
     few = chosen[:: max(1, len(chosen) // 6)]
     table, margins = verdicts(cameras, detections, few, settings.gate_m)
     seen, _ = observe(detections, cameras, chosen, settings.gate_m)
-    median, each, points = None, [None] * len(cameras), np.zeros((0, 3))
+    median: float | None = None
+    each: list[float | None] = [None] * len(cameras)
+    points = np.zeros((0, 3))
     if len(seen.frame):
         median, each, points = error_medians(cameras, seen, settings.limits)
     median = median if len(points) else None
@@ -267,7 +269,7 @@ def run(
     moments = [common.source_frames(c) for c in cameras]
     films = [open_source(source, 0.0) for source in sources]
     looks = [glimpses(film, [int(of[0]), int(of[len(of) // 2])]) for film, of in zip(films, moments, strict=True)]
-    about = [
+    about: list[dict[str, Any]] = [
         {
             "camera": c,
             "wh": list(film.wh),

@@ -106,9 +106,10 @@ def run(
         whole = not frame_count and used[-1] >= clock.frames - 1
         decoded = decode(opened, int(used[0]), 0 if whole else len(wanted))
         for number, frame in enumerate(progress(decoded, "frames", len(wanted))):
-            picture = view.picture(frame) if number < len(wanted) and wanted[number] else None
-            for _ in range(wanted[number] if picture is not None else 0):
-                yield picture
+            if number < len(wanted) and wanted[number]:
+                picture = view.picture(frame)
+                for _ in range(wanted[number]):
+                    yield picture
 
     try:
         frames = write_lossless(video, pictures(), common.fps)

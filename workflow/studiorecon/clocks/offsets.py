@@ -52,12 +52,12 @@ class Settings(PictureRate):
 
 def sound_pairs(sounds: Sequence[np.ndarray | None], lines: Sequence[Timeline]) -> tuple[list[Pair], dict[int, str]]:
     """Pairs of cameras whose sound tracks tell, and for every camera without one why."""
-    there = [i for i, s in enumerate(sounds) if s is not None]
+    there = {i: s for i, s in enumerate(sounds) if s is not None}
     reasons = {i: "its video has no sound" for i in range(len(sounds)) if i not in there}
-    wanted = [(a, b) for a, b in itertools.combinations(there, 2) if a in there[:_HUBS]]
+    wanted = [(a, b) for a, b in itertools.combinations(there, 2) if a in list(there)[:_HUBS]]
     pairs = []
     for a, b in progress(wanted, "sound tracks"):
-        heard = sound.compare(sounds[a], sounds[b])
+        heard = sound.compare(there[a], there[b])
         if not heard.valid:
             reasons.setdefault(b, heard.reason)
             reasons.setdefault(a, heard.reason)
@@ -77,7 +77,8 @@ def motion_pairs(
 ) -> tuple[list[Pair], dict[int, str]]:
     """The same from how much the pictures change over time."""
     rows = [_on_a_grid(e, c, rate) for e, c in zip(energies, clocks)]
-    pairs, reasons = [], {}
+    pairs: list[Pair] = []
+    reasons: dict[int, str] = {}
     for a, b in itertools.combinations(range(len(rows)), 2):
         lag = sync.compare(rows[a], rows[b], rate)
         if lag.valid:
@@ -269,8 +270,9 @@ def _opened(sources: Sequence[Path], picture_fps: float) -> tuple[list[FootageSo
     lines: list[Timeline | None] = []
     for path in sources:
         try:
-            opened.append(open_source(path, picture_fps))
-            lines.append(timeline_of(opened[-1]))
+            source = open_source(path, picture_fps)
+            opened.append(source)
+            lines.append(timeline_of(source))
         except UserError as refusal:
             warn(str(refusal))
             opened[len(lines) :] = [None]

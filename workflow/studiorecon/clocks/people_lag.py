@@ -104,8 +104,8 @@ def _refined(a: np.ndarray, b: np.ndarray, start: int, known: np.ndarray | None,
     whole = _vertex(each.sum(0), known)
     if whole is None:
         return None
-    parts = [_vertex(each.sum(0) - part, known) for part in each]
-    parts = np.array([p for p in parts if p is not None])
+    without_one = [_vertex(each.sum(0) - part, known) for part in each]
+    parts = np.array([p for p in without_one if p is not None])
     if len(parts) < _BLOCKS:
         return None
     sigma = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * ((parts - parts.mean()) ** 2).sum()))

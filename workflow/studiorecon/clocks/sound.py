@@ -112,8 +112,8 @@ def compare(first: np.ndarray, second: np.ndarray) -> Heard:
         return _nothing(f"{shorter:.1f} s of sound are too short")
     if min(first.std(), second.std()) < 1e-6:
         return _nothing("a sound track is silent")
-    filtered = [_limited(s) for s in (first, second)]
-    tried = [_fine(*filtered, lag) for lag in _coarse(*filtered)]
+    one, other = _limited(first), _limited(second)
+    tried = [_fine(one, other, lag) for lag in _coarse(one, other)]
     tried.sort(key=lambda t: -t[0])
     if not tried:
         return _nothing("nothing happens in the sound")
@@ -145,7 +145,7 @@ def _coarse(first: np.ndarray, second: np.ndarray) -> list[float]:
     )
     score = score / np.sqrt(np.maximum(overlap, _LEAST_OVERLAP_S * RATE_HZ / _HOP))
     apart = round(_APART_S * RATE_HZ / _HOP)
-    found = []
+    found: list[float] = []
     while len(found) < _CANDIDATES and score.max() > 0:
         best = int(np.argmax(score))
         found.append(float(lags[best] * _HOP / RATE_HZ))
@@ -173,11 +173,11 @@ def _fine(first: np.ndarray, second: np.ndarray, lag_s: float) -> tuple[float, f
         # Crystals are within tens of millionths: of drifts that fit alike the least counts.
         summed[row] *= 1 - 0.05 * (ppm / _DRIFT_PPM) ** 2
     scatter = 1.4826 * np.median(np.abs(summed - np.median(summed))) + 1e-12
-    row, best = np.unravel_index(int(np.argmax(summed)), summed.shape)
+    row, best = (int(i) for i in np.unravel_index(int(np.argmax(summed)), summed.shape))
     beyond = np.abs(lags - best) * step > _ECHO_S
     second_best = float(summed[row][beyond].max())
     z = float(summed[row, best]) / scatter
-    heard = _settled(times - middle, correlation, weight, int(best), float(tried[row]), step)
+    heard = _settled(times - middle, correlation, weight, best, float(tried[row]), step)
     offset = shift / RATE_HZ + heard.lag_s - _REACH_S
     # Times of the first track: the windows count from where both begin.
     begin = max(shift, 0) / RATE_HZ

@@ -63,8 +63,9 @@ def _shown_s(path: Path) -> np.ndarray:
     """Times of all frames that a decoder will give, in order; NaN where the file says none."""
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
+        base_s = stream.time_base
         times = [
-            np.nan if packet.pts is None else float(packet.pts * stream.time_base)
+            np.nan if packet.pts is None or base_s is None else float(packet.pts * base_s)
             for packet in container.demux(stream)
             if packet.size and not packet.is_discard
         ]

@@ -150,8 +150,19 @@ def run(
     """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one
     does not have."""
     capture, folder = read_manifest(manifest), contents.parent
-    body_model = BodyModel.load(body) if avatars else None
-    people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
+    people: list[Avatar] = []
+    motions: list[Path] = []
+    if avatars or fits:
+        if body is None:
+            raise UserError(f"{len(avatars)} avatars and {len(fits)} fits are given without a body model; add --body")
+        body_model = BodyModel.load(body)
+        people = [read_avatar(ply, npz, body_model) for ply, npz in zip(gaussians, avatars, strict=True)]
+        colours = {one.person: body_colours(one) for one in people}
+        for fit in fits:
+            person = read_person(fit)
+            if colours.get(person.name) is None:
+                say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
+            motions += motion(folder / "bodies", person, body_model, colours.get(person.name))
     frame = min(settings.still_frame, capture.frames - 1)
     if frame != settings.still_frame:
         say(
@@ -172,12 +183,7 @@ def run(
         for d in seen:
             numbers = keypoint_files.numbers_of(d.camera, known, names)
             other += write(folder / "keypoints" / form, d, by_name[d.camera], capture.frames, numbers)
-    colours = {one.person: body_colours(one) for one in people}
-    for fit in fits:
-        person = read_person(fit)
-        if colours.get(person.name) is None:
-            say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
-        other += motion(folder / "bodies", person, body_model, colours.get(person.name))
+    other += motions
     copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
     copy_files(copies)

@@ -71,6 +71,7 @@ def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera
     seen = []
     for camera in cameras:
         made = draw.forward(background, camera, values=invented)
+        assert made.values is not None
         depth_m = made.depth_m.copy()
         around = np.ones((3, 3), np.uint8)
         edge = cv2.dilate(depth_m, around) - cv2.erode(depth_m, around) > _EDGE * depth_m

@@ -29,7 +29,7 @@ def openpose(folder: Path, seen: Detections, camera: Camera, frames: int, people
                 "person_id": [people.get(int(seen.track[d]), -1)],
                 "pose_keypoints_2d": np.round(_triples(seen, d), 9).reshape(-1).tolist(),
             }
-            for d in np.flatnonzero(seen.frame == frame)
+            for d in np.flatnonzero(seen.frame == frame).tolist()
         ]
         path = folder / f"{seen.camera}_json" / f"{seen.camera}_{frame:012d}_keypoints.json"
         _write(path, {"version": 1.3, "people": entries})
@@ -42,7 +42,7 @@ def easymocap(folder: Path, seen: Detections, camera: Camera, frames: int, peopl
     written = []
     for frame in range(frames):
         annots = []
-        for d in np.flatnonzero(seen.frame == frame):
+        for d in np.flatnonzero(seen.frame == frame).tolist():
             points = _triples(seen, d)
             present = points[:, 2] > 0
             low, high = points[present, :2].min(0), points[present, :2].max(0)

@@ -93,8 +93,8 @@ def run(model: Path, background: Path, provenance: Path, room: Path, path: Path,
             f"{gaussians.count}; run background_train again"
         )
     steps, _ = read_path(path)
-    chosen = evenly_spread(len(steps), VIEWPOINTS) if steps else []
-    views = look(gaussians, marks, [*read_model(model.parent), *(steps[i].camera for i in chosen)])
+    between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
+    views = look(gaussians, marks, [*read_model(model.parent), *between])
     surface = fused(views, VOXEL_M)
     standing = decimated(without(surface, distance_m(shell, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
     flat = planes(shell, views, PLANE_STEP_M, PLANE_VERTICES)

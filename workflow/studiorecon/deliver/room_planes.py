@@ -100,12 +100,11 @@ def _colours(points_m: np.ndarray, views: Sequence[FusedView]) -> tuple[np.ndarr
     for view in views:
         pixels, z = view.camera.project(points_m)
         inside = np.all((pixels > 0.5) & (pixels < np.array(view.camera.wh) - 0.5), axis=-1)
-        maps = [
-            np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1)
-        ]  # cv2 counts centres as integers
-        there = cv2.remap(view.depth_m, *maps, cv2.INTER_NEAREST)[0]
+        # cv2 counts centres as integers
+        columns, rows = (np.where(inside, pixels[:, k] - 0.5, -1).astype(np.float32)[None] for k in (0, 1))
+        there = cv2.remap(view.depth_m, columns, rows, cv2.INTER_NEAREST)[0]
         agrees = inside & (there > 0) & (np.abs(there - z) < _AGREE_SHARE * z + _AGREE_M)
         weight = np.where(agrees, 1 / np.where(agrees, z, 1) ** 2, 0)
-        sums += cv2.remap(view.rgb, *maps, cv2.INTER_LINEAR)[0] * weight[:, None]
+        sums += cv2.remap(view.rgb, columns, rows, cv2.INTER_LINEAR)[0] * weight[:, None]
         weights += weight
     return sums / np.maximum(weights, 1e-300)[:, None], weights > 0

@@ -147,8 +147,10 @@ def inject(
     added = np.zeros_like(render, dtype=np.float32)
     for weight, picture, trust in zip(history_weights(len(warped), injection.decay), warped, confidences, strict=True):
         add_share(added, shares, picture, trust, injection.strength * weight)
-    kept = 1 - (shares if injection.form == "residual" else np.float32(injection.strength if len(warped) else 0))
-    blended = render * (kept[..., None] if injection.form == "residual" else kept) + added
+    if injection.form == "residual":
+        blended = render * (1 - shares)[..., None] + added
+    else:
+        blended = render * (1 - np.float32(injection.strength if len(warped) else 0)) + added
     if injection.settle:
         blended = render + whole_levels(blended - render)
     return blended.astype(np.float32), shares

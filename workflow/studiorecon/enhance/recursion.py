@@ -157,8 +157,11 @@ def stands_still(steps: Sequence[PathStep], pictures: Iterable[np.ndarray]) -> b
     """
     earlier: tuple[str, np.ndarray] | None = None
     for step, picture in zip(steps, pictures):
-        follows = earlier is not None and earlier[0] == step.segment and earlier[1].shape == picture.shape
-        if follows and np.abs(picture.astype(np.int16) - earlier[1]).mean() > _STILL_LEVELS:
+        if (
+            earlier is not None
+            and (earlier[0], earlier[1].shape) == (step.segment, picture.shape)
+            and np.abs(picture.astype(np.int16) - earlier[1]).mean() > _STILL_LEVELS
+        ):
             return False
         earlier = step.segment, picture
     return True

@@ -58,12 +58,12 @@ def box_around(
     None when neither lies in the picture.
     """
     inside = np.all((pixels >= 0) & (pixels < np.array(wh)), axis=1)  # NaN compares false
-    columns, rows = [pixels[inside, 0]], [pixels[inside, 1]]
+    across, down = [pixels[inside, 0]], [pixels[inside, 1]]
     if mask.any():
         x, y, w, h = cv2.boundingRect(mask.astype(np.uint8))
-        columns.append(np.array([x, x + w - 1.0]))
-        rows.append(np.array([y, y + h - 1.0]))
-    columns, rows = np.concatenate(columns), np.concatenate(rows)
+        across.append(np.array([x, x + w - 1.0]))
+        down.append(np.array([y, y + h - 1.0]))
+    columns, rows = np.concatenate(across), np.concatenate(down)
     if len(columns) == 0:
         return None
     left, top = max(int(columns.min()) - margin_px, 0), max(int(rows.min()) - margin_px, 0)

@@ -49,7 +49,7 @@ def followed(
     ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N, 3) are canonical.
     """
     sums, weights = np.zeros((len(means_m), len(motion.local))), np.zeros((len(means_m), len(motion.local)))
-    still = np.tile(np.float32([1, 0, 0, 0]), (len(means_m), 1))
+    still = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means_m), 1))
     nothing = np.zeros((len(means_m), 1, 3), np.float32)
     kernel = np.ones((2 * _OUTLINE_PX + 1, 2 * _OUTLINE_PX + 1), np.uint8)
     for crop in crops:

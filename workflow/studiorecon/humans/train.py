@@ -84,10 +84,9 @@ def first_colours(
     chosen = evenly_spread(len(crops), _LOOKS, below=True)
     points = samples.points_m.astype(np.float32)
     nothing = np.zeros((len(points), 1, 3), np.float32)
+    unturned = np.tile(np.array([1, 0, 0, 0], np.float32), (len(points), 1))
     for crop in (crops[i] for i in chosen):
-        means, _, _ = posing.out(
-            points, np.tile(np.float32([1, 0, 0, 0]), (len(points), 1)), nothing, motion.transforms(crop.frame)
-        )
+        means, _, _ = posing.out(points, unturned, nothing, motion.transforms(crop.frame))
         normals = np.einsum("nab,nb->na", posing.turn, samples.normals)
         pixels, depth_m = crop.camera.project(means.astype(np.float64))
         # A disc covers about its spacing; the nearest surface has to close over the gaps between the points.

@@ -182,14 +182,14 @@ class PersonInTraining:
 
     def draw(self, iteration: int) -> PlaneView:
         """A crop, posed and rendered over a random colour."""
-        self._crop = self._crops[self._rng.integers(len(self._crops))]
+        self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
         behind = self._rng.random(3)
-        planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind)
+        planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
         return PlaneView(target_of(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
     def _shown(self, crop: Crop) -> np.ndarray:
         """(h, w, 3) the person over grey."""
-        return self._rasteriser.forward(self._posed(crop), crop.camera, _GREY).rgb
+        return self._rasteriser.forward(self._posed(crop), crop.camera, _GREY.tolist()).rgb
 
     def _posed(self, crop: Crop) -> Gaussians:
         own = self._own

@@ -50,9 +50,10 @@ def cut_unknown(rgb: np.ndarray, evidence: np.ndarray, unknown: np.ndarray, sett
     marks[inside < -settings.sure] = cv2.GC_BGD
     if (marks == cv2.GC_FGD).sum() < _LEAST_SEEDS or (marks == cv2.GC_BGD).sum() < _LEAST_SEEDS:
         return evidence
-    models = np.zeros((1, 65)), np.zeros((1, 65))
     cv2.setRNGSeed(0)  # its k-means starts from OpenCV's global generator: the same picture must give the same mask
-    cv2.grabCut(np.ascontiguousarray(rgb[box][..., ::-1]), marks, None, *models, settings.rounds, cv2.GC_INIT_WITH_MASK)
+    bgr, behind, before = np.ascontiguousarray(rgb[box][..., ::-1]), np.zeros((1, 65)), np.zeros((1, 65))
+    # The rectangle is not looked at where a mask is given.
+    cv2.grabCut(bgr, marks, (0, 0, 0, 0), behind, before, settings.rounds, cv2.GC_INIT_WITH_MASK)
     person = (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
     opinion = np.where(person, np.float32(settings.weight), np.float32(-settings.weight))
     decided = evidence.copy()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, overload
 
@@ -29,6 +30,8 @@ def adapter(kind: Literal["picture enhancer"], name: str) -> type[protocols.Enha
 def adapter(kind: Literal["flow"], name: str) -> type[protocols.Flow]: ...
 @overload
 def adapter(kind: Literal["canonical avatar"], name: str) -> type[protocols.CanonicalAvatar]: ...
+@overload
+def adapter(kind: Kind, name: str) -> Callable[..., Any]: ...
 
 
 def adapter(kind: Kind, name: str) -> Any:
@@ -72,7 +75,7 @@ def load(kind: Kind, name: str, weights: Path, device: str, **options: Any) -> A
     ``options`` are the settings of this network alone. Raises UserError when weights, package or memory are missing,
     and what ``adapter`` raises.
     """
-    run_by = adapter(kind, name)
+    run_by: Callable[..., Any] = adapter(kind, name)
     # Before upstream is imported, whose import may ask CUDA what is there.
     if device != "cpu":
         claim()

@@ -281,11 +281,13 @@ def run(
     footage = read_manifest(manifest)
     one_each(cameras, videos=videos, plates=plates)
     fits = [read_person(path) for path in people]
-    if fits and body is None:
-        raise UserError(f"{len(fits)} people are given without a body model; add --body")
-    body_model = BodyModel.load(body) if fits else None
+    body_model: BodyModel | None = None
+    if fits:
+        if body is None:
+            raise UserError(f"{len(fits)} people are given without a body model; add --body")
+        body_model = BodyModel.load(body)
     for path, fit in zip(people, fits):
-        if fit.body != body_model.identity or len(fit.poses) != footage.frames:
+        if (body_model is not None and fit.body != body_model.identity) or len(fit.poses) != footage.frames:
             raise UserError(
                 f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage "
                 f"{footage.frames} frames; run people.fit again"

@@ -198,7 +198,7 @@ def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> t
         target = _target(look, 0)
         drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
         errors = np.square(drawn - target.rgb).mean(axis=-1)
-        for k, chosen in enumerate(((target.weight > 0) & (look.state == LOOSE), look.state != UNKNOWN)):
+        for k, chosen in enumerate((target.used & (look.state == LOOSE), look.state != UNKNOWN)):
             squares[k] += float(errors[chosen].sum())
             counts[k] += int(chosen.sum())
     inside, whole = np.where(counts > 0, squares / np.maximum(counts, 1), np.nan)

@@ -57,20 +57,21 @@ def read(files: list[Path]) -> Reading:
     cameras = []
     for name, key in key_of.items():
         where = f"camera {name} in {extri_path}"
-        rotation = _entry(extri, [f"Rot_{key}"], where, optional=True)
-        vector = _entry(extri, [f"R_{key}"], where, optional=rotation is not None)
+        rotation = _matrix_of(extri, f"Rot_{key}")
+        vector = _matrix_of(extri, f"R_{key}")
         if rotation is None:
+            vector = _required(extri, f"R_{key}", where)
             rotation = vector if vector.shape == (3, 3) else exp(vector.reshape(3))
         elif vector is not None and vector.size == 3 and np.abs(exp(vector.reshape(3)) - rotation).max() > 1e-3:
             raise UserError(
                 f"{where}: R_{key} and Rot_{key} are different rotations; the file was edited by hand, write it again"
             )
-        pose, scale = rigid_camera_from_world(rotation, _entry(extri, [f"T_{key}"], where), where)
+        pose, scale = rigid_camera_from_world(rotation, _required(extri, f"T_{key}", where), where)
         if abs(scale - 1) > 1e-3:
             notes.append(f"camera {name}: a scale of {scale:.4g} was taken out of its rotation")
-        k = _entry(intri, [f"K_{key}"], f"camera {name} in {intri_path}")
-        fisheye = _entry(intri, [f"rdist_{key}"], "", optional=True)
-        distortion = _entry(intri, [f"dist_{key}", f"D_{key}"], "", optional=True)
+        k = _required(intri, f"K_{key}", f"camera {name} in {intri_path}")
+        fisheye = _matrix_of(intri, f"rdist_{key}")
+        distortion = _matrix_of(intri, f"dist_{key}", f"D_{key}")
         cameras.append(
             RawCamera(
                 name=name,
@@ -99,13 +100,16 @@ def _load(path: Path) -> dict:
     return value
 
 
-def _entry(table: dict, keys: list[str], where: str, optional: bool = False) -> np.ndarray | None:
-    for key in keys:
-        if isinstance(table.get(key), np.ndarray):
-            return table[key]
-    if optional:
-        return None
-    raise UserError(f"{where}: {' or '.join(keys)} is missing")
+def _matrix_of(table: dict, *keys: str) -> np.ndarray | None:
+    """The first of ``keys`` that holds a matrix."""
+    return next((table[key] for key in keys if isinstance(table.get(key), np.ndarray)), None)
+
+
+def _required(table: dict, key: str, where: str) -> np.ndarray:
+    found = _matrix_of(table, key)
+    if found is None:
+        raise UserError(f"{where}: {key} is missing")
+    return found
 
 
 def _size(table: dict, key: str) -> int:

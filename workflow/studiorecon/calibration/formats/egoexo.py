@@ -33,7 +33,7 @@ def _camera(row: dict[str, str], path: Path) -> RawCamera:
     try:
         translation = np.array([float(row[f"t{a}_world_cam"]) for a in "xyz"])
         quaternion = np.array([float(row[f"q{a}_world_cam"]) for a in "wxyz"])
-        focal_centre = [float(row[f"intrinsics_{i}"]) for i in range(4)]
+        fx, fy, cx, cy = (float(row[f"intrinsics_{i}"]) for i in range(4))
         wh = (int(float(row["image_width"])), int(float(row["image_height"])))
         terms = [float(row[f"intrinsics_{i}"]) for i in range(4, 8) if row.get(f"intrinsics_{i}")]
     except (KeyError, ValueError) as error:
@@ -45,7 +45,7 @@ def _camera(row: dict[str, str], path: Path) -> RawCamera:
     return RawCamera(
         name=name,
         wh=wh,
-        intrinsics=intrinsics_matrix(*focal_centre, integer_centres=True),
+        intrinsics=intrinsics_matrix(fx, fy, cx, cy, integer_centres=True),
         model="fisheye" if terms else "opencv",
         distortion=np.pad(np.array(terms), (0, 4 - len(terms))) if terms else np.zeros(8),
         camera_from_world=camera_from_world_of_pose(world_from_camera, where),

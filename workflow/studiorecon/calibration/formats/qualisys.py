@@ -43,14 +43,14 @@ def read(files: list[Path]) -> Reading:
         if transform is None or intrinsic is None:
             raise UserError(f"{where}: transform or intrinsic is missing")
         # The nine numbers are stored column by column: r11 r12 r13 are the image's x axis in the world.
-        axes = np.array([[float(transform.get(f"r{i}{j}")) for j in (1, 2, 3)] for i in (1, 2, 3)])
+        axes = np.array([[_number(transform, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)])
         world_from_camera = np.eye(4)
         world_from_camera[:3, :3] = axes.T @ _FLIP
-        world_from_camera[:3, 3] = [float(transform.get(axis)) / 1000 for axis in "xyz"]
-        left, top = (float(frame.get(s)) if frame is not None else 0.0 for s in ("left", "top"))
-        right, bottom = (float(frame.get(s)) if frame is not None else -1.0 for s in ("right", "bottom"))
-        focal = [float(intrinsic.get(f"focalLength{a}")) / _SUBPIXELS for a in "UV"]
-        centre = [float(intrinsic.get(f"centerPoint{a}")) / _SUBPIXELS for a in "UV"]
+        world_from_camera[:3, 3] = [_number(transform, axis, where) / 1000 for axis in "xyz"]
+        left, top = (_number(frame, s, where) if frame is not None else 0.0 for s in ("left", "top"))
+        right, bottom = (_number(frame, s, where) if frame is not None else -1.0 for s in ("right", "bottom"))
+        focal = [_number(intrinsic, f"focalLength{a}", where) / _SUBPIXELS for a in "UV"]
+        centre = [_number(intrinsic, f"centerPoint{a}", where) / _SUBPIXELS for a in "UV"]
         radial = [float(intrinsic.get(f"radialDistortion{i}", 0)) for i in (1, 2, 3)]
         # The misspelling is the format's.
         tangential = [float(intrinsic.get(f"tangentalDistortion{i}", 0)) for i in (1, 2)]
@@ -67,6 +67,13 @@ def read(files: list[Path]) -> Reading:
             )
         )
     return Reading("Qualisys qca", tuple(cameras), "m", ())
+
+
+def _number(element: ElementTree.Element, attribute: str, where: str) -> float:
+    value = element.get(attribute)
+    if value is None:
+        raise UserError(f"{where}: {attribute} of {element.tag} is missing; export the calibration again")
+    return float(value)
 
 
 FORMAT = CalibrationFormat(

@@ -46,7 +46,7 @@ def read(files: list[Path]) -> Reading:
                     name=name,
                     wh=(int(width), int(height)),
                     intrinsics=intrinsics_matrix(
-                        *intrinsics[[0, 1], [0, 1]], *intrinsics[:2, 2], integer_centres=False
+                        intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2], integer_centres=False
                     ),
                     model="opencv",
                     distortion=np.zeros(8),

@@ -31,7 +31,8 @@ class Votes:
 
     def count(self) -> np.ndarray:
         """(L,) confident pixels per plane, over all pictures."""
-        return sum(np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
+        each = (np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
+        return sum(each, np.zeros(len(self.planes), np.int64))
 
     def voters(self, normal: np.ndarray, offset: float, reach_m: float) -> list[np.ndarray]:
         """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of
@@ -100,11 +101,11 @@ def turned_offset(
     pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, normal: np.ndarray, how: Matching
 ) -> float:
     """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
-    points = [
+    per_picture = [
         p.camera.unproject(p.camera.pixel_centres(), p.depth(plane, how.near_m, how.far_m))[v]
         for p, v in zip(pictures, voters)
     ]
-    points = np.concatenate(points)
+    points = np.concatenate(per_picture)
     return float(np.median(points, axis=0) @ normal) if len(points) else float(plane[3])
 
 

@@ -50,13 +50,15 @@ def advantage(room: Explained, points_m: np.ndarray, outward: np.ndarray) -> np.
             continue
         local = points_m @ room.pose[v, :, :3].T + room.pose[v, :, 3]
         z = np.maximum(local[..., 2], 1e-6)
-        pixels = (local[..., :2] / z[..., None] * room.lens[v, :2] + room.lens[v, 2:] - 0.5).astype(np.float32)
-        seen = cv2.remap(room.known[v].astype(np.uint8), pixels, None, cv2.INTER_NEAREST, borderValue=0).astype(
+        columns, rows = (
+            (local[..., k] / z * room.lens[v, k] + room.lens[v, 2 + k] - 0.5).astype(np.float32) for k in (0, 1)
+        )
+        seen = cv2.remap(room.known[v].astype(np.uint8), columns, rows, cv2.INTER_NEAREST, borderValue=0).astype(
             bool
         ) & (local[..., 2] > 0.1)
         inside.append(seen)
-        colours.append(cv2.remap(room.rgb[v], pixels, None, cv2.INTER_LINEAR))
-        agreed.append(1 - cv2.remap(cost[v], pixels, None, cv2.INTER_LINEAR))
+        colours.append(cv2.remap(room.rgb[v], columns, rows, cv2.INTER_LINEAR))
+        agreed.append(1 - cv2.remap(cost[v], columns, rows, cv2.INTER_LINEAR))
     best = np.zeros(points_m.shape[:2], np.float32)
     mean = [cv2.blur(c, (_WINDOW, _WINDOW)) for c in colours]
     variance = [

@@ -113,5 +113,6 @@ def write_sheet(path: Path, picture: np.ndarray) -> None:
 
 
 def _colour(k: int) -> tuple[int, int, int]:
-    hue = np.uint8([[[(k * 67) % 180, 220, 235]]])
-    return tuple(int(c) for c in cv2.cvtColor(hue, cv2.COLOR_HSV2RGB)[0, 0])
+    hue = np.array([[[(k * 67) % 180, 220, 235]]], np.uint8)
+    red, green, blue = cv2.cvtColor(hue, cv2.COLOR_HSV2RGB)[0, 0]
+    return int(red), int(green), int(blue)

@@ -121,7 +121,7 @@ class Explained:
         )
 
     @property
-    def _photos(self) -> tuple[np.ndarray, ...]:
+    def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
     def replace_all(self, solids: np.ndarray) -> None:

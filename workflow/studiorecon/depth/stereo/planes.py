@@ -38,7 +38,7 @@ def wall_yaw(
     for camera, rgb, mask in zip(cameras, pictures, known):
         # The detector wants structure: local contrast is evened out so that a pale wall's lines count too.
         grey = cv2.createCLAHE(2.0, (4, 4)).apply(
-            cv2.cvtColor(np.uint8(np.clip(rgb * 255, 0, 255)), cv2.COLOR_RGB2GRAY)
+            cv2.cvtColor(np.clip(rgb * 255, 0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
         )
         found = detector.detect(grey)[0]
         if found is None:
@@ -62,7 +62,7 @@ def wall_yaw(
     yaw, weight = np.concatenate(yaws) % (np.pi / 2), np.concatenate(weights)
     bins = round(np.pi / 2 / _BIN_RAD)
     histogram = np.bincount((yaw / _BIN_RAD).astype(int) % bins, weights=weight, minlength=bins)
-    smooth = sum(np.roll(histogram, shift) for shift in (-2, -1, 0, 1, 2))
+    smooth = sum((np.roll(histogram, shift) for shift in (-2, -1, 0, 1, 2)), np.zeros(bins))
     peak = (smooth.argmax() + 0.5) * _BIN_RAD
     for reach in (np.radians(3.0), np.radians(1.5), np.radians(1.5)):
         away = (yaw - peak + np.pi / 4) % (np.pi / 2) - np.pi / 4

@@ -79,7 +79,7 @@ class Others:
     w.
     """
 
-    photos: tuple[np.ndarray, ...]
+    photos: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
     seats: np.ndarray
 
     @staticmethod

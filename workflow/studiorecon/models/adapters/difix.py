@@ -18,6 +18,9 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Moment
 
+# Brings the whole repository, whose code the client runs.
+_BRINGS_ALL = "model_index.json"
+
 CARD = Card(
     name="difix",
     title="Difix3D+ (difix_ref)",
@@ -36,15 +39,14 @@ CARD = Card(
             "nvidia/difix_ref",
             size_gb,
             name,
-            how,
+            how="snapshot" if name == _BRINGS_ALL else "hub",
             revision="d4830559772a5795c9d136302c5b197d6418d3fb",
         )
-        # The first brings the whole repository, whose code the client runs.
-        for name, size_gb, how in (
-            ("model_index.json", None, "snapshot"),
-            ("unet/diffusion_pytorch_model.safetensors", 3.46, "hub"),
-            ("vae/diffusion_pytorch_model.safetensors", 0.34, "hub"),
-            ("text_encoder/model.safetensors", None, "hub"),
+        for name, size_gb in (
+            (_BRINGS_ALL, None),
+            ("unet/diffusion_pytorch_model.safetensors", 3.46),
+            ("vae/diffusion_pytorch_model.safetensors", 0.34),
+            ("text_encoder/model.safetensors", None),
         )
     ),
     runtime=Runtime(
@@ -76,7 +78,11 @@ def preprocess(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np
     size."""
     picture, photo = as_float(image), as_float(reference)
     photo = resampled(photo, picture.shape[:2])
-    return tuple(np.ascontiguousarray(grown(p, MULTIPLE_PX).transpose(2, 0, 1)[None]) for p in (picture, photo))
+    return _tensor(picture), _tensor(photo)
+
+
+def _tensor(picture: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(grown(picture, MULTIPLE_PX).transpose(2, 0, 1)[None])
 
 
 def postprocess(made: np.ndarray, image: np.ndarray, card: Card = CARD) -> np.ndarray:

@@ -144,7 +144,7 @@ def preprocess(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[s
         "w2cs_key_frames": np.stack([_pose(k.camera, scale) for k in frames]),
         "w2cs_all": np.stack([_pose(c, scale) for c in path]),
         "Ks_all": np.stack([_intrinsics(c) for c in path]),
-        "scene_scale": np.float64(scale),
+        "scene_scale": np.array(scale, np.float64),
     }
 
 

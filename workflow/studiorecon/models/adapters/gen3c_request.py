@@ -112,8 +112,9 @@ def check_form(request: dict[str, np.ndarray]) -> None:
         raise UserError(f"the GEN3C request lacks {', '.join(missing)}")
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     count, _, height, width = images.shape
-    shapes = {"depth": (depth.shape, (count, 1, height, width)), "mask": (mask.shape, (count, 1, height, width))}
-    shapes |= {
+    shapes: dict[str, tuple[object, object]] = {
+        "depth": (depth.shape, (count, 1, height, width)),
+        "mask": (mask.shape, (count, 1, height, width)),
         "w2cs": (request["w2cs_key_frames"].shape, (count, 4, 4)),
         "Ks_all": (request["Ks_all"].shape[0], len(request["w2cs_all"])),
     }

@@ -214,6 +214,7 @@ def read_lpips(folder: Path, threads: int, net: Net = "vgg", without: str = "lea
                 f"{path} is not a readable state dict ({type(error).__name__}: {str(error).splitlines()[0]})"
             ) from None
     try:
-        return Lpips(*read, net)
+        features, heads = read
+        return Lpips(features, heads, net)
     except (KeyError, ValueError) as error:
         raise UserError(f"{paths[0]} and {paths[1]} are not what LPIPS v0.1 ({net}) is made of: {error}") from None

@@ -89,17 +89,18 @@ def encoder_from(checkout: Path) -> Iterator[None]:
     """
     import torch
 
-    fetched = torch.hub.load
+    hub: Any = torch.hub  # whose function another one stands in for
+    fetched = hub.load
 
     def local(repository: str, entry: str, *given: Any, **options: Any) -> Any:
         kept = {name: value for name, value in options.items() if name not in ("force_reload", "trust_repo", "source")}
         return fetched(str(checkout), entry, *given, **{**kept, "pretrained": False}, source="local")
 
-    torch.hub.load = local
+    hub.load = local
     try:
         yield
     finally:
-        torch.hub.load = fetched
+        hub.load = fetched
 
 
 def inferred(network: Any, tensor: np.ndarray, where: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
