@@ -93,5 +93,5 @@ def test_what_cannot_be_read_is_refused_or_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"c1 .*part of a rig"):
         read_calibration([path])
     path.write_text("{")
-    with pytest.raises(UserError, match="not valid JSON"):
+    with pytest.raises(UserError, match="not readable JSON"):
         read_calibration([path])

@@ -15,6 +15,7 @@ from studiorecon.calibration.formats import FORMATS, accepted
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import match_in_order, match_names
 from studiorecon.calibration.world import metres_per_unit, settled, z_up_from_world
+from studiorecon.camera_files.plausible import check_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry.lens import calibration_from_video
@@ -22,6 +23,7 @@ from studiorecon.progress import say
 from studiorecon.rig.lens_model import LensReading, as_model, with_radial
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.files import write_json
+from studiorecon.scene.outside import file_size, laid_out_as
 from studiorecon.signature import Written
 
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -68,11 +70,15 @@ def read_calibration(files: Sequence[Path], wanted: str = "auto") -> Reading:
             f"calibrated from their pictures; bring {accepted()}"
         )
     for file in files:
-        if not file.is_file():
+        if not file.exists():
             raise UserError(f"calibration {file} is missing")
+        file_size(file)
     for name, form in FORMATS.items():
-        if name == wanted or (wanted == "auto" and form.recognises(list(files))):
-            reading = form.read(list(files))
+        with laid_out_as(files[0], "a calibration"):
+            chosen = name == wanted or (wanted == "auto" and form.recognises(list(files)))
+        if chosen:
+            with laid_out_as(files[0], f"a calibration of {form.made_by}"):
+                reading = form.read(list(files))
             if not reading.cameras:
                 raise UserError(f"{files[0]} holds no cameras; it was read as {reading.format}")
             return reading
@@ -118,13 +124,9 @@ def lenses_of(
     notes += [n for n in (unit_note, up_note) if n] + moves
     lenses = []
     for name, raw, pose in zip(cameras, chosen, poses):
-        intrinsics = raw.intrinsics
-        if not (intrinsics[0, 0] > 0 and intrinsics[1, 1] > 0 and np.isfinite(intrinsics).all()):
-            raise UserError(
-                f"camera {name} in {source}: its focal length is {intrinsics[0, 0]:g}; calibrate this camera again"
-            )
+        check_camera(name, raw, source)
         lens = Lens(
-            name, raw.wh, intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))
+            name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))
         )
         lenses.append(with_radial(as_model(lens, settings.lens), settings.radial.get(name, 0.0)))
     return lenses, notes, floor_known

@@ -31,8 +31,8 @@ from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import read_clocks
-from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.numbered import pictures_in
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
@@ -270,9 +270,7 @@ def _told_by_files(cameras: Sequence[str], sources: Sequence[Path], size: Mappin
     """camera → focal length, pixels of its footage, that its file tells; of a folder its first picture."""
     found = {}
     for camera, source in zip(cameras, sources):
-        pictures = (
-            sorted(p for p in source.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES) if source.is_dir() else []
-        )
+        pictures = pictures_in(source) if source.is_dir() else []
         path = pictures[0] if pictures else source
         if camera in size and path.is_file() and (focal := told_focal_px(path, size[camera])):
             found[camera] = focal

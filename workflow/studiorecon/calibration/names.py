@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 
 from studiorecon.errors import UserError
+from studiorecon.scene.numbered import natural
 
 
 def match_names(footage: Sequence[str], calibrated: Sequence[str], source: str) -> tuple[dict[str, str], str | None]:
@@ -51,7 +52,7 @@ def match_in_order(footage: Sequence[str], count: int, source: str) -> tuple[dic
             f"{source} has {count} cameras without names, the footage has {len(footage)} ({', '.join(footage)}); "
             "bring all videos of the capture, or a calibration with names"
         )
-    ordered = sorted(footage, key=lambda n: [(int(w), "") if w.isdigit() else (-1, w) for w in re.split(r"(\d+)", n)])
+    ordered = sorted(footage, key=natural)
     return (
         {name: str(index) for index, name in enumerate(ordered)},
         f"{source} has no camera names: its cameras were taken in the order {', '.join(ordered)}",

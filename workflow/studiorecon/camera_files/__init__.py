@@ -4,6 +4,7 @@
 Read in this order:
 
 * ``raw_camera``: one camera of somebody else's file, and the checks that every reader of such files shares;
+* ``plausible``: whether such a camera can be one;
 * ``colmap_models``, ``transforms_json``: the two foreign kinds that more than one stage reads;
 * ``calibration``: the lenses in our own ``calibration.json``;
 * ``colmap``: the undistorted cameras that all later steps read, as COLMAP text.

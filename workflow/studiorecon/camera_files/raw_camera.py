@@ -14,6 +14,9 @@ from studiorecon.geometry.rotations import project_to_so3
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+_MOST_SCALE = 1e9
+_AGAIN = "calibrate this camera again"
+
 
 @dataclass(frozen=True)
 class RawCamera:
@@ -53,8 +56,12 @@ def rigid_camera_from_world(rotation: np.ndarray, translation: np.ndarray, where
         np.asarray(translation, dtype=np.float64).reshape(3),
     )
     if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
-        raise UserError(f"{where}: the pose holds a number that is not finite; calibrate this camera again")
-    determinant = np.linalg.det(rotation)
+        raise UserError(f"{where}: the pose holds a number that is not finite; {_AGAIN}")
+    # A damaged number may be of any size: what overflows is refused below.
+    with np.errstate(all="ignore"):
+        determinant = np.linalg.det(rotation)
+    if not (np.isfinite(determinant) and np.abs(rotation).max() < _MOST_SCALE):
+        raise UserError(f"{where}: the 3×3 block is no rotation (it holds {np.abs(rotation).max():.3g}); {_AGAIN}")
     if determinant <= 0:
         raise UserError(
             f"{where}: the rotation has determinant {determinant:.3g}, a mirror image and not a camera; "

@@ -28,6 +28,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import complete
+from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep
 
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
@@ -50,7 +51,9 @@ def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Itera
         return
     if not source.is_dir():
         raise UserError(f"{source} is neither a folder of pictures nor a video")
-    files = sorted(p for p in source.iterdir() if p.suffix.lower() in _PICTURES)
+    files = sorted(
+        (p for p in source.iterdir() if p.suffix.lower() in _PICTURES), key=lambda p: (natural(p.stem), p.name)
+    )
     if not files:
         raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
     for file in files[first:stop]:

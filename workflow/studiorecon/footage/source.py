@@ -5,7 +5,6 @@ up."""
 from __future__ import annotations
 
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
+from studiorecon.scene.numbered import gaps_named, pictures_in
 
 _READ_BYTES = 1 << 20
 # A container may announce one frame more than it holds (an edit list, a rounded duration) without having lost any.
@@ -255,12 +255,14 @@ def _decode_folder(source: FootageSource) -> Iterator[np.ndarray]:
 
 
 def _open_folder(path: Path, picture_fps: float) -> FootageSource:
-    pictures = sorted(
-        (p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".")),
-        key=_by_number,
-    )
+    pictures = pictures_in(path)
     if not pictures:
         raise UserError(f"{path} holds no pictures; put the camera's frames there ({', '.join(PICTURE_SUFFIXES)})")
+    if missing := gaps_named(pictures):
+        raise UserError(
+            f"{path} lacks the pictures {missing}, and every later one would stand at another moment than in the other "
+            "cameras; copy them again, or number the pictures without a gap"
+        )
     first = cv2.imdecode(np.fromfile(pictures[0], np.uint8), cv2.IMREAD_COLOR) if pictures[0].stat().st_size else None
     if first is None:
         raise UserError(f"{pictures[0]} is not a readable picture; replace it")
@@ -268,11 +270,6 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
     return FootageSource(
         path, (first.shape[1], first.shape[0]), picture_fps, len(pictures), 0, tuple(pictures), (note,)
     )
-
-
-def _by_number(path: Path) -> tuple[list[tuple[int, str]], str]:
-    # frame_2 before frame_10: runs of digits compare as numbers.
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.stem)], path.name
 
 
 def _frames_by_duration(container: av.container.InputContainer, stream: av.VideoStream, fps: float) -> int | None:

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import json
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +13,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_json, read_npz
+from studiorecon.scene.values import listed, numbers, shown, whole
 
 if TYPE_CHECKING:
     from jaxtyping import Num
+
+
+MOST_PEOPLE_PER_PICTURE = 500
+"""Association compares everybody in a picture with everybody."""
+MOST_KEYPOINTS = 1000
+_MOST_FRAME = 10**15
 
 
 @dataclass(frozen=True)
@@ -36,8 +44,9 @@ class KeypointEntry:
 def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
     """All detections of one camera, and the format's name; ``path`` is a folder of JSON files, a JSON file or an npz.
 
-    Raises UserError naming the file when it is of no known format, or when its detections do not all have the same
-    number of keypoints.
+    Raises UserError naming the file, and the frame where there is one, when it is of no known format or holds anything
+    but it, when its detections do not all have the same number of keypoints, and for more than
+    ``MOST_PEOPLE_PER_PICTURE`` in one picture.
     """
     if path.is_dir():
         entries, kind = _folder(path)
@@ -53,8 +62,16 @@ def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
     counts = sorted({len(e.keypoints) for e in entries})
     if len(counts) > 1:
         raise UserError(
-            f"{path}: detections have {' and '.join(map(str, counts))} keypoints; run the "
+            f"{path}: detections have {' and '.join(map(str, counts[:3]))} keypoints; run the "
             "detector with one model on all frames"
+        )
+    if counts and not 0 < counts[0] <= MOST_KEYPOINTS:
+        raise UserError(f"{path}: detections have {counts[0]} keypoints; no layout has more than {MOST_KEYPOINTS}")
+    frame, most = Counter(e.frame for e in entries).most_common(1)[0] if entries else (0, 0)
+    if most > MOST_PEOPLE_PER_PICTURE:
+        raise UserError(
+            f"{path}, frame {frame}: {most} detections in one picture; at most {MOST_PEOPLE_PER_PICTURE} are read: "
+            "run the detector with a higher threshold, or with suppression of duplicates"
         )
     return entries, kind
 
@@ -62,13 +79,13 @@ def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
 def last_integer(name: str) -> int | None:
     """The last run of digits in a name: the frame number of ``cam01.0012.json`` and
     ``clip2_000000000012_keypoints.json``."""
-    numbers = re.findall(r"\d+", name)
+    numbers = re.findall(r"\d{1,18}(?!\d)", name)
     return int(numbers[-1]) if numbers else None
 
 
 def _folder(path: Path) -> tuple[list[KeypointEntry], str]:
     # Folders also hold *.json.old and the like: the suffix must match exactly.
-    files = [f for f in path.iterdir() if f.suffix == ".json" and f.is_file() and not f.name.startswith(".")]
+    files = [f for f in path.iterdir() if f.suffix == ".json" and not f.name.startswith(".")]
     if not files:
         raise UserError(f"{path} holds no .json keypoint files")
     entries: list[KeypointEntry] = []
@@ -77,61 +94,74 @@ def _folder(path: Path) -> tuple[list[KeypointEntry], str]:
         frame = last_integer(file.stem)
         if frame is None:
             raise UserError(f"{file} has no frame number in its name")
-        content = _load(file)
+        content = read_json(file)
         if isinstance(content, dict) and "people" in content:
             kinds.add("OpenPose")
-            entries += [
-                KeypointEntry(frame, _triples(p["pose_keypoints_2d"], file), -1)
-                for p in content["people"]
-                if p.get("pose_keypoints_2d")
+            found = [
+                KeypointEntry(frame, _triples(given, file, frame), -1)
+                for p in _things(content["people"], "people", file)
+                if (given := p.get("pose_keypoints_2d")) not in (None, [])
             ]
         elif isinstance(content, dict) and "annots" in content:
             kinds.add("EasyMocap")
-            entries += [
-                KeypointEntry(frame, _triples(a["keypoints"], file), int(a.get("personID", -1)))
-                for a in content["annots"]
-                if a.get("keypoints")
+            found = [
+                KeypointEntry(frame, _triples(given, file, frame), _identity(a.get("personID", -1)))
+                for a in _things(content["annots"], "annots", file)
+                if (given := a.get("keypoints")) not in (None, [])
             ]
         elif isinstance(content, list):
             kinds.add("MMPose")
-            entries += [_mmpose_instance(frame, instance, file) for instance in content if instance.get("keypoints")]
+            found = _mmpose(frame, content, file)
         else:
             raise UserError(f"{file} is neither an OpenPose, an EasyMocap nor an MMPose file")
+        entries += found
     return entries, "/".join(sorted(kinds))
 
 
 def _results(path: Path) -> tuple[list[KeypointEntry], str]:
-    content = _load(path)
+    content = read_json(path)
     if isinstance(content, dict) and "instance_info" in content:
-        frames = content["instance_info"]
-        # MMPose's own demo counts frames from 1.
-        return [
-            _mmpose_instance(int(f["frame_id"]) - 1, i, path)
-            for f in frames
-            for i in f["instances"]
-            if i.get("keypoints")
-        ], "MMPose"
+        entries = []
+        for place, f in enumerate(_things(content["instance_info"], "instance_info", path)):
+            # MMPose's own demo counts frames from 1.
+            frame = whole(f.get("frame_id"), f"{path}: frame_id of entry {place}", 0, _MOST_FRAME) - 1
+            entries += _mmpose(frame, f.get("instances"), path)
+        return entries, "MMPose"
     if isinstance(content, list) and all(isinstance(e, dict) and "image_id" in e and "keypoints" in e for e in content):
         return list(_coco_results(content, path)), "AlphaPose/COCO"
     raise UserError(f"{path} is neither a list of COCO results (AlphaPose) nor an MMPose file with instance_info")
 
 
 def _coco_results(content: list[dict[str, Any]], path: Path) -> Iterator[KeypointEntry]:
-    for entry in content:
+    for place, entry in enumerate(content):
         image = entry["image_id"]
-        frame = int(image) if isinstance(image, int) else last_integer(str(image).rsplit(".", 1)[0])
-        if frame is None:
-            raise UserError(f"{path}: image_id {image!r} holds no frame number")
-        identity = entry.get("idx", -1)
-        yield KeypointEntry(
-            frame, _triples(entry["keypoints"], path), int(identity) if isinstance(identity, (int, float)) else -1
-        )
+        if isinstance(image, str):
+            found = last_integer(image.rsplit(".", 1)[0])
+            if found is None:
+                raise UserError(f"{path}: image_id {shown(image)} holds no frame number")
+            frame = found
+        else:
+            frame = whole(image, f"{path}: image_id of entry {place}", 0, _MOST_FRAME, "a name or a whole number")
+        yield KeypointEntry(frame, _triples(entry["keypoints"], path, frame), _identity(entry.get("idx", -1)))
+
+
+def _mmpose(frame: int, instances: Any, path: Path) -> list[KeypointEntry]:
+    return [
+        _mmpose_instance(frame, instance, path)
+        for instance in _things(instances, f"the instances of frame {frame}", path)
+        if instance.get("keypoints") not in (None, [])
+    ]
 
 
 def _mmpose_instance(frame: int, instance: dict[str, Any], path: Path) -> KeypointEntry:
-    points = np.asarray(instance["keypoints"], dtype=np.float64)
-    points = points[0] if points.ndim == 3 else points
-    scores = np.asarray(instance.get("keypoint_scores", np.ones(len(points))), dtype=np.float64).reshape(-1)
+    points = numbers(instance["keypoints"], f"{path}, frame {frame}: keypoints", finite=False)
+    points = points[0] if points.ndim == 3 and len(points) else points
+    scores = instance.get("keypoint_scores")
+    scores = (
+        np.ones(len(points) if points.ndim else 0)
+        if scores is None
+        else numbers(scores, f"{path}, frame {frame}: keypoint_scores", finite=False).reshape(-1)
+    )
     if points.shape != (len(scores), 2):
         raise UserError(f"{path}: an instance of frame {frame} has {points.shape} keypoints for {len(scores)} scores")
     return KeypointEntry(frame, np.concatenate([points, scores[:, None]], axis=1), -1)
@@ -139,31 +169,44 @@ def _mmpose_instance(frame: int, instance: dict[str, Any], path: Path) -> Keypoi
 
 def _neutral(path: Path) -> list[KeypointEntry]:
     """``keypoints (T, P, K, 2|3)``, ``scores (T, P, K)`` when there are two columns, optional ``ids (T, P)``."""
-    with np.load(path, allow_pickle=False) as data:
-        if "keypoints" not in data:
-            raise UserError(f"{path} has no array named keypoints (frames, people, keypoints, 2 or 3)")
-        points = np.asarray(data["keypoints"], dtype=np.float64)
-        if points.ndim != 4 or points.shape[-1] not in (2, 3) or (points.shape[-1] == 2 and "scores" not in data):
-            raise UserError(
-                f"{path}: keypoints are {points.shape}; they must be (frames, people, "
-                "keypoints, 3), or 2 with an array scores"
-            )
-        if points.shape[-1] == 2:
-            points = np.concatenate([points, np.asarray(data["scores"], dtype=np.float64)[..., None]], axis=-1)
-        ids = np.asarray(data["ids"]) if "ids" in data else np.full(points.shape[:2], -1)
+    data = read_npz(path)
+    if "keypoints" not in data:
+        raise UserError(f"{path} has no array named keypoints (frames, people, keypoints, 2 or 3)")
+    points = numbers(data["keypoints"], f"{path}: keypoints", finite=False)
+    if points.ndim != 4 or points.shape[-1] not in (2, 3) or (points.shape[-1] == 2 and "scores" not in data):
+        raise UserError(
+            f"{path}: keypoints are {points.shape}; they must be (frames, people, keypoints, 3), or 2 with an array "
+            "scores"
+        )
+    if points.shape[-1] == 2:
+        scores = numbers(data["scores"], f"{path}: scores", finite=False)
+        if scores.shape != points.shape[:3]:
+            raise UserError(f"{path}: scores are {scores.shape} for keypoints {points.shape}; one for each is needed")
+        points = np.concatenate([points, scores[..., None]], axis=-1)
+    ids = numbers(data["ids"], f"{path}: ids") if "ids" in data else np.full(points.shape[:2], -1.0)
+    if ids.shape != points.shape[:2]:
+        raise UserError(f"{path}: ids are {ids.shape} for keypoints {points.shape}; one for each person is needed")
     present = (np.nan_to_num(points[..., 2]) > 0).any(-1)
-    return [KeypointEntry(int(t), points[t, p], int(ids[t, p])) for t, p in np.argwhere(present)]
+    return [KeypointEntry(int(t), points[t, p], _identity(float(ids[t, p]))) for t, p in np.argwhere(present)]
 
 
-def _triples(values: list, path: Path) -> np.ndarray:
-    flat = np.asarray(values, dtype=np.float64).reshape(-1)
+def _things(value: Any, key: str, path: Path) -> list[dict[str, Any]]:
+    """A list of objects."""
+    found = listed(value, f"{path}: {key}", "[{…}, {…}]")
+    for place, entry in enumerate(found):
+        if not isinstance(entry, dict):
+            raise UserError(f"{path}: entry {place} of {key} is {shown(entry)}; it must be one person's keypoints")
+    return found
+
+
+def _identity(value: Any) -> int:
+    """A tracker's id; what is none stays unknown, since nobody depends on it."""
+    known = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _MOST_FRAME
+    return int(value) if known else -1
+
+
+def _triples(values: Any, path: Path, frame: int) -> np.ndarray:
+    flat = numbers(values, f"{path}, frame {frame}: keypoints", finite=False).reshape(-1)
     if len(flat) % 3:
         raise UserError(f"{path}: {len(flat)} keypoint numbers are not triples of x, y, confidence")
     return flat.reshape(-1, 3)
-
-
-def _load(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not readable JSON ({error}); it may have been copied only in part") from None

@@ -17,7 +17,7 @@ from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
-from studiorecon.scene.dataset import PICTURE_SUFFIXES
+from studiorecon.scene.numbered import gaps_named, pictures_in
 
 _UNASSIGNED = 255
 # Lossy codecs turn 0 into 1 and smear borders: a video's greys are read as yes or no unless they are exact labels.
@@ -98,11 +98,20 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
 
 def _pictures(path: Path) -> Iterable[np.ndarray]:
     if path.is_dir():
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
+        files = pictures_in(path)
+        if missing := gaps_named(files):
+            raise UserError(f"masks {path} lack the numbers {missing}; bring one mask for each frame")
+        wh: tuple[int, ...] | None = None
         for file in files:
             picture = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED) if file.stat().st_size else None
             if picture is None or picture.dtype != np.uint8:
                 raise UserError(f"{file} is not a readable 8-bit mask; replace it")
+            if wh not in (None, picture.shape[1::-1]):
+                raise UserError(
+                    f"{file} is {picture.shape[1]}×{picture.shape[0]}, but the first mask of its folder is "
+                    f"{wh[0]}×{wh[1]}; bring masks of one size"
+                )
+            wh = picture.shape[1::-1]
             yield picture if picture.ndim == 2 else picture[..., :3].max(axis=2)
         return
     for frame in read_frames(path):

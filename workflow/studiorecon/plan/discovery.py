@@ -10,16 +10,20 @@ from typing import Any
 from studiorecon.calibration.formats import FORMATS
 from studiorecon.errors import UserError
 from studiorecon.scene.capture_yaml import (
+    anybody,
     focal_lengths,
     frames_used,
     measured_lengths,
     names_under,
+    path_under,
+    paths_under,
     pixel_maps,
     read_description,
     starts_of,
     whole_number,
 )
 from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES, Dataset, colmap_files
+from studiorecon.scene.names import checked_name, checked_place
 
 # Where the footage lies in the captures that people have; the first that holds any counts.
 _VIDEO_FOLDERS = ("videos", "frame_aligned_videos")
@@ -34,7 +38,9 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     if not folder.is_dir():
         raise UserError(f"dataset folder {folder} does not exist; pass an existing one with --config dataset=DIR")
     description = read_description(folder, capture_yaml)
-    footage = _find_footage(folder)
+    footage = _find_footage(checked_place(folder))
+    for camera, path in footage.items():
+        checked_name(camera, f"camera {path}", "rename the file or folder")
     starts = starts_of(description, footage)
     chosen = names_under(description, "train", footage) + names_under(description, "held_out", footage)
     held_out = tuple(names_under(description, "held_out", footage))
@@ -46,18 +52,20 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
             "at least 2 videos are needed in videos/"
         )
     first, count = frames_used(description, folder)
-    keypoints = _per_camera(folder, description.get("keypoints"), ("keypoints", "pose", "openpose", "annots"), footage)
+    keypoints = _per_camera(
+        folder, path_under(description, "keypoints"), ("keypoints", "pose", "openpose", "annots"), footage
+    )
     return Dataset(
         folder=folder,
         footage=footage,
         held_out=held_out,
         calibration=_find_calibration(folder, description),
         keypoints=keypoints,
-        keypoint_layout=str(description.get("keypoint_layout", "auto")),
+        keypoint_layout=path_under(description, "keypoint_layout") or "auto",
         keypoint_first_frame=whole_number(description, "keypoint_first_frame", folder),
-        plates=_per_camera(folder, description.get("plates"), ("plates",), footage),
-        masks=_per_camera(folder, description.get("masks"), ("masks",), footage),
-        depth=_per_camera(folder, description.get("depth"), ("depth",), footage),
+        plates=_per_camera(folder, path_under(description, "plates"), ("plates",), footage),
+        masks=_per_camera(folder, path_under(description, "masks"), ("masks",), footage),
+        depth=_per_camera(folder, path_under(description, "depth"), ("depth",), footage),
         identities=_identities(folder, description),
         pixel_maps=pixel_maps(description, footage),
         focal_px=focal_lengths(description, footage),
@@ -65,7 +73,7 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
         starts={camera: starts[camera] for camera in footage} if starts else {},
         first_frame=first,
         frame_count=count,
-        people=description.get("people", 1) not in (0, False, "none"),
+        people=anybody(description),
         truth=None,
     )
 
@@ -115,9 +123,9 @@ def _picture_folders(folder: Path) -> dict[str, Path]:
 
 
 def _find_calibration(folder: Path, description: dict[str, Any]) -> tuple[Path, ...]:
-    named = description.get("calibration")
+    named = paths_under(description, "calibration")
     if named is not None:
-        paths = tuple(folder / p for p in ([named] if isinstance(named, str) else named))
+        paths = tuple(folder / p for p in named)
         for path in paths:
             if not path.exists():
                 raise UserError(f"capture.yaml names the calibration {path}, which does not exist")
@@ -153,14 +161,12 @@ def _with_rigs(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys([*paths, *(path for file in images for path in colmap_files(file) if path.is_file())]))
 
 
-def _per_camera(folder: Path, named: Any, defaults: tuple[str, ...], footage: Mapping[str, Path]) -> dict[str, Path]:
+def _per_camera(
+    folder: Path, named: str | None, defaults: tuple[str, ...], footage: Mapping[str, Path]
+) -> dict[str, Path]:
     """camera → path inside the named (or first existing default) folder: ``<camera>``, ``<camera>_json``,
     ``<camera>.*``."""
-    base = (
-        folder / str(named)
-        if named is not None
-        else next((folder / d for d in defaults if (folder / d).is_dir()), None)
-    )
+    base = folder / named if named is not None else next((folder / d for d in defaults if (folder / d).is_dir()), None)
     if base is None:
         return {}
     if not base.is_dir():
@@ -177,7 +183,7 @@ def _per_camera(folder: Path, named: Any, defaults: tuple[str, ...], footage: Ma
 
 
 def _identities(folder: Path, description: dict[str, Any]) -> Path | None:
-    path = folder / str(description.get("identities", "identities.tsv"))
-    if "identities" in description and not path.is_file():
+    path = folder / (path_under(description, "identities") or "identities.tsv")
+    if description.get("identities") is not None and not path.is_file():
         raise UserError(f"capture.yaml names identities: {path}, which does not exist")
     return path if path.is_file() else None

@@ -12,6 +12,7 @@ from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import networks_of
 from studiorecon.plan.refusals import refuse
 from studiorecon.plan.sight import sight_of
+from studiorecon.scene.names import checked_name
 
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
@@ -22,6 +23,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     chosen = chosen_dataset(config, home)
     dataset, sight, networks = chosen.dataset, sight_of(chosen.dataset, config), networks_of(config, home)
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
+    checked_name(scene, "the scene", "name it with --config scene=NAME")
     given_body = beside(config["body"], home)
     gaps = len(dataset.training) - (0 if config["views"]["closed"] else 1)
     source = config["calibration"]["source"]

@@ -7,6 +7,7 @@ import csv
 import json
 import math
 import os
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,19 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_json, read_rows
+
+__all__ = [
+    "complete",
+    "one_each",
+    "open_npz",
+    "read_json",
+    "read_table",
+    "write_json",
+    "write_npz",
+    "write_table",
+    "write_text",
+]
 
 
 def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
@@ -49,16 +63,6 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(_plain(value), indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> Any:
-    """Read JSON; raises UserError naming the file when it is missing or not JSON."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not readable JSON ({error})") from None
-
-
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write a compressed npz, completely or not at all."""
     with complete(path) as partial, open(partial, "wb") as file:
@@ -69,7 +73,10 @@ def open_npz(path: Path) -> np.lib.npyio.NpzFile:
     """The arrays of an npz, read as they are asked for; raises UserError when the file is missing."""
     if not path.is_file():
         raise UserError(f"{path} is missing")
-    return np.load(path, allow_pickle=False)
+    try:
+        return np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} is not a readable .npz ({error}); delete it, and it is made again") from None
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
@@ -81,18 +88,8 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a tab-separated table as dictionaries; raises UserError when the file or one of ``columns`` is
-    missing."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    with open(path, newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file, delimiter="\t")
-        missing = [c for c in columns if c not in (reader.fieldnames or [])]
-        if missing:
-            raise UserError(
-                f"{path} has no column {missing[0]!r}; its header must be {' '.join(columns)} (tab-separated)"
-            )
-        return list(reader)
+    """Rows of a tab-separated table as dictionaries; raises UserError as ``outside.read_rows`` does."""
+    return [row for _, row in read_rows(path, columns)]
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from studiorecon.errors import UserError
 from studiorecon.scene.files import open_npz, read_table, write_npz, write_table
+from studiorecon.scene.outside import read_rows
+from studiorecon.scene.values import shown
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer, Num
@@ -162,4 +165,15 @@ def write_identities(path: Path, identities: dict[tuple[str, int], str]) -> None
 
 
 def read_identities(path: Path) -> dict[tuple[str, int], str]:
-    return {(row["camera"], int(row["track"])): row["person"] for row in read_table(path, IDENTITY_COLUMNS)}
+    """{(camera, track): person} of ``identities.tsv``; an empty person means the track was rejected.
+
+    Raises UserError with the line for a track that is no number, and for one that has two.
+    """
+    found: dict[tuple[str, int], str] = {}
+    for line, row in read_rows(path, IDENTITY_COLUMNS):
+        camera, track, person = (row[column].strip() for column in IDENTITY_COLUMNS)
+        if not (track.isascii() and track.removeprefix("-").isdigit() and len(track) < 18):
+            raise UserError(f"{path}, line {line}: track is {shown(row['track'])}; it must be a whole number")
+        if found.setdefault((camera, int(track)), person) != person:
+            raise UserError(f"{path}, line {line}: track {track} of camera {camera} is two people; keep one line")
+    return found

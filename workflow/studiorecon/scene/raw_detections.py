@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,8 +88,11 @@ def is_found(path: Path) -> bool:
     """Whether a file is the detector's, not somebody's recorded keypoints."""
     if path.suffix != ".npz" or not path.is_file():
         return False
-    with np.load(path, allow_pickle=False) as data:
-        return "mask_from_picture" in data.files
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "mask_from_picture.npy" in archive.namelist()
+    except (zipfile.BadZipFile, OSError):
+        return False
 
 
 def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:

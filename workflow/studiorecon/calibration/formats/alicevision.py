@@ -8,7 +8,6 @@ count from the corner (``sfmDataIO/jsonIO.cpp`` of AliceVision). The scale is ar
 
 from __future__ import annotations
 
-import json
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_json
 
 # Where OpenCV's k1 k2 p1 p2 k3 stand among the numbers of a distortion.
 _AS_OPENCV = {
@@ -40,10 +40,7 @@ def read(files: list[Path]) -> Reading:
     Raises UserError for a file that is no JSON, a camera in a rig, and a distortion that OpenCV does not have.
     """
     path = files[0]
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not valid JSON ({error}); export the scene as .sfm again") from None
+    content = read_json(path)
     version = tuple(int(v) for v in content.get("version", (1, 0, 0)))
     poses = {str(p["poseId"]): p["pose"]["transform"] for p in content.get("poses", ())}
     intrinsics = {str(i["intrinsicId"]): i for i in content.get("intrinsics", ())}

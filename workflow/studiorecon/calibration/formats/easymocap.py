@@ -16,6 +16,8 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp
+from studiorecon.scene.outside import read_yaml
+from studiorecon.scene.values import listed
 
 
 class _OpenCvYaml(yaml.BaseLoader):
@@ -39,7 +41,8 @@ def read(files: list[Path]) -> Reading:
     first, second = (_load(f) for f in files)
     intri, extri = (first, second) if any(k.startswith("K_") for k in first) else (second, first)
     intri_path, extri_path = (files[0], files[1]) if intri is first else (files[1], files[0])
-    names = [str(n) for n in intri.get("names") or [k[2:] for k in intri if k.startswith("K_")]]
+    listed_names = listed(intri.get("names"), f"{intri_path}: names", "[cam01, cam02]")
+    names = [str(n) for n in listed_names or [k[2:] for k in intri if k.startswith("K_")]]
     notes: list[str] = []
     if names and f"K_{names[0]}" not in intri:
         # Pose2Sim's writer numbers its keys 1..N whatever the names are.
@@ -88,13 +91,8 @@ def read(files: list[Path]) -> Reading:
 
 
 def _load(path: Path) -> dict:
-    text = path.read_text(encoding="utf-8")
     # "%YAML:1.0" is OpenCV's own header and not a YAML directive.
-    body = "\n".join(line for line in text.splitlines() if not line.startswith("%YAML"))
-    try:
-        value = yaml.load(body, Loader=_OpenCvYaml)
-    except (yaml.YAMLError, KeyError, ValueError) as error:
-        raise UserError(f"{path} is not an OpenCV YAML file ({str(error).splitlines()[0]})") from None
+    value = read_yaml(path, _OpenCvYaml, comments="%YAML")
     if not isinstance(value, dict):
         raise UserError(f"{path} holds no camera matrices")
     return value

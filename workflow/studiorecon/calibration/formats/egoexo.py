@@ -4,7 +4,6 @@ intrinsics."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,16 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import from_quaternion
+from studiorecon.scene.outside import read_rows
+
+_COLUMNS = (
+    "cam_uid",
+    *(f"t{a}_world_cam" for a in "xyz"),
+    *(f"q{a}_world_cam" for a in "wxyz"),
+    *(f"intrinsics_{i}" for i in range(4)),
+    "image_width",
+    "image_height",
+)
 
 
 def recognises(files: list[Path]) -> bool:
@@ -22,8 +31,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One camera per row; further intrinsics than four are the fisheye's k1 to k4."""
     path = files[0]
-    with open(path, encoding="utf-8-sig", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = [row for _, row in read_rows(path, _COLUMNS, ",")]
     return Reading("Ego-Exo4D gopro_calibs.csv", tuple(_camera(row, path) for row in rows), "m", ())
 
 

@@ -18,6 +18,7 @@ from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, 
 from studiorecon.camera_files.colmap_models import posed_pictures
 from studiorecon.camera_files.raw_camera import RawCamera, rigid_camera_from_world
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_npy
 
 _ANCHOR = "aria01"
 _SUFFIXES = (".pkl", ".npy")
@@ -53,7 +54,7 @@ def read(files: list[Path]) -> Reading:
 def _similarity(path: Path) -> np.ndarray:
     """(4, 4) from the metric frame to COLMAP's."""
     if path.suffix == ".npy":
-        matrix = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        matrix = np.asarray(read_npy(path), dtype=np.float64)
         if matrix.shape != (4, 4) or abs(np.linalg.det(matrix)) < 1e-12:
             raise UserError(
                 f"{path} is {matrix.shape}; it must hold the 4×4 transform from COLMAP's frame to the metric one"

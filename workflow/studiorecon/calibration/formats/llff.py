@@ -11,6 +11,7 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_npy
 
 
 def recognises(files: list[Path]) -> bool:
@@ -20,7 +21,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """One camera per row, in the order of the sorted videos; focal length f for both axes, centre in the middle."""
     path = files[0]
-    table = np.load(path, allow_pickle=False)
+    table = read_npy(path)
     if table.ndim != 2 or table.shape[1] != 17:
         raise UserError(f"{path} is {table.shape}; LLFF has 17 numbers per camera")
     cameras = []

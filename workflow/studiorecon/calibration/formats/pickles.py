@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_bytes
 
 # What numpy's own arrays, scalars and types are made of; a pickle that asks for anything else is not data.
 _HARMLESS = {
@@ -22,6 +23,9 @@ _HARMLESS = {
     ("numpy._core.multiarray", "scalar"),
     ("_codecs", "encode"),
 }
+
+# What a damaged pickle ends in.
+_BROKEN = (AttributeError, IndexError, ValueError, KeyError, TypeError, ImportError, OverflowError, RecursionError)
 
 
 class _ArraysOnly(pickle.Unpickler):
@@ -36,7 +40,7 @@ def read_pickle(path: Path) -> Any:
 
     Raises UserError when the file is cut short or asks for anything but numpy arrays: a pickle can run any program.
     """
-    data = path.read_bytes()
+    data = read_bytes(path)
     stream = io.BytesIO(data)
     if data.startswith(b"\x93NUMPY"):
         version = np.lib.format.read_magic(stream)
@@ -44,7 +48,7 @@ def read_pickle(path: Path) -> Any:
         header(stream)
     try:
         value = _ArraysOnly(stream).load()
-    except (pickle.UnpicklingError, EOFError, AttributeError, IndexError, ValueError, KeyError) as error:
+    except (pickle.UnpicklingError, EOFError, MemoryError, *_BROKEN) as error:
         raise UserError(
             f"{path} is not a plain table of arrays ({error}); it may be cut short, or "
             "made to run a program: it was not opened"

@@ -6,12 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import tomllib
 
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp
+from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes, read_toml
 
 # Caliscope's cameras lie in such a file too; its cards and volumes, and Pose2Sim's Config.toml, lie beside.
 TOML_FILES = (("*.toml",), ("calibration/*.toml",))
@@ -20,10 +20,7 @@ _OTHER_TABLES = {"metadata", "capture_volume", "charuco", "checkerboard"}
 
 def tables(path: Path) -> dict[str, dict]:
     """The camera tables of a TOML calibration by key; also those of Caliscope's ``[cameras.N]``."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not valid TOML ({error})") from None
+    content = read_toml(path)
     if isinstance(content.get("cameras"), dict):
         content = content["cameras"]
     return {k: v for k, v in content.items() if isinstance(v, dict) and k not in _OTHER_TABLES and "matrix" in v}
@@ -74,7 +71,7 @@ def camera_of_table(name: str, table: dict, path: Path, notes: list[str]) -> Raw
 
 def holds_cameras(path: Path) -> bool:
     """Whether a TOML file could be a calibration."""
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_bytes(path, MOST_TEXT_BYTES).decode("utf-8", errors="replace")
     return "matrix" in text and "translation" in text
 
 

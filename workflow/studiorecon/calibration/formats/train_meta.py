@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading, merged_static
 from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, rigid_camera_from_world
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_json
+from studiorecon.scene.values import mapping
 
 
 def recognises(files: list[Path]) -> bool:
@@ -24,10 +26,7 @@ def read(files: list[Path]) -> Reading:
     decides.
     """
     path = files[0]
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not readable JSON ({error}); it may have been copied only in part") from None
+    content = mapping(read_json(path), str(path), "{k: […], w2c: […]}")
     missing = [k for k in ("k", "w2c") if k not in content]
     if missing or not ("hw" in content or {"w", "h"} <= content.keys()):
         raise UserError(f"{path} lacks {missing[0] if missing else 'w and h'}; it is not a train_meta.json")
@@ -57,7 +56,7 @@ def read(files: list[Path]) -> Reading:
     return Reading(kind, tuple(merged_static(cameras, 0.01, 1.0)), "unknown", tuple(notes), named="fn" in content)
 
 
-def _inverted(content: dict, name: str) -> tuple[bool, list[str]]:
+def _inverted(content: Mapping, name: str) -> tuple[bool, list[str]]:
     """Whether ``w2c`` holds camera-to-world, and the sentence that says how that was decided."""
     if "hw" not in content:
         return False, []

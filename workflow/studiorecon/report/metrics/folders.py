@@ -12,7 +12,8 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames
-from studiorecon.scene.dataset import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from studiorecon.scene.dataset import VIDEO_SUFFIXES
+from studiorecon.scene.numbered import pictures_in
 
 # The camera's name when a single film or a bare folder of pictures is given.
 ONLY = "camera"
@@ -29,7 +30,7 @@ def cameras_in(place: Path) -> dict[str, Path]:
     for entry in sorted(place.iterdir()):
         name = entry.name if entry.is_dir() else entry.stem
         is_film = entry.suffix.lower() in VIDEO_SUFFIXES and "." not in entry.stem
-        if not (_pictures(entry) if entry.is_dir() else is_film):
+        if not (pictures_in(entry) if entry.is_dir() else is_film):
             continue
         if name in found:
             raise UserError(
@@ -37,7 +38,7 @@ def cameras_in(place: Path) -> dict[str, Path]:
                 f"as {entry.name}; remove one of them"
             )
         found[name] = entry
-    if not found and _pictures(place):
+    if not found and pictures_in(place):
         return {ONLY: place}
     if not found:
         raise UserError(
@@ -62,7 +63,7 @@ def _stored(source: Path) -> Iterator[np.ndarray]:
     if source.is_file():
         yield from read_frames(source)
         return
-    for path in _pictures(source):
+    for path in pictures_in(source):
         picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
         if picture is None:
             raise UserError(f"{path} is not a readable picture")
@@ -72,13 +73,9 @@ def _stored(source: Path) -> Iterator[np.ndarray]:
 def digest(source: Path) -> str:
     """SHA-256 of a file, or of a folder's pictures with their names, in name order."""
     hashed = hashlib.sha256()
-    for path in [source] if source.is_file() else _pictures(source):
+    for path in [source] if source.is_file() else pictures_in(source):
         hashed.update(path.name.encode())
         with open(path, "rb") as file:
             while part := file.read(1 << 20):
                 hashed.update(part)
     return hashed.hexdigest()
-
-
-def _pictures(folder: Path) -> list[Path]:
-    return [p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURE_SUFFIXES]

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbered files in the order of their numbers: 2 before 10, and which numbers are missing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import islice, pairwise
+from pathlib import Path
+
+from studiorecon.scene.dataset import PICTURE_SUFFIXES
+
+_MOST_NAMED = 3
+_MOST_LISTED = 10_000
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """What names are sorted by: runs of digits compare as numbers, frame_2 before frame_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures of a folder in the order of their numbers; hidden files are none."""
+    found = (p for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith("."))
+    return sorted(found, key=lambda path: (natural(path.stem), path.name))
+
+
+def missing_numbers(files: Sequence[Path]) -> list[int]:
+    """The numbers that a sequence of files leaves out between its first and its last.
+
+    Of several numbers in the names the last one that differs counts. Nothing is missing where names do not count, or
+    count by an even step (every fifth frame).
+    """
+    parts = [re.split(r"(\d+)", path.stem) for path in files]
+    if len(files) < 2 or len({len(part) for part in parts}) > 1:
+        return []
+    differing = [k for k in range(len(parts[0])) if len({part[k] for part in parts}) > 1]
+    if len(differing) != 1 or differing[0] % 2 == 0:
+        return []
+    numbers = sorted({int(part[differing[0]]) for part in parts})
+    steps = [b - a for a, b in pairwise(numbers)]
+    step = min(steps, default=1)
+    # Times in the names count in no even step, and leave nothing out.
+    if not steps or any(gap % step for gap in steps) or sum(gap == step for gap in steps) < len(steps) / 2:
+        return []
+    return list(islice((n for a, b in pairwise(numbers) for n in range(a + step, b, step)), _MOST_LISTED))
+
+
+def gaps_named(files: Sequence[Path]) -> str:
+    """The missing numbers in words (``3, 4, 9 and 5 more``); empty where none is missing."""
+    missing = missing_numbers(files)
+    more = len(missing) - _MOST_NAMED
+    return ", ".join(map(str, missing[:_MOST_NAMED])) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The door for files that users bring: every one is opened here, and is either what its ending says or refused in one
+sentence.
+
+Nothing that is opened here can run a program (no pickles, no YAML tags), and no file takes more memory than in
+proportion to its own size or to a limit that stands below. What the values mean is checked with ``scene.values``, the
+order of numbered files with ``scene.numbered``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from studiorecon.errors import UserError
+
+MOST_TEXT_BYTES = 2**30
+"""The largest text (JSON, YAML, TOML, table) that is read: keypoints of an hour of a crowd have less."""
+MOST_ARRAY_BYTES = 2**33
+"""The most that the arrays of one file may take in memory."""
+_COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
+# What a damaged header, which is a Python literal, ends in.
+_BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
+_WIDE = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}
+
+
+def read_bytes(path: Path, most: int = MOST_ARRAY_BYTES) -> bytes:
+    """The bytes of a regular file. Raises UserError when it is missing, a folder, a device, not to be read, or larger
+    than ``most`` bytes."""
+    size = file_size(path)
+    if size > most:
+        raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {most / 2**20:.0f} MiB are read: is it the file?")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UserError(f"{path} cannot be read ({error.strerror}); see who may read it") from None
+
+
+def file_size(path: Path) -> int:
+    """Bytes of a regular file; raises UserError as ``read_bytes`` does."""
+    try:
+        if path.is_dir():
+            raise UserError(f"{path} is a folder where a file is expected; name the file in it")
+        if path.is_symlink() and not path.exists():
+            raise UserError(f"{path} is a link to {path.readlink()}, which does not exist; bring the file itself")
+        if not path.exists():
+            raise UserError(f"{path} is missing")
+        if not path.is_file():
+            raise UserError(f"{path} is no regular file; bring the file itself")
+        return path.stat().st_size
+    except OSError as error:
+        raise UserError(f"{path} cannot be looked at ({error.strerror}); see who may read it") from None
+
+
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8, with or without a byte order mark, its lines ended by ``\\n``.
+
+    Raises UserError, with the line, for UTF-16, for binary files and for other encodings.
+    """
+    data = read_bytes(path, MOST_TEXT_BYTES)
+    if data[:2] in _WIDE:
+        raise UserError(f"{path} is {_WIDE[data[:2]]} text; save it as UTF-8")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise UserError(
+            f"{path} is not UTF-8 text (byte {data[error.start]:#04x} in line {line}); save it as UTF-8, or {_COPY}"
+        ) from None
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise UserError(f"{path} is not text (a zero byte in line {line}); {_COPY}")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds; raises UserError for what is no JSON, or is nested beyond what can be read.
+
+    NaN and infinities, which detectors write, are let in: ``scene.values`` refuses them where they must not be.
+    """
+    text = read_text(path)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise UserError(f"{path} is not readable JSON ({error}); {_COPY}") from None
+    except RecursionError:
+        raise UserError(f"{path} is not readable JSON (its lists are nested too deeply); {_COPY}") from None
+    except ValueError as error:
+        raise UserError(f"{path} is not readable JSON ({_first_line(error)}); {_COPY}") from None
+
+
+def read_yaml(path: Path, loader: type | None = None, *, comments: str = "") -> Any:
+    """What a YAML file holds, in plain types or those of ``loader``; lines that begin with ``comments`` are left out.
+
+    Raises UserError with the line, also for a key that stands there twice.
+    """
+    text = read_text(path)
+    if comments:
+        text = "\n".join("" if line.startswith(comments) else line for line in text.split("\n"))
+    try:
+        node = yaml.compose(text, Loader=loader or yaml.SafeLoader)
+        _once(node)
+        return yaml.load(text, Loader=loader or yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}: " if mark else ""
+        raise UserError(f"{path} is not valid YAML ({where}{error.problem or error.context})") from None
+    except RecursionError:
+        raise UserError(f"{path} is not valid YAML (its lists are nested too deeply)") from None
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
+        raise UserError(f"{path} is not valid YAML ({_first_line(error)})") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; raises UserError."""
+    import tomllib  # not in Python 3.10, on which networks' images read other files
+
+    text = read_text(path)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"{path} is not valid TOML ({_first_line(error)})") from None
+
+
+def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:
+    """(line, column → text) of every row of a table whose first line names the columns.
+
+    Empty lines are passed over. Raises UserError for a column of ``columns`` that is not there, and for a row that has
+    more or fewer cells than the header.
+    """
+    wanted = list(columns)
+    kind = {"\t": "tab", ",": "comma"}.get(delimiter, delimiter)
+    reader = csv.reader(io.StringIO(read_text(path), newline=""), delimiter=delimiter)
+    rows = []
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        if missing := [name for name in wanted if name not in header]:
+            raise UserError(
+                f"{path} has no column {missing[0]!r}; its header must be {' '.join(wanted)} ({kind}-separated)"
+            )
+        if twice := [name for name in wanted if header.count(name) > 1]:
+            raise UserError(f"{path} has the column {twice[0]!r} twice; keep one")
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) > len(header) and not any(cells[len(header) :]):
+                cells = cells[: len(header)]
+            if len(cells) != len(header):
+                raise UserError(
+                    f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns; "
+                    f"cells are {kind}-separated"
+                )
+            rows.append((reader.line_num, dict(zip(header, cells))))
+    except csv.Error as error:
+        raise UserError(f"{path}, line {reader.line_num}: not a table ({error})") from None
+    return rows
+
+
+def read_npz(path: Path, most: int = MOST_ARRAY_BYTES) -> dict[str, np.ndarray]:
+    """The arrays of an npz by name; raises UserError for pickled objects, damage, and more than ``most`` bytes of
+    arrays, before any of them is taken into memory."""
+    file_size(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+            names = [info.filename.removesuffix(".npy") for info in members]
+            if len(set(names)) < len(names):
+                raise UserError(f"{path} holds an array twice; {_COPY}")
+            total = sum(info.file_size for info in members)
+            if total > most:
+                raise UserError(f"{path} holds {total / 2**20:.0f} MiB of arrays; at most {most / 2**20:.0f} are read")
+            found = {}
+            for name, info in zip(names, members):
+                with archive.open(info) as stream:
+                    found[name] = _array(stream, info.file_size, f"{path}: array {name}")
+            return found
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise UserError(f"{path} is not a readable .npz ({_first_line(error)}); {_COPY}") from None
+
+
+def read_npy(path: Path) -> np.ndarray:
+    """The array of an npy file; raises UserError as ``read_npz`` does."""
+    size = file_size(path)
+    if size > MOST_ARRAY_BYTES:
+        raise UserError(f"{path} has {size / 2**20:.0f} MiB; at most {MOST_ARRAY_BYTES / 2**20:.0f} MiB are read")
+    with open(path, "rb") as stream:
+        return _array(stream, size, str(path))
+
+
+@contextmanager
+def laid_out_as(path: Path | str, what: str) -> Iterator[None]:
+    """Around what takes values out of a file that is ``what``: an entry that is missing, of another kind or size, or
+    nested otherwise than in such a file becomes a UserError that names file and entry."""
+    try:
+        yield
+    except UserError:
+        raise
+    except KeyError as error:
+        raise UserError(f"{path} has no entry {error.args[0]!r}, which {what} has; {_COPY}") from None
+    except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as error:
+        raise UserError(
+            f"{path} is not laid out as {what} is ({_first_line(error)}); write it again with the program that made it"
+        ) from None
+    except MemoryError:
+        raise UserError(f"{path} asks for more memory than there is; is it {what}?") from None
+
+
+def _array(stream: Any, held: int, where: str) -> np.ndarray:
+    """The array of a stream in npy's format, of which ``held`` bytes are there."""
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read(stream)
+        if dtype.hasobject:
+            raise UserError(f"{where} holds Python objects, which could run a program; save plain numbers")
+        # The header may promise anything: what is not there is not reserved.
+        if any(extent < 0 for extent in shape) or math.prod(shape) * dtype.itemsize > held:
+            raise UserError(f"{where} is cut off: its header promises {shape} of {dtype}; {_COPY}")
+        data = stream.read(math.prod(shape) * dtype.itemsize)
+        flat = np.frombuffer(data, dtype, math.prod(shape)).copy()
+        return flat.reshape(shape[::-1]).T if fortran else flat.reshape(shape)
+    except (tokenize.TokenError, *_BROKEN_HEADER) as error:
+        raise UserError(f"{where} is not a readable array ({_first_line(error)}); {_COPY}") from None
+
+
+def _once(node: Any) -> None:
+    """Raises yaml.MarkedYAMLError for a key that a mapping has twice: which one counts nobody could tell."""
+    seen: set[int] = set()
+    waiting = [node]
+    while waiting:
+        here = waiting.pop()
+        if here is None or id(here) in seen:
+            continue
+        seen.add(id(here))
+        if isinstance(here, yaml.SequenceNode):
+            waiting += here.value
+        elif isinstance(here, yaml.MappingNode):
+            keys = set()
+            for key, value in here.value:
+                if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                    if key.value in keys:
+                        raise yaml.MarkedYAMLError(problem=f"{key.value!r} twice", problem_mark=key.start_mark)
+                    keys.add(key.value)
+                waiting += [key, value]
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "") or type(error).__name__

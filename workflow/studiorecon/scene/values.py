@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values of files that users bring, as what they must be: mappings, lists, numbers in ranges.
+
+Every function takes ``where``, the beginning of a sentence that names file and key (``capture.yaml: focal_px of cam1``)
+and raises UserError with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from studiorecon.errors import UserError
+
+MOST_SHOWN = 60
+"""Of a value that is refused so many characters are shown."""
+
+
+def shown(value: Any) -> str:
+    """A value as it stands in a sentence: on one line, and not too long."""
+    try:
+        text = repr(value) if not isinstance(value, (dict, list, tuple)) or len(value) < 20 else type(value).__name__
+    except (RecursionError, ValueError):
+        text = type(value).__name__
+    return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 1] + "…"
+
+
+def mapping(value: Any, where: str, example: str) -> Mapping[Any, Any]:
+    """``value``, which must map names to something, as ``example`` does; None is an empty one."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise UserError(f"{where} is {shown(value)}; it must look like {example}")
+    return value
+
+
+def listed(value: Any, where: str, example: str) -> list[Any]:
+    """``value``, which must be a list, as ``example`` is: text is none, though it has letters. None is an empty one."""
+    if value is None:
+        return []
+    if not isinstance(value, (list, tuple)):
+        raise UserError(f"{where} is {shown(value)}; it must be a list, such as {example}")
+    return list(value)
+
+
+def name(value: Any, where: str) -> str:
+    """``value`` as a name or path: text, or a whole number, which YAML makes of 01 and the like."""
+    if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
+        raise UserError(f"{where} is {shown(value)}; it must be text")
+    return str(value)
+
+
+def number(value: Any, where: str, low: float, high: float, what: str) -> float:
+    """``value`` as a finite number within ``low`` … ``high``; ``what`` says in words what it must be, with its unit."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise UserError(f"{where} is {shown(value)}; it must be {what}")
+    try:
+        found = float(value)
+    except OverflowError:
+        found = math.inf
+    if not low <= found <= high:
+        raise UserError(f"{where} is {shown(value)}; it must be {what}")
+    return found
+
+
+def whole(value: Any, where: str, low: int, high: int, what: str = "a whole number") -> int:
+    """``value`` as a whole number within ``low`` … ``high``."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+        raise UserError(f"{where} is {shown(value)}; it must be {what} from {low} to {high}")
+    return int(value)
+
+
+def numbers(value: Any, where: str, *, finite: bool = True) -> np.ndarray:
+    """float64 array of a number, or of lists of numbers of one length, nested or not; missing ones (null) are NaN.
+
+    With ``finite`` none of them may be NaN, infinite or missing.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype == object and _plain(array):
+            array = np.array([math.nan if v is None else v for v in array.reshape(-1)], float).reshape(array.shape)
+        if array.dtype.kind not in "iuf":
+            raise UserError(f"{where}: {shown(value)} are not numbers in lists of one length")
+        array = array.astype(np.float64)
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        raise UserError(f"{where}: {shown(value)} are not numbers in lists of one length") from None
+    if finite and not np.isfinite(array).all():
+        raise UserError(f"{where} holds a number that is not finite ({shown(value)})")
+    return array
+
+
+def _plain(array: np.ndarray) -> bool:
+    return all(v is None or (isinstance(v, (int, float)) and not isinstance(v, bool)) for v in array.reshape(-1))
