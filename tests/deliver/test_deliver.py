@@ -132,7 +132,7 @@ def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path, sett
     write_scene(tmp_path, root, people=1, filmed=False)
     chosen = options(tmp_path, 1)
     export.run(settings, **chosen)
-    others = ("player.html", "player.jpg", "room.glb", "scene.usdc", ".partial-7-player.html")
+    others = ("player.html", "player.jpg", "room.glb", "scene.glb", "scene.usdc", ".partial-7-player.html")
     for name in (*others, "old.txt"):
         (tmp_path / "deliver" / name).touch()
     export.run(settings, **{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})

@@ -24,6 +24,7 @@ AFTER_HUMANS = {
     "report_page",
     "deliver_export",
     "deliver_player",
+    "deliver_scene_glb",
 }
 
 

@@ -67,6 +67,36 @@ rule deliver_player:
         command("deliver.player")
 
 
+# The scene as one file for others' viewers: nothing but what Python already has is needed for it.
+rule deliver_scene_glb:
+    input:
+        manifest="results/{scene}/capture/manifest.json",
+        model=MODEL,
+        background="results/{scene}/background/scene.ply",
+        provenance="results/{scene}/background/provenance.npz",
+        gaussians=files.human_gaussians,
+        avatars=files.human_avatars,
+        body=files.body,
+        objects=files.loose_objects,
+    output:
+        glb="results/{scene}/deliver/scene.glb",
+    log:
+        "logs/{scene}/deliver/scene_glb.log",
+    benchmark:
+        "benchmarks/{scene}/deliver/scene_glb.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        code=code("deliver.scene_glb"),
+    message:
+        "The scene as one glTF: {output.glb}"
+    shell:
+        command("deliver.scene_glb")
+
+
 rule deliver_mesh:
     input:
         model=MODEL,

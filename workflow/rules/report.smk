@@ -152,6 +152,7 @@ rule report_page:
             "results/{scene}/depth/room.json",
             "results/{scene}/deliver/manifest.json",
             "results/{scene}/deliver/player.html",
+            "results/{scene}/deliver/scene.glb",
         ],
     output:
         costs="results/{scene}/report/cost.json",

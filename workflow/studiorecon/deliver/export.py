@@ -33,6 +33,7 @@ background.ply    the static room: 3D Gaussians, binary PLY in the layout of the
 {still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
 {keypoints}films/            H.264 films, enhanced: {films}
 player.html       the scene to move through, in a browser, without a network
+scene.glb         room (KHR_gaussian_splatting), people, things and cameras for three.js, PlayCanvas, Blender; y up
 room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, in metres
 scene.usdc        only on request (snakemake scene_usd): room, people, things and cameras as a stage for usdview, z up
 manifest.json     size and SHA-256 of every other file here
@@ -47,7 +48,7 @@ invented (the report shows where), and a PLY cannot say which. The people's PLY 
 in bodies/.
 """
 # What other steps leave in the same folder, or are about to: a file that is being written bears a longer name.
-OF_OTHER_STEPS = ("room.glb", "scene.usdc", "player.html", "player.jpg")
+OF_OTHER_STEPS = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
     "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "

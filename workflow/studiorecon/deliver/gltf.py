@@ -76,21 +76,27 @@ def linear(rgb: np.ndarray) -> np.ndarray:
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
-def add_colours(buffer: Buffer, rgb: np.ndarray, provenance: np.ndarray) -> dict[str, int]:
-    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,)."""
+def add_colours(
+    buffer: Buffer, rgb: np.ndarray, provenance: np.ndarray, opacities: np.ndarray | None = None
+) -> dict[str, int]:
+    """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,), opacities (V,) in
+    0..1."""
     colours = np.full((len(rgb), 4), 65535, np.uint16)
     colours[:, :3] = np.rint(linear(rgb) * 65535)
+    if opacities is not None:
+        colours[:, 3] = np.rint(opacities * 65535)
     held = buffer.add(colours, "VEC4", _USHORT, _ARRAY_BUFFER)
     buffer.accessors[held]["normalized"] = True
     marks = buffer.add(provenance.astype(np.float32)[:, None], "SCALAR", _FLOAT, _ARRAY_BUFFER)
     return {"COLOR_0": held, "_PROVENANCE": marks}
 
 
-def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
-    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
-    included. Grey without ``colours``."""
-    rest, joints = body.rest_vertices(person.betas), body.rest_joints(person.betas)
-    buffer = Buffer()
+def add_body(
+    buffer: Buffer, body: BodyModel, betas: np.ndarray, colours: BodyColours | None
+) -> tuple[dict[str, Any], list[dict[str, Any]], int]:
+    """A primitive of the shaped body in its T-pose, the nodes of its 24 joints (children counted from the first), and
+    the accessor of their inverse bind matrices."""
+    rest, joints = body.rest_vertices(betas), body.rest_joints(betas)
     bones, weights = strongest_bones(body.weights)
     attributes = {
         "POSITION": buffer.add(rest.astype(np.float32), "VEC3", _FLOAT, _ARRAY_BUFFER),
@@ -108,15 +114,20 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
         offset = joints[j] - (joints[parent] if parent >= 0 else 0)
         children = [k for k, p in enumerate(body.parents) if p == j]
         nodes.append({"name": name, "translation": offset.tolist()} | ({"children": children} if children else {}))
-    nodes.append({"name": person.name, "mesh": 0, "skin": 0})
+    return {"attributes": attributes, "indices": indices}, nodes, bind
+
+
+def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
+    """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
+    included. Grey without ``colours``."""
+    buffer = Buffer()
+    primitive, nodes, bind = add_body(buffer, body, person.betas, colours)
     document = {
         "asset": {"version": "2.0", "generator": "studiorecon"},
         "scene": 0,
         "scenes": [{"nodes": [0, 24]}],
-        "nodes": nodes,
-        "meshes": [
-            {"name": person.body, "primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}
-        ],
+        "nodes": [*nodes, {"name": person.name, "mesh": 0, "skin": 0}],
+        "meshes": [{"name": person.body, "primitives": [primitive | {"material": 0}]}],
         "materials": [
             {
                 "pbrMetallicRoughness": {
@@ -127,7 +138,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
             }
         ],
         "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
-        "animations": [_animation(buffer, person)],
+        "animations": [{"name": "capture"} | motion_of(buffer, person.poses, person.trans, person.fps)],
     }
     write_document(path, document, buffer)
 
@@ -143,20 +154,22 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 
 
-def _animation(buffer: Buffer, person: Person) -> dict[str, Any]:
-    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
-    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
+def motion_of(buffer: Buffer, poses: np.ndarray, trans_m: np.ndarray, fps: float, first: int = 0) -> dict[str, Any]:
+    """Samplers and channels that move 24 joints, the nodes from ``first`` on: poses (T, 72) axis-angle, pelvis (T, 3)
+    in the z-up world."""
+    times = buffer.add((np.arange(len(poses)) / fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
+    turned = rotations.exp(poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
-    quaternions = _continued(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
-    places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
+    quaternions = unflipped(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
+    places = (trans_m @ Y_UP_FROM_Z_UP.T).astype(np.float32)
     outputs = [buffer.add(places, "VEC3", _FLOAT), *(buffer.add(quaternions[:, j], "VEC4", _FLOAT) for j in range(24))]
     samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
     paths = [(0, "translation"), *((j, "rotation") for j in range(24))]
-    channels = [{"sampler": i, "target": {"node": node, "path": what}} for i, (node, what) in enumerate(paths)]
-    return {"name": "capture", "samplers": samplers, "channels": channels}
+    channels = [{"sampler": i, "target": {"node": first + node, "path": what}} for i, (node, what) in enumerate(paths)]
+    return {"samplers": samplers, "channels": channels}
 
 
-def _continued(quaternions: np.ndarray) -> np.ndarray:
+def unflipped(quaternions: np.ndarray) -> np.ndarray:
     """The same rotations with signs that never flip from frame to frame: viewers interpolate components (R03)."""
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
     signs = np.cumprod(np.where(flips, -1.0, 1.0), axis=0)

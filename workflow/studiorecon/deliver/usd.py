@@ -17,7 +17,7 @@ import scipy
 from studiorecon.body.avatar.files import Avatar
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.finished import read_finished
-from studiorecon.deliver.gltf import linear
+from studiorecon.deliver.gltf import linear, unflipped
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
@@ -97,9 +97,7 @@ def add_body(stage: Any, path: str, person: Avatar) -> None:
     motion = usd.UsdSkel.Animation.Define(stage, f"{path}/motion")
     motion.CreateJointsAttr(names)
     motion.CreateScalesAttr(usd.Vt.Vec3hArray([usd.Gf.Vec3h(1)] * len(names)))
-    turns = rotations.to_quaternion(rotations.exp(np.asarray(person.poses, np.float64).reshape(-1, 24, 3)))
-    flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
-    turns[1:] *= flips[..., None]
+    turns = unflipped(rotations.to_quaternion(rotations.exp(person.poses.reshape(-1, 24, 3))))
     places, turned = motion.CreateTranslationsAttr(), motion.CreateRotationsAttr()
     for frame in range(person.frames):
         offsets_m[0] = person.trans[frame]

@@ -24,6 +24,7 @@ _FILES = {
     "depth/room.json": "the fitted room",
     "deliver/manifest.json": "everything delivered, with checksums",
     "deliver/player.html": "the scene to move through, in space and time",
+    "deliver/scene.glb": "room, people and cameras as one glTF, for three.js, PlayCanvas and Blender",
 }
 
 

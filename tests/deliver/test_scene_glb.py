@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene as one glTF: checked by Khronos' validator, read by pygltflib, loaded and played by three.js."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+from scipy.spatial.transform import Rotation
+from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.deliver import scene_glb
+from studiorecon.deliver.finished import read_finished
+from studiorecon.deliver.gltf import Buffer, write_document
+from studiorecon.errors import UserError
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.splatting.rigid_object import RigidObject
+
+from tests.made.scene import FPS, FRAMES, render_options, write_scene
+
+TAKEN = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
+_VALIDATE = """
+const validator = require("gltf-validator");
+validator.validateBytes(new Uint8Array(require("fs").readFileSync(process.argv[1])), {maxIssues: 50})
+  .then((report) => console.log(JSON.stringify(report)));
+"""
+_LOAD = """
+import {readFileSync} from "fs";
+import {pathToFileURL} from "url";
+const from = (path) => import(pathToFileURL(`${process.env.NODE_PATH}/three/${path}`).href);
+globalThis.self = globalThis;
+const THREE = await from("build/three.module.js");
+const {GLTFLoader} = await from("examples/jsm/loaders/GLTFLoader.js");
+const bytes = readFileSync(process.argv[2]);
+const held = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength);
+const gltf = await new GLTFLoader().parseAsync(held, "");
+const mixer = new THREE.AnimationMixer(gltf.scene);
+gltf.animations.forEach((clip) => mixer.clipAction(clip).play());
+mixer.setTime(Number(process.argv[3]));
+gltf.scene.updateMatrixWorld(true);
+const told = {cameras: gltf.cameras.map((camera) => camera.parent ? camera.name || camera.parent.name : camera.name),
+  points: [], bodies: []};
+gltf.scene.traverse((one) => {
+  if (one.isPoints) {
+    const places = one.geometry.attributes.position;
+    told.points.push(new THREE.Vector3().fromBufferAttribute(places, 7).applyMatrix4(one.matrixWorld).toArray());
+  }
+  if (one.isSkinnedMesh) {
+    const places = [];
+    for (let k = 0; k < one.geometry.attributes.position.count; k += 500) {
+      places.push(one.getVertexPosition(k, new THREE.Vector3()).applyMatrix4(one.matrixWorld).toArray());
+    }
+    told.bodies.push(places);
+  }
+});
+console.log(JSON.stringify(told));
+"""
+
+
+def node(package: str) -> dict[str, str]:
+    """The environment in which Node finds a package; skips where it does not."""
+    if shutil.which("node") is None:
+        pytest.skip("no node on this machine")
+    environment = {**os.environ, "NODE_PATH": os.environ.get("STUDIORECON_NODE_MODULES", "")}
+    found = subprocess.run(
+        ["node", "-e", f"require.resolve({json.dumps(package)})"], env=environment, capture_output=True, check=False
+    )
+    if found.returncode:
+        pytest.skip(f"npm install {package}, and name its node_modules in STUDIORECON_NODE_MODULES")
+    return environment
+
+
+def options(folder: Path, people: int) -> dict:
+    given = render_options(folder, "orbit", people)
+    return {name: given[name] for name in TAKEN} | {"scene": "made", "objects": [], "glb": folder / "deliver/scene.glb"}
+
+
+def y_up(points: np.ndarray) -> np.ndarray:
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+def test_the_room_is_stored_as_the_extension_says(tmp_path: Path, root: Path) -> None:
+    pygltflib = pytest.importorskip("pygltflib", reason="the group test brings pygltflib")
+    cameras = write_scene(tmp_path, root, people=1, filmed=False)["training"]
+    given = options(tmp_path, 1)
+    own = read_ply(given["background"])
+    rng = np.random.default_rng(1)
+    own = replace(own, quaternions=3 * rng.normal(size=(own.count, 4)), sh=rng.normal(size=(own.count, 9, 3)))
+    write_ply(given["background"], own)
+    scene_glb.run(**given)
+    written = given["glb"].read_bytes()
+    scene_glb.run(**given)
+    assert given["glb"].read_bytes() == written, "the same scene, the same bytes"
+    document = pygltflib.GLTF2().load(str(given["glb"]))
+    primitive = document.meshes[0].primitives[0]
+    assert primitive.mode == 0
+    assert primitive.extensions["KHR_gaussian_splatting"]["kernel"] == "ellipse"
+    assert primitive.extensions["KHR_gaussian_splatting"]["colorSpace"] == "srgb_rec709_display"
+    stored = vars(primitive.attributes)
+
+    def values(name: str, width: int, kind: str = "<f4") -> np.ndarray:
+        accessor = document.accessors[stored[name]]
+        view = document.bufferViews[accessor.bufferView]
+        raw = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+        return np.frombuffer(raw, kind).reshape(accessor.count, width)
+
+    splat = "KHR_gaussian_splatting:"
+    turns = values(f"{splat}ROTATION", 4)
+    assert np.linalg.norm(turns, axis=1) == pytest.approx(1, abs=1e-6)
+    expected = Rotation.from_quat(own.quaternions[:, [1, 2, 3, 0]]).as_matrix()
+    assert np.abs(Rotation.from_quat(turns).as_matrix() - expected).max() < 1e-5
+    assert values(f"{splat}SCALE", 3) == pytest.approx(np.exp(own.log_scales)), "linear"
+    opacities = scipy.special.expit(own.logit_opacities)
+    assert values(f"{splat}OPACITY", 1)[:, 0] == pytest.approx(opacities), "after the sigmoid"
+    assert values(f"{splat}SH_DEGREE_2_COEF_4", 3) == pytest.approx(own.sh[:, 8])
+    colours = values("COLOR_0", 4, "<u2") / 65535
+    shown = np.clip(0.5 + 0.28209479 * own.sh[:, 0], 0, 1)
+    bright = shown > 0.05
+    assert colours[:, :3][bright] == pytest.approx(((shown[bright] + 0.055) / 1.055) ** 2.4, abs=1e-4), "linear"
+    assert colours[:, 3] == pytest.approx(opacities, abs=1e-4)
+    assert set(values("_PROVENANCE", 1)[:, 0]) == {0, 1, 2}
+    upright = Rotation.from_quat(document.nodes[0].rotation)
+    assert upright.apply([0, 0, 1]) == pytest.approx([0, 1, 0]), "y is up"
+    assert [camera.name for camera in document.cameras] == [camera.name for camera in cameras]
+    by_name = {one.name: one for one in document.nodes}
+    for camera in cameras:
+        held = by_name[camera.name]
+        assert held.translation == pytest.approx(y_up(camera.centre_m))
+        ahead = Rotation.from_quat(held.rotation).apply([0, 0, -1])
+        assert ahead == pytest.approx(y_up(camera.forward))
+        above = Rotation.from_quat(held.rotation).apply([0, 1, 0])
+        assert above == pytest.approx(-y_up(camera.camera_from_world[1, :3]))
+
+
+def with_a_thing(folder: Path, given: dict) -> None:
+    """The scene of ``given`` with a loose thing, as its glTF."""
+    scene = read_finished(**{name: value for name, value in given.items() if name != "glb"})
+    own = scene.room.take(np.arange(9))
+    places = np.linspace([0.0, 0, 1], [1, 0, 1], FRAMES)
+    places[2] = np.nan
+    present = np.isfinite(places[:, 0])
+    thing = RigidObject("o0", own, np.zeros(9, np.uint8), places, present, present, 0.1)
+    buffer = Buffer()
+    document = scene_glb.document_of(replace(scene, things=[thing]), buffer)
+    write_document(given["glb"], document, buffer)
+
+
+def unknown_attribute(message: dict) -> bool:
+    """Whether the validator speaks of an attribute of the extension, which its latest release does not know yet."""
+    attribute = message["pointer"].rpartition("/")[2]
+    return message["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" and attribute.startswith(scene_glb.NAMES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("people", [0, 2, 7])
+def test_khronos_finds_nothing_wrong(tmp_path: Path, root: Path, people: int) -> None:
+    environment = node("gltf-validator")
+    write_scene(tmp_path, root, people=people, filmed=False)
+    given = options(tmp_path, people)
+    with_a_thing(tmp_path, given)
+    told = subprocess.run(
+        ["node", "-e", _VALIDATE, str(given["glb"])], env=environment, capture_output=True, text=True, check=True
+    )
+    messages = json.loads(told.stdout)["issues"]["messages"]
+    serious = [one for one in messages if one["severity"] < 2 and not unknown_attribute(one)]
+    assert not serious
+    assert len(messages) < 50, "beyond, the validator says no more"
+
+
+@pytest.mark.slow
+def test_three_loads_it_and_moves_the_bodies_as_they_moved(tmp_path: Path, root: Path) -> None:
+    environment = node("three")
+    cameras = write_scene(tmp_path, root, people=2, filmed=False)["training"]
+    given = options(tmp_path, 2)
+    with_a_thing(tmp_path, given)
+    (tmp_path / "load.mjs").write_text(_LOAD)
+    frame = 3
+    command = ["node", str(tmp_path / "load.mjs"), str(given["glb"]), str(frame / FPS)]
+    told = json.loads(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert len(told["cameras"]) == len(cameras)
+    model, room = BodyModel.load(given["body"]), read_ply(given["background"])
+    assert told["points"][0] == pytest.approx(y_up(room.means_m[7]), abs=1e-5)
+    assert told["points"][1] == pytest.approx(y_up(room.means_m[7] + [frame / (FRAMES - 1), 0, 1]), abs=1e-5)
+    for k, places in enumerate(told["bodies"]):
+        person = read_avatar(given["gaussians"][k], given["avatars"][k], model)
+        expected = y_up(model.vertices(person.poses, person.betas, person.trans)[frame])[::500]
+        assert np.abs(np.array(places) - expected).max() < 0.004, "four bones per vertex instead of all"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_gaussian_that_is_no_number_leaves_no_file(tmp_path: Path, root: Path) -> None:
+    write_scene(tmp_path, root, people=0, filmed=False)
+    given = options(tmp_path, 0)
+    own = read_ply(given["background"])
+    scales = own.log_scales.copy()
+    scales[4, 2] = np.nan
+    write_ply(given["background"], replace(own, log_scales=scales))
+    with pytest.raises(UserError, match=r"scene\.ply holds 1 Gaussians.*number 4"):
+        scene_glb.run(**given)
+    assert not given["glb"].exists()

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``deliver.scene_glb``: the 4D scene as one binary glTF, ``deliver/scene.glb``, for three.js, PlayCanvas, Babylon.js
+and Blender.
+
+The room and loose things are points with ``KHR_gaussian_splatting`` (ratified by Khronos), which programs that do not
+know it show as coloured points; people are skinned meshes in the colours of their Gaussians, the training cameras
+glTF's. y up, metres. The Gaussians keep their own axes below nodes that turn them: harmonics need no rotation then.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+from studiorecon.deliver.body_colours import body_colours
+from studiorecon.deliver.finished import FinishedScene, read_finished
+from studiorecon.deliver.gltf import (
+    Buffer,
+    add_body,
+    add_colours,
+    motion_of,
+    unflipped,
+    write_document,
+)
+from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
+from studiorecon.geometry import rotations
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import SH_C0, Gaussians
+from studiorecon.signature import Written
+from studiorecon.splatting.rigid_object import RigidObject
+
+SPLATS, NAMES = "KHR_gaussian_splatting", "KHR_gaussian_splatting:"
+_FLOAT, _ARRAY_BUFFER, _POINTS = 5126, 34962, 0
+_NEAR_M = 0.05
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+
+
+def splats(buffer: Buffer, own: Gaussians, provenance: np.ndarray) -> dict[str, Any]:
+    """A primitive of N Gaussians: linear scales, opacities in 0..1, unit quaternions (x, y, z, w), harmonics as
+    trained (they show display-referred sRGB); ``COLOR_0``, linear, for who draws points."""
+    unit = own.quaternions / np.linalg.norm(own.quaternions, axis=1, keepdims=True).clip(1e-12)
+    opacities = scipy.special.expit(own.logit_opacities).astype(np.float32)
+    values = {
+        "POSITION": (own.means_m, "VEC3"),
+        f"{NAMES}ROTATION": (np.ascontiguousarray(unit[:, [1, 2, 3, 0]], np.float32), "VEC4"),
+        f"{NAMES}SCALE": (np.exp(own.log_scales), "VEC3"),
+        f"{NAMES}OPACITY": (opacities[:, None], "SCALAR"),
+    }
+    for degree in range(own.sh_degree + 1):
+        for k in range(2 * degree + 1):
+            values[f"{NAMES}SH_DEGREE_{degree}_COEF_{k}"] = own.sh[:, degree**2 + k], "VEC3"
+    attributes = {name: buffer.add(array, kind, _FLOAT, _ARRAY_BUFFER) for name, (array, kind) in values.items()}
+    attributes |= add_colours(buffer, 0.5 + SH_C0 * own.sh[:, 0], provenance, opacities)
+    looks = {
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
+    }
+    return {"attributes": attributes, "mode": _POINTS, "material": 0, "extensions": {SPLATS: looks}}
+
+
+def camera_of(camera: Camera) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A glTF camera and its node. glTF has no principal point: it is in the camera's ``extras``, in pixels, with the
+    focal lengths and the size of the picture."""
+    (width, height), (_, fy) = camera.wh, camera.focal_px
+    shown = {"yfov": 2 * float(np.arctan(height / (2 * fy))), "aspectRatio": width / height, "znear": _NEAR_M}
+    told = {"wh": list(camera.wh), "focal_px": list(camera.focal_px), "principal_px": list(camera.principal_px)}
+    turned = rotations.to_quaternion(Y_UP_FROM_Z_UP @ camera.world_from_camera[:3, :3] @ _OPENGL_FROM_OPENCV)
+    place = Y_UP_FROM_Z_UP @ camera.centre_m
+    made = {"name": camera.name, "type": "perspective", "perspective": shown, "extras": told}
+    return made, {"name": camera.name, "rotation": turned[[1, 2, 3, 0]].tolist(), "translation": place.tolist()}
+
+
+def thing_motion(buffer: Buffer, thing: RigidObject, fps: float, node: int) -> dict[str, Any] | None:
+    """A loose thing's place and turn in the frames in which it is known, from which programs continue over those in
+    which it is not; None where it is never known."""
+    known = np.flatnonzero(thing.present)
+    if not len(known):
+        return None
+    poses = np.stack([thing.pose_at(float(frame)) for frame in known])
+    times = buffer.add((known / fps).astype(np.float32)[:, None], "SCALAR", _FLOAT)
+    turns = unflipped(rotations.to_quaternion(Y_UP_FROM_Z_UP @ poses[:, :3, :3]))[:, [1, 2, 3, 0]]
+    places = (poses[:, :3, 3] @ Y_UP_FROM_Z_UP.T).astype(np.float32)
+    outputs = {
+        "translation": buffer.add(places, "VEC3", _FLOAT),
+        "rotation": buffer.add(turns.astype(np.float32), "VEC4", _FLOAT),
+    }
+    return {
+        "samplers": [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs.values()],
+        "channels": [{"sampler": k, "target": {"node": node, "path": what}} for k, what in enumerate(outputs)],
+    }
+
+
+def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
+    """The glTF document of a scene, whose numbers go into ``buffer``; one animation, ``capture``, moves everybody."""
+    nodes: list[dict[str, Any]] = []
+    meshes: list[dict[str, Any]] = []
+    skins: list[dict[str, Any]] = []
+    cameras: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    roots: list[int] = []
+
+    def moved(motion: dict[str, Any]) -> None:
+        channels.extend(c | {"sampler": c["sampler"] + len(samplers)} for c in motion["channels"])
+        samplers.extend(motion["samplers"])
+
+    upright = rotations.to_quaternion(Y_UP_FROM_Z_UP)[[1, 2, 3, 0]].tolist()
+    if scene.room.count:
+        meshes.append({"name": "room", "primitives": [splats(buffer, scene.room, scene.provenance)]})
+        nodes.append({"name": "room", "mesh": 0, "rotation": upright})
+        roots.append(0)
+    for person in scene.people:
+        first = len(nodes)
+        primitive, skeleton, bind = add_body(buffer, person.model, person.betas, body_colours(person))
+        for joint in skeleton:
+            below = {"children": [first + k for k in joint["children"]]} if "children" in joint else {}
+            nodes.append(joint | below)
+        roots += [first, len(nodes)]
+        nodes.append({"name": person.person, "mesh": len(meshes), "skin": len(skins)})
+        meshes.append({"name": person.person, "primitives": [primitive | {"material": 0}]})
+        skins.append(
+            {"inverseBindMatrices": bind, "joints": [first + j for j in range(len(skeleton))], "skeleton": first}
+        )
+        moved(motion_of(buffer, person.poses, person.trans, person.fps, first))
+    for thing in scene.things:
+        motion = thing_motion(buffer, thing, scene.capture.fps, len(nodes))
+        if motion is None or not thing.gaussians.count:
+            say(f"scene.glb: {thing.person} has no known place, and is left out")
+            continue
+        moved(motion)
+        roots.append(len(nodes))
+        nodes.append({"name": thing.person, "mesh": len(meshes)})
+        meshes.append({"name": thing.person, "primitives": [splats(buffer, thing.gaussians, thing.provenance)]})
+    for camera in scene.cameras:
+        made, node = camera_of(camera)
+        roots.append(len(nodes))
+        nodes.append(node | {"camera": len(cameras)})
+        cameras.append(made)
+    held = {"meshes": meshes, "skins": skins, "cameras": cameras}
+    if channels:
+        held["animations"] = [{"name": "capture", "samplers": samplers, "channels": channels}]
+    material = {
+        "name": "as filmed",
+        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+        "extensions": {"KHR_materials_unlit": {}},
+    }
+    return {
+        "asset": {
+            "version": "2.0",
+            "generator": "studiorecon",
+            "extras": {"_PROVENANCE": "0 measured, 1 inferred, 2 invented"},
+        },
+        "extensionsUsed": [
+            "KHR_materials_unlit",
+            *([SPLATS] if any("mode" in m["primitives"][0] for m in meshes) else []),
+        ],
+        "scene": 0,
+        "scenes": [{"name": scene.name, "nodes": roots}],
+        "nodes": nodes,
+        "materials": [material],
+    } | {name: several for name, several in held.items() if several}
+
+
+def run(
+    scene: str,
+    manifest: Path,
+    model: Path,
+    background: Path,
+    provenance: Path,
+    gaussians: list[Path],
+    avatars: list[Path],
+    body: Path | None,
+    objects: list[Path],
+    glb: Written,
+) -> None:
+    """Write the finished scene as ``glb``."""
+    finished = read_finished(scene, manifest, model, background, provenance, gaussians, avatars, body, objects)
+    buffer = Buffer()
+    write_document(glb, document_of(finished, buffer), buffer)
+    say(
+        f"scene.glb: the room as {finished.room.count} Gaussians, {len(finished.people)} people, "
+        f"{len(finished.things)} things and {len(finished.cameras)} cameras over {finished.capture.frames} frames, "
+        f"{glb.stat().st_size / 1e6:.1f} MB; opens in three.js, PlayCanvas and Blender: {glb}"
+    )
