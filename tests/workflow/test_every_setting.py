@@ -34,6 +34,10 @@ PLANNED: dict[str, set[str] | None] = {
     "weights": set(),
     "licences": set(),
     "survey.earlier": None,
+    "people.identities": None,
+    # Another source is another rule's work.
+    "depth.source": {"depth_refine"},
+    "views.synthesizer": {"views_synthesize"},
     "views.closed": {"views_path"},
     "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
 }
