@@ -305,6 +305,36 @@ def test_scores_equal_the_planted_error_and_say_what_is_missing(reported: Path) 
     assert metrics["coverage"]["heldout"]["inferred"] == 1.0
 
 
+def test_a_network_that_saw_the_held_out_cameras_is_declared(
+    reported: Path, default_settings: Callable, tmp_path: Path
+) -> None:
+    """Nothing but the network tells where held-out cameras stand, so what it saw of them stands in the protocol."""
+    told = {}
+    for calibrator in ("none", "pi3"):
+        evaluate.run(
+            settings_module.load(evaluate.Settings, default_settings("report"), "report"),
+            scene="made",
+            manifest=reported / "capture/manifest.json",
+            model=reported / "cameras/images.txt",
+            heldout_model=reported / "cameras/heldout/images.txt",
+            poses=poses_of_nobody(tmp_path),
+            videos=[],
+            render=[],
+            render_path=[],
+            enhanced=[],
+            truth_maps=[],
+            fits=[],
+            detections=[],
+            identities=[],
+            recognition=nobody_recognised(tmp_path),
+            metrics=tmp_path / "metrics.json",
+            calibrator=calibrator,
+        )
+        told[calibrator] = read_json(tmp_path / "metrics.json")["protocol"]
+    assert told["pi3"].startswith(told["none"])
+    assert "found by pi3, which saw the first picture of every camera, held-out ones too" in told["pi3"]
+
+
 def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
     reported: Path, default_settings: Callable, tmp_path: Path
 ) -> None:

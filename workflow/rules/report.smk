@@ -98,6 +98,7 @@ rule report_evaluate:
     params:
         settings=settings("report.evaluate"),
         code=code("report.evaluate"),
+        calibrator=PLAN.networks.cameras or "none",
         lpips=PLAN.networks.lpips("report"),
     shell:
         command("report.evaluate")

@@ -27,7 +27,7 @@ from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
-from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, definitions, provenance
+from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, opened
 from studiorecon.report.metrics.films import first_frames
 from studiorecon.report.metrics.folders import digest
@@ -195,11 +195,13 @@ def run(
     metrics: Written,
     truth: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
+    calibrator: str = "none",
     threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
     training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``recognition``
-    is whom a detector finds in the films, ``lpips`` is the folder of LPIPS' weights."""
+    is whom a detector finds in the films, ``lpips`` is the folder of LPIPS' weights, ``calibrator`` the network that
+    found the cameras, held-out ones too, from a picture of each."""
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     exact = truth[0] if truth else None
@@ -247,7 +249,7 @@ def run(
             "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
             "inputs": {path.name: digest(path) for path in (*videos, *fits)}
             | {f"{path.parent.name}/{path.name}": digest(path) for path in (*render, *enhanced)},
-            "protocol": PROTOCOL,
+            "protocol": PROTOCOL + (SEEN_BY.format(calibrator) if held_out and calibrator != "none" else ""),
         },
     )
     _tell(found if held_out and found else nothing, bodies)

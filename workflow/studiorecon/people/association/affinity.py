@@ -52,8 +52,7 @@ class AssociationLimits:
     position: Literal["rays", "pelvis"] = setting(
         "rays",
         "rays = how close the rays of shared keypoints pass; pelvis = the monocular body's pelvis at its own depth.",
-        paper="pelvis; U26, U28",
-        letter="pelvis",
+        paper="pelvis, lifted by the scene's depth, Eq. S1; U26, U28",
     )
     gate_m: float = setting(
         0.15,

@@ -22,6 +22,10 @@ PROTOCOL = (
     "unweighted, never pooled; intervals of 95 % by "
     "bootstrap over blocks of frames"
 )
+SEEN_BY = (
+    "; the cameras were found by {}, which saw the first picture of every camera, held-out ones too, "
+    "for nothing else tells where those stand"
+)
 NO_LPIPS = "report.lpips is none: the weights of its network are not part of this project"
 NO_PCK = "report.score measures pictures alone; report.recognition runs the detector on a scene's films"
 _NETS = {"none": "AlexNet", "alex": "AlexNet", "vgg": "VGG16"}
