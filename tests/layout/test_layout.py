@@ -18,7 +18,7 @@ from studiorecon import settings as settings_module
 from studiorecon.plan.command import command
 from studiorecon.step_settings import section_of
 
-from tests.made.layout import ON_REQUEST, STAGES
+from tests.made.layout import ON_REQUEST, STAGES, rules
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow" / "studiorecon"
@@ -145,17 +145,6 @@ def test_every_stage_has_rules_settings_schema_and_tests(stage: str) -> None:
         assert f"## {stage}" in (ROOT / "config/README.md").read_text()
     assert list((ROOT / f"tests/{stage}").glob("test_*.py"))
     assert stage in (ROOT / "README.md").read_text()
-
-
-def rules() -> list[tuple[str, str, str]]:
-    """(rule file, step, text) of every rule that runs a step."""
-    found = []
-    for path in sorted((ROOT / "workflow/rules").glob("*.smk")):
-        for block in re.split(r"\n(?= *(?:(?:use )?rule|checkpoint) )", path.read_text()):
-            step = re.search(r"shell:\s+command\(\"(\w+\.\w+)\"\)", block)
-            if step:
-                found.append((path.name, step.group(1), block))
-    return found
 
 
 def names_in(block: str, directive: str) -> set[str]:

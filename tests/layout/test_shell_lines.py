@@ -12,7 +12,7 @@ import pytest
 from snakemake.utils import QuotedFormatter
 from studiorecon.plan.command import command
 
-from tests.layout.test_layout import ROOT, rules
+from tests.made.layout import ROOT, rules
 
 STEPS = sorted({step for _, step, _ in rules()})
 HOSTILE = ["$(touch x)", "`touch x`", "a&b", "a b", "-rf", "a\nb", "';touch x;'"]

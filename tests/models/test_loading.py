@@ -24,10 +24,11 @@ from tests.made.layout import STAGES
 from tests.models import networks_table
 
 ROOT = Path(__file__).resolve().parents[2]
-# What each overload promises: kind → Protocol.
+# What each overload of one kind promises: kind → Protocol.
 PROMISED = {
     typing.get_args(hints["kind"])[0]: typing.get_args(hints["return"])[0]
     for hints in map(typing.get_type_hints, typing.get_overloads(adapter))
+    if len(typing.get_args(hints["kind"])) == 1
 }
 LOADED = {
     typing.get_args(hints["kind"])[0]: hints["return"]
