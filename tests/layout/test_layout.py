@@ -174,7 +174,13 @@ FOUND_BY_THE_STEP = {
 }
 RUNS_IT_AGAIN = {"report_page": {"swept"}}
 # What has to be there first, or is a good moment, and is not read.
-WAITED_FOR = {"background_kernels": {"manifest"}, "background_train": {"kernels"}, "humans_train": {"kernels"}}
+WAITED_FOR = {
+    "background_kernels": {"manifest"},
+    "background_train": {"kernels"},
+    "humans_train": {"kernels"},
+    "depth_kernels": {"manifest"},
+    "depth_room": {"kernels"},
+}
 
 
 @pytest.mark.parametrize(("file", "step", "block"), rules(), ids=[r[1] for r in rules()])

@@ -36,6 +36,28 @@ rule depth_sweep:
         command("depth.sweep")
 
 
+# What the fit of the room would compile by itself, with every later step waiting for it, compiled while cameras are looked at.
+# Nothing but the time depends on it: hence ancient, here and where it is waited for.
+rule depth_kernels:
+    input:
+        manifest=ancient("results/{scene}/capture/manifest.json"),
+    output:
+        kernels="results/{scene}/depth/kernels.txt",
+    log:
+        "logs/{scene}/depth/kernels.log",
+    benchmark:
+        "benchmarks/{scene}/depth/kernels.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        code=code("depth.kernels"),
+    shell:
+        command("depth.kernels")
+
+
 rule depth_room:
     input:
         model=MODEL,
@@ -52,6 +74,7 @@ rule depth_room:
         people=files.walkers,
         detections=files.sightings,
         identities=files.sighted,
+        kernels=ancient("results/{scene}/depth/kernels.txt"),
     output:
         shell="results/{scene}/depth/room.json",
         solids="results/{scene}/depth/primitives.json",

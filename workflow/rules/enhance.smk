@@ -27,6 +27,8 @@ rule enhance_shot:
         "benchmarks/{scene}/enhance/shot/{shot}.tsv"
     container:
         model_image(PLAN.networks.enhance)
+    # As render_shot.
+    priority: 10
     threads: 2
     resources:
         mem_mb=1500,

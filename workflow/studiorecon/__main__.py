@@ -66,6 +66,9 @@ def _keep_to_the_threads_given() -> None:
     # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and
     # which wait for one another in busy loops: several times slower as soon as two jobs share the cores.
     os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
+    # numpy's linear algebra waits in busy loops as well: on the small matrices here its threads cost time and win none
+    # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _keep_byte_code() -> None:

@@ -116,8 +116,9 @@ def triangulate(
     batch = pixels.shape[1:-1]
     seen, weights = pixels.reshape(len(cameras), -1, 2), confidence.reshape(len(cameras), -1)
     usable = np.isfinite(seen).all(-1) & np.isfinite(weights) & (weights > max(limits.min_confidence, 0))
-    # Replace the input, not the output: NaN * 0 is NaN.
-    seen, weights = np.where(usable[..., None], seen, 0.0), np.where(usable, weights, 0.0)
+    # Replace the input, not the output: NaN * 0 is NaN. In one order, or the kernels would be compiled once per order.
+    seen = np.ascontiguousarray(np.where(usable[..., None], seen, 0.0))
+    weights = np.ascontiguousarray(np.where(usable, weights, 0.0))
     units = unit_px(cameras, limits)
     views, count = usable.shape
     points, covariance = np.full((count, 3), np.nan), np.full((count, 3, 3), np.inf)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kernels that the room is fitted with, compiled while cameras and people are still being looked for.
+
+That takes a quarter of a minute of one core on a machine that has never run them, and all of the depth waits for the
+fit. Where they are compiled already this takes a second and changes nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from studiorecon.depth.layout.furniture import allowed
+from studiorecon.depth.layout.primitives import Primitive, in_front
+from studiorecon.depth.layout.visibility import kept_from
+from studiorecon.depth.stereo.evidence import Explained
+from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
+from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox
+from studiorecon.signature import Written
+
+_HALF_ROOM_M, _HEIGHT_M = 2.0, 3.0
+_WH, _FOCAL_PX = (24, 16), 20.0
+
+
+def run(kernels: Written) -> None:
+    """Explains two noise pictures of a bare box as a room is explained, and throws it away; ``kernels`` says that it is
+    done."""
+    settings = PassSettings()
+    pictures = _pictures()
+    low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
+    bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
+    solid = np.array([0, 0, 0, 0, 0.5, 0.5, 0, 1.0])
+    room = Explained.by_shell(pictures, bare, settings.refine_window, settings.mean_weight)
+    allowed(solid[None], bare, kept_from(room.centre, 0.0))
+    room.gains(solid[None])
+    room.add(solid)
+    starts = [bare.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
+    found = [in_front([Primitive.from_numbers(solid, 1.0)], p.camera, d)[0] for p, d in zip(pictures, starts)]
+    planes, (one, other) = bare.faces, pictures
+    depths = plane_depths(one, planes, bare, settings)
+    scores = [plane_scores(one, other, planes, depths, settings)]
+    explain(one, planes, depths, scores, [(other.camera, found[1])], settings)
+    say("the kernels of depth are compiled")
+    kernels.write_text("compiled\n", encoding="utf-8")
+
+
+def _pictures() -> list[Picture]:
+    """Two cameras that look at each other across the box."""
+    rng = np.random.default_rng(0)
+    intrinsics = np.array([[_FOCAL_PX, 0, _WH[0] / 2], [0, _FOCAL_PX, _WH[1] / 2], [0, 0, 1]])
+    pictures = []
+    for name, side in (("first", -1.0), ("second", 1.0)):
+        rotation = np.array([[0, side, 0], [0, 0, -1], [-side, 0, 0]])
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = rotation
+        camera_from_world[:3, 3] = -rotation @ [side * 0.9 * _HALF_ROOM_M, 0, _HEIGHT_M / 2]
+        rgb = rng.random((_WH[1], _WH[0], 3)).astype(np.float32)
+        pictures.append(
+            Picture(Camera(name, _WH, intrinsics, camera_from_world), rgb, np.ones((_WH[1], _WH[0]), bool))
+        )
+    return pictures
