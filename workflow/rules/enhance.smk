@@ -25,10 +25,10 @@ rule enhance_shot:
         "logs/{scene}/enhance/shot/{shot}.log",
     benchmark:
         "benchmarks/{scene}/enhance/shot/{shot}.tsv"
-    container:
-        model_image(PLAN.networks.enhance)
     # As render_shot.
     priority: 10
+    container:
+        model_image(PLAN.networks.enhance)
     threads: 2
     resources:
         mem_mb=1500,

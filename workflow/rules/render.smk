@@ -56,10 +56,10 @@ rule render_shot:
         "logs/{scene}/render/shot/{shot}.log",
     benchmark:
         "benchmarks/{scene}/render/shot/{shot}.tsv"
-    container:
-        image(PLAN.networks.drawn_by)
     # Both cores are free when a film ends: the next one comes before what needs one core, or it would wait for that.
     priority: 10
+    container:
+        image(PLAN.networks.drawn_by)
     threads: 2
     resources:
         mem_mb=2000,

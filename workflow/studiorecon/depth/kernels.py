@@ -57,7 +57,5 @@ def _pictures() -> list[Picture]:
         camera_from_world[:3, :3] = rotation
         camera_from_world[:3, 3] = -rotation @ [side * 0.9 * _HALF_ROOM_M, 0, _HEIGHT_M / 2]
         rgb = rng.random((_WH[1], _WH[0], 3)).astype(np.float32)
-        pictures.append(
-            Picture(Camera(name, _WH, intrinsics, camera_from_world), rgb, np.ones((_WH[1], _WH[0]), bool))
-        )
+        pictures.append(Picture(Camera(name, _WH, intrinsics, camera_from_world), rgb, np.ones((_WH[1], _WH[0]), bool)))
     return pictures
