@@ -10,7 +10,11 @@ from typing import Any
 
 import pytest
 
-from tests import defaults
+# As every step of the workflow (__main__): threads of linear algebra that wait in busy loops make workers side by side
+# several times slower. Said before numpy is imported, and inherited by the workers.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from tests import defaults  # after that
 
 ROOT = Path(__file__).resolve().parents[1]
 # The ids of all tests, slow ones included, where this run was not asked for some of them.

@@ -122,6 +122,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         benchmarks=folder / "none",
         logs=folder / "logs",
         configuration=json.dumps({"dataset": "x"}),
+        budget="{}",
         licences=root / "resources/licences",
         paper=root / "resources/paper/results.tsv",
         solvers=root / "resources/solvers.tsv",

@@ -19,6 +19,7 @@ from studiorecon.report.sections import tables as sections
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.files import read_json, write_table, write_text
 from studiorecon.scene.people import Detections, Person
+from studiorecon.sweep import section as sweep_section
 
 from tests.made.report import report_scene
 
@@ -184,6 +185,16 @@ def test_coverage_is_what_the_survey_measured() -> None:
     assert "91%" in shown
     assert "52%" in shown
     assert sections.coverage([{}]) == ""
+
+
+def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
+    total = {"count": 3.0, "seconds": 400.0, "cpu_seconds": 361.0, "peak_memory_mb": 900.0}
+    spent = {"reason": None, "total": total, "stages": {"render": total}}
+    budget = {"minutes": 5.0, "preset": "look", "predicted_s": 120, "low_s": 96, "high_s": 150, "work_s": 200}
+    told = sweep_section.single({"pictures": {}}, spent, budget)
+    assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in told
+    assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
+    assert "budget" not in sweep_section.single({"pictures": {}}, spent, {})
 
 
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:

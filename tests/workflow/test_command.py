@@ -28,6 +28,29 @@ PARTS = ("Snakefile", "workflow/", "config/", "envs/", "profiles/", "resources/"
 LEFT_OUT = {"resources/site.yml"}
 
 
+def test_a_budget_of_minutes_is_handed_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    called: list[list[str]] = []
+
+    class Process:
+        def __init__(self, words: list[str], **_: object) -> None:
+            called.append(words)
+
+        def __enter__(self) -> Process:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            return None
+
+        def wait(self) -> int:
+            return 0
+
+    monkeypatch.setattr(command.subprocess, "Popen", Process)
+    monkeypatch.chdir(tmp_path)
+    assert command.main(["demo", "--budget", "7.5"]) == command.main(["demo"]) == 0
+    assert called[0] == [*called[1], "budget_min=7.5"]
+    assert called[1][-1].startswith("dataset="), "after --config, which takes as many words as follow"
+
+
 def test_a_word_is_one_call_of_the_snakefile() -> None:
     made = command.snakemake_command("doctor", "DIR", "2", None, [])
     assert made == [

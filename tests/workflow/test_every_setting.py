@@ -29,6 +29,7 @@ PLANNED: dict[str, set[str] | None] = {
     "images": set(),
     "body": None,
     "device": {"background_train", "humans_train", "render_shot", "report_audit"},
+    "budget_min": None,  # another preset, whose settings these are
     "sweep": set(),
     "sweep_minutes": set(),
     "weights": set(),

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from studiorecon.plan.budget import preset
 
 from tests.made.plan import dataset, on  # noqa: F401
 from tests.workflow.conftest import ROOT, House, make_house
@@ -212,3 +214,18 @@ def test_workflow_also_runs_from_another_directory(tmp_path: Path) -> None:
 
 def test_the_default_dataset_is_the_demo() -> None:
     assert "dataset: resources/studio/demo.yaml" in (ROOT / "config/config.yaml").read_text()
+
+
+def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House) -> None:
+    film = "results/tiny/render/orbit.mkv"
+    arguments = ("--dry-run", "--printshellcmds", "--cores", "2", film, "--config", f"dataset={house.dataset}")
+    told = replace(house, dataset="").snakemake(*arguments, "budget_min=0.01", "depth={candidates: 44}").stdout
+    assert "budget of 0.01 min: look, about" in told
+    assert "the quickest there is" in told
+    look = preset("look")
+    assert f'"iterations": {look["background"]["training"]["iterations"]}' in told
+    assert f'"sweep_width": {look["depth"]["sweep_width"]}' in told
+    assert '"candidates": 44' in told
+    assert (house.folder / "benchmarks" / "pace.json").is_file()
+    without = replace(house, dataset="").snakemake(*arguments).stdout
+    assert "budget" not in without

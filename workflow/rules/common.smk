@@ -2,10 +2,12 @@
 # Here stands only what needs Snakemake's own names: config, workflow, local, checkpoints, WorkflowError.
 
 import json
+import os
 from pathlib import Path
 
 import yaml
 from snakemake.exceptions import WorkflowError
+from snakemake.logging import logger
 
 from studiorecon import code as package_code
 from studiorecon.errors import UserError
@@ -38,7 +40,25 @@ def decided():
         raise WorkflowError(str(refusal)) from None
 
 
+def bought_by_budget():
+    """What budget_min buys, laid into the configuration and said; empty without a budget."""
+    if not config["budget_min"]:
+        return {}
+    # Opens videos, which a plan does without otherwise.
+    from studiorecon.plan.budget import bought
+
+    try:
+        # workflow.cores is what --cores allows; --lint and --unlock are given no number.
+        choice = bought(config, HOME, decided(), workflow.cores or os.cpu_count() or 1)
+    except UserError as refusal:
+        raise WorkflowError(str(refusal)) from None
+    config.update(choice.chosen.config)
+    logger.info(choice.sentence())
+    return choice.as_json()
+
+
 check_settings()
+BUDGET = bought_by_budget()
 PLAN = decided()
 IMAGES = images_of(config, HOME)
 files = Files(PLAN, config, HOME, local, checkpoints)

@@ -175,6 +175,7 @@ rule report_page:
         settings=settings("report.page"),
         code=code("report.page"),
         configuration=told.shown_settings(config),
+        budget=json.dumps(BUDGET),
         benchmarks="benchmarks/{scene}",
         logs="logs/{scene}",
         licences=HOME / "resources/licences",

@@ -79,6 +79,7 @@ def _parser() -> argparse.ArgumentParser:
         )
     for made in (demo, run):
         made.add_argument("--preset", metavar="P", help=f"{', '.join(_presets())}, or a file of your own")
+        made.add_argument("--budget", metavar="MIN", type=float, help="minutes it may take: chooses the preset")
     plan.add_argument(
         "folder",
         type=Path,
@@ -259,7 +260,9 @@ def _taken(words: Sequence[str], names: Sequence[str]) -> tuple[list[str], list[
 def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str) -> int:
     if importlib.util.find_spec("snakemake") is None:
         raise UserError("Snakemake, which runs the steps, is not installed here: pip install 'studiorecon[run]'")
+    budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
+    command += [] if budget is None else [f"budget_min={budget:g}"]
     # Rules call `python`: the one that this command runs under, also where its environment is not activated.
     path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
     with subprocess.Popen(command, env={**os.environ, "PATH": path}) as process:

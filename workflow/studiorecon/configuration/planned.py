@@ -29,6 +29,13 @@ class General:
     device: Literal["auto", "cpu", "cuda"] = setting(
         "auto", "What draws and trains Gaussians; auto = a CUDA device where gsplat is installed, else the CPU."
     )
+    budget_min: float = setting(
+        0.0,
+        "What a run may take: of the presets that are predicted to end in time here, the one that scored best; "
+        "settings of yours stay. 0 = the settings as they stand.",
+        unit="min",
+        minimum=0,
+    )
     sweep: str = setting(
         "config/sweeps/one_at_a_time.tsv", "Table of the configurations that `snakemake sweep` runs and scores."
     )

@@ -8,6 +8,7 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``sight``: in whose pictures people are looked for, and by what;
 * ``networks``: the upstream networks that are asked for, their images and GPUs;
 * ``decisions``: the ``Plan`` that these make up; ``refusals``: what cannot be run; ``make``: all of it together;
+* ``budget``: the preset that ``budget_min`` buys, by ``workload`` (how much is asked of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``told``: which settings a step is told, with what ``survey.force`` decides;
 * ``brought``, ``files``: the files that rules take where these hang on the plan, on who was found or on the survey.

@@ -162,6 +162,7 @@ def run(
     benchmarks: Place,
     logs: Place,
     configuration: str,
+    budget: str,
     licences: Place,
     paper: Path,
     solvers: Path,
@@ -221,7 +222,7 @@ def run(
     body.append(sections.cameras(read_json(refinement), html.jpeg(sheet_bgr[..., ::-1], 1600)))
     body.append(sections.coverage(decided))
     body.append(verdicts.decisions(decided, spent))
-    body.append(sweep_section.single(measured, spent))
+    body.append(sweep_section.single(measured, spent, json.loads(budget)))
     swept = [read_records(path) for path in sweeps]
     body += [sweep_section.section(name, records) for name, records in swept]
     body.append(sections.costs(spent))

@@ -33,8 +33,9 @@ _SHOWN_STAGES = 8
 _QUIET_CORES = 0.2
 
 
-def single(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
-    """What this one run cost and reached, in one sentence and three numbers."""
+def single(metrics: Mapping[str, Any], spent: Mapping[str, Any], budget: Mapping[str, Any]) -> str:
+    """What this one run cost and reached, in one sentence and three numbers; what was predicted where a ``budget``
+    chose its preset (``plan.budget.Choice.as_json``)."""
     if spent["reason"]:
         return html.heading("What accuracy costs") + f"<p>{MISSING}: {html.text(spent['reason'])}.</p>"
     seconds = {stage: entry["seconds"] or 0.0 for stage, entry in spent["stages"].items()}
@@ -54,7 +55,19 @@ def single(metrics: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
         "One run is one point. snakemake sweep runs others on the same scene and adds the "
         "front, prices and which settings matter."
     )
-    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles)
+    told = f"<p>{html.text(_bought(budget, spent))}</p>" if budget else ""
+    return html.heading("What accuracy costs", lead) + f"<p><b>{html.text(sentence)}</b></p>" + html.tiles(tiles) + told
+
+
+def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
+    predicted = duration(budget["predicted_s"])
+    ends = f"{duration(budget['low_s'])} to {duration(budget['high_s'])}"
+    took = spent["total"]["cpu_seconds"]
+    return (
+        f"A budget of {budget['minutes']:g} min chose {budget['preset'] or 'the defaults'}: predicted {predicted} from "
+        f"nothing ({ends}). Its jobs were predicted to take {duration(budget['work_s'])} of processor time and took "
+        f"{duration(took) if took else MISSING}."
+    )
 
 
 def section(table: str, records: Sequence[Record]) -> str:

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prices of work, from finished runs: ``python -m tests.bench.prices --run FOLDER SCENE PRESET DATASET [--run ...]``
+
+FOLDER is where Snakemake was started, SCENE the name of its results, PRESET a preset's name or ``default``, DATASET
+what was reconstructed. Prints predicted beside spent processor seconds of every run, and its time from start to end
+where FOLDER's Snakemake log tells it; ``--write`` writes ``resources/prices.json``. The points' scores are those of
+the runs of the first DATASET.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.optimize import nnls
+from studiorecon.home import HOME, SCHEMA
+from studiorecon.plan.budget import laid_over, preset
+from studiorecon.plan.make import make_plan
+from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
+from studiorecon.plan.workload import Work, footage_of, workload
+from studiorecon.report.sections.cost import cost
+from studiorecon.scene.files import read_json, write_json
+from studiorecon.schema import typed
+
+CORES = 2
+
+
+@dataclass(frozen=True)
+class Run:
+    """One finished run: its work, processor seconds of every job by rule, seconds from start to end, its score."""
+
+    name: str
+    preset: str
+    dataset: str
+    work: dict[str, Work]
+    jobs_s: dict[str, list[float]]
+    wall_s: float | None
+    psnr_db: float | None
+
+
+def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str = "") -> Run:
+    """What a finished run asked for and took."""
+    defaults = yaml.safe_load((HOME / "config/config.yaml").read_text())
+    config = laid_over(defaults, defaults, preset("" if name == "default" else name))
+    config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml}, yaml.safe_load(SCHEMA.read_text()))
+    work = workload(footage_of(make_plan(config, HOME), config["capture"]["picture_fps"]), config)
+    jobs: dict[str, list[float]] = {}
+    for stage, steps in cost(folder / "benchmarks" / scene)["stages"].items():
+        for step, entry in steps["rules"].items():
+            taken = [job["cpu_seconds"] for job in entry["jobs"].values() if job["cpu_seconds"] is not None]
+            jobs.setdefault(_rule(stage, step), []).extend(taken)
+    metrics = folder / "results" / scene / "report" / "metrics.json"
+    pictures: Any = read_json(metrics)["pictures"] if metrics.is_file() else {}
+    score = pictures.get("enhanced", {}).get("psnr", {}).get("value")
+    return Run(scene, "" if name == "default" else name, dataset, work, jobs, _wall_s(folder, scene), score)
+
+
+def fit(runs: Sequence[Run]) -> dict[str, Price]:
+    """Rule → its price, by non-negative least squares over the mean job of every run, each run weighing alike."""
+    prices = {}
+    for rule in sorted({name for run in runs for name in run.work}):
+        units, took = [], []
+        for run in runs:
+            if rule in run.work and run.jobs_s.get(rule):
+                units.append(run.work[rule].units)
+                took.append(sum(run.jobs_s[rule]) / len(run.jobs_s[rule]))
+        if not took:
+            continue
+        seconds = np.array(took)
+        rows = np.stack([np.ones(len(units)), np.array(units)], axis=1) / np.maximum(seconds, 0.5)[:, None]
+        scale = np.abs(rows).max(axis=0) + 1e-12
+        found = nnls(rows / scale, seconds / np.maximum(seconds, 0.5))[0] / scale
+        prices[rule] = Price(float(f"{found[0]:.3g}"), float(f"{found[1]:.3g}"))
+    return prices
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", nargs="+", action="append", required=True, metavar="WORD")
+    parser.add_argument("--start-s", type=float, default=10.0, help="seconds the workflow takes by itself")
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    runs = [run_of(Path(words[0]), *words[1:]) for words in options.run]
+    rules = fit(runs)
+    scored = [Point(run.preset, run.psnr_db) for run in runs if run.dataset == runs[0].dataset and run.psnr_db]
+    held = PriceList(probe_s(), options.start_s, (1.0, 1.0), rules, tuple(scored))
+    print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
+    ratios = []
+    for run in runs:
+        guessed = sum(spent(run.work, held).values())
+        real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
+        ratios.append(real / guessed)
+        whole = predict(run.work, held, CORES, 1.0).seconds
+        took = f"{run.wall_s:8.0f}" if run.wall_s else "        "
+        score = f"{run.psnr_db:.2f} dB" if run.psnr_db else ""
+        print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {real / guessed:5.2f} {whole:8.0f} s {took} s  {score}")
+    if options.write:
+        # Never narrower than what other work on the machine does to a run.
+        spread = [round(min(0.8, *ratios), 2), round(max(1.25, *ratios), 2)]
+        points = sorted(
+            scored, key=lambda p: next(sum(spent(r.work, held).values()) for r in runs if r.preset == p.preset)
+        )
+        write_json(
+            PRICES,
+            {
+                "probe_s": round(held.probe_s, 3),
+                "start_s": held.start_s,
+                "spread": spread,
+                "rules": {rule: asdict(price) for rule, price in rules.items()},
+                "points": [{"preset": p.preset, "psnr_db": round(p.psnr_db, 2)} for p in points],
+            },
+        )
+        print(f"wrote {PRICES.relative_to(HOME)}")
+
+
+def _rule(stage: str, step: str) -> str:
+    """The rule that a benchmark's folders mean: new views have one file per segment, and are called by its number."""
+    return {"people_first": "people_first_associate"}.get(
+        f"{stage}_{step}", "views_synthesize" if stage == "views" and step.isdigit() else f"{stage}_{step}"
+    )
+
+
+def _wall_s(folder: Path, scene: str) -> float | None:
+    for log in sorted((folder / ".snakemake" / "log").glob("*.log"), reverse=True):
+        text = log.read_text(encoding="utf-8", errors="replace")
+        elapsed = re.search(r"Elapsed time: (\d+):(\d+):([\d.]+)", text)
+        if elapsed and f"results/{scene}/report/index.html" in text:
+            hours, minutes, seconds = elapsed.groups()
+            return int(hours) * 3600 + int(minutes) * 60 + float(seconds)
+    return None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What work costs: the price list that was measured (``resources/prices.json``), and the time it predicts here."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from studiorecon.home import RESOURCES
+from studiorecon.plan.workload import Work
+from studiorecon.scene.files import write_json
+
+PRICES = RESOURCES / "prices.json"
+ASIDE = ("cameras_held_out", "people_second_look", "enhance_comparison", "deliver_player", "deliver_scene_glb")
+"""Rules that nothing waits for while the rest goes on, or that others outlast."""
+_ROUNDS, _SIZE = 5, 400_000
+
+
+@dataclass(frozen=True)
+class Price:
+    """Processor seconds of a rule on the machine of the list: ``job_s`` for every job, ``unit_s`` for every unit."""
+
+    job_s: float
+    unit_s: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """A preset ("" = the defaults) and what it reached where it was measured."""
+
+    preset: str
+    psnr_db: float
+
+
+@dataclass(frozen=True)
+class PriceList:
+    """Prices of all rules and what is known of them.
+
+    Attributes:
+        probe_s: what ``probe_s()`` said on that machine.
+        start_s: seconds that the workflow takes by itself, before, between and after jobs.
+        spread: (low, high) measured over predicted time on the runs it was made from, at the ends.
+        rules: rule → price. points: the presets, cheapest first.
+    """
+
+    probe_s: float
+    start_s: float
+    spread: tuple[float, float]
+    rules: Mapping[str, Price]
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Seconds from start to page: the likeliest, and the ends between which such runs lay."""
+
+    seconds: float
+    low_s: float
+    high_s: float
+
+
+def read_prices(path: Path = PRICES) -> PriceList:
+    """The price list as it is bundled."""
+    held = json.loads(path.read_text(encoding="utf-8"))
+    return PriceList(
+        held["probe_s"],
+        held["start_s"],
+        tuple(held["spread"]),
+        {rule: Price(**price) for rule, price in held["rules"].items()},
+        tuple(Point(**point) for point in held["points"]),
+    )
+
+
+def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
+    """Rule → processor seconds of all its jobs, on the machine of the list; rules without a price are left out."""
+    return {
+        rule: asked.jobs * (price.job_s + price.unit_s * asked.units)
+        for rule, asked in work.items()
+        if (price := prices.rules.get(rule)) is not None
+    }
+
+
+def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
+    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list.
+
+    Graham's bound for any schedule that never idles: total work over the cores, and of the longest chain of jobs the
+    rest (SIAM J. Appl. Math. 17, 1969).
+    """
+    seconds = spent(work, prices)
+    chain = sum(s / work[rule].jobs for rule, s in seconds.items() if rule not in ASIDE)
+    jobs_s = sum(seconds.values()) / cores + chain * (1 - 1 / cores)
+    likeliest = prices.start_s + jobs_s / pace
+    low, high = prices.spread
+    return Predicted(likeliest, likeliest * low, likeliest * high)
+
+
+def probe_s() -> float:
+    """Seconds of one fixed piece of work like the workflow's own, the best of a few: sorting, looking up, adding up."""
+    rng = np.random.default_rng(0)
+    values, places = rng.random(_SIZE), rng.integers(0, _SIZE, _SIZE)
+    took = []
+    for _ in range(_ROUNDS):
+        begin = time.perf_counter()
+        for _ in range(4):
+            order = np.argsort(values[places], kind="stable")
+            np.exp(-values[order]).cumsum()
+            np.add.at(np.zeros(1000), places % 1000, values)
+        took.append(time.perf_counter() - begin)
+    return min(took)
+
+
+def pace_here(prices: PriceList, remembered: Path) -> float:
+    """How much faster this machine is than the list's: probed once, then read from ``remembered``, so that a run
+    planned again is planned alike."""
+    held: dict[str, Any] = {}
+    if remembered.is_file():
+        held = json.loads(remembered.read_text(encoding="utf-8"))
+    if not isinstance(held.get("probe_s"), float):
+        held = {"probe_s": probe_s()}
+        write_json(remembered, held)
+    return prices.probe_s / held["probe_s"]

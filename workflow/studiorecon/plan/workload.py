@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much there is to do: what footage and settings ask of every rule, before anything runs.
+
+Every rule has one unit of work, in which its time is nearly a straight line: frames, pixels, steps. ``prices`` says
+what a unit costs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from studiorecon.errors import UserError
+from studiorecon.footage.source import open_source
+from studiorecon.plan.decisions import Plan
+from studiorecon.render.kinds import film
+from studiorecon.studio.description import read_description
+
+_EXPECTED_PEOPLE = 2
+"""People in the footage, who are counted only once somebody has looked."""
+_MEGA = 1e6
+# Gaussians where nobody sees, in the demo's room of 60 m² at this step.
+_UNSEEN, _UNSEEN_STEP_M = 28_500, 0.06
+# What the defaults of depth's catalogue of planes stand for.
+_PLANE_STEPS_M = (0.04, 0.06)
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
+    are used, picture size in pixels, people."""
+
+    training: int
+    held_out: int
+    detected: int
+    frames: int
+    wh: tuple[int, int]
+    people: int
+
+
+@dataclass(frozen=True)
+class Work:
+    """What one rule has to do: ``jobs`` of it, each with so many ``units``."""
+
+    jobs: int
+    units: float
+
+
+def footage_of(plan: Plan, picture_fps: float) -> Footage:
+    """The footage of a plan, from the headers of its files; raises UserError where a file cannot be read."""
+    count = plan.dataset.frame_count
+    cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
+    if plan.studio:
+        described = read_description(Path(plan.description))
+        return Footage(*cameras, described.frames, described.size, described.people)
+    sources = [open_source(path, picture_fps) for path in plan.dataset.footage.values()]
+    lengths = [source.declared_frames - plan.dataset.first_frame for source in sources if source.declared_frames]
+    if not (lengths or count):
+        raise UserError(
+            "no video says how many frames it has, so nothing can be said of time; give frames in capture.yaml, or a "
+            "preset instead of budget_min"
+        )
+    frames = min([*lengths, *([count] if count else [])])
+    widest = max((source.wh for source in sources), key=max)
+    return Footage(*cameras, max(frames, 1), widest, _EXPECTED_PEOPLE if plan.people else 0)
+
+
+def workload(footage: Footage, config: Mapping[str, Any]) -> dict[str, Work]:
+    """Rule → its work, in jobs and in units of its own; megapixels are of all pictures that a job goes through."""
+    width, height = _working(footage.wh, config["capture"]["width"])
+    training, frames, people = footage.training, footage.frames, footage.people
+    everyone = training + footage.held_out
+    picture_mpx, filmed_mpx = width * height / _MEGA, footage.wh[0] * footage.wh[1] / _MEGA
+    depth, views, room, human = config["depth"], config["views"], config["background"], config["humans"]
+    planes = sum(base / depth[name] for base, name in zip(_PLANE_STEPS_M, ("horizontal_step_m", "wall_step_m"))) / 2
+    sweep_mpx = _mpx(width, height, depth["sweep_width"])
+    refine_mpx = _mpx(width, height, depth["refine_width"])
+    gaps = max(training - (0 if views["closed"] else 1), 0)
+    seeds = training * picture_mpx / room["stride"] ** 2
+    gaussians = _gaussians(room, seeds)
+    films = {shot: _pictures(shot, given, footage) for shot, given in config["render"]["shots"].items()}
+    films = {shot: pictures for shot, pictures in films.items() if pictures}
+    drawn = sum(films.values()) + training * frames
+    mean_drawn, mean_film = drawn / (len(films) + 1), sum(films.values()) / max(len(films), 1)
+    heavy = 1.0 if config["detect"]["detector"] == "blazepose_heavy" else 1 / 3
+    work = {
+        "detect_people": Work(footage.detected, frames * max(people, 1) * heavy),
+        "detect_keypoints": Work(training, frames),
+        "clocks_offsets": Work(1, training * frames),
+        "capture_frames": Work(everyone, frames * filmed_mpx),
+        "tracks_keypoints": Work(training, frames),
+        "plates_clean": Work(training, min(config["plates"]["frames"], frames) * picture_mpx),
+        "cameras_refine": Work(1, training * frames * people),
+        "cameras_held_out": Work(1, footage.held_out * frames * people),
+        "depth_sweep": Work(training, training * sweep_mpx * planes),
+        "depth_room": Work(1, training**2 * (sweep_mpx * depth["candidates"] + 10 * depth["solids"] * 0.014)),
+        "depth_refine": Work(training, training * refine_mpx * depth["candidates"] * depth["passes"]),
+        "people_first_associate": Work(1, training * frames * people),
+        "people_second_look": Work(footage.detected, frames * people),
+        "people_associate": Work(1, training * frames * people),
+        "people_fit": Work(people, frames),
+        "survey_decide": Work(1, training * frames * picture_mpx),
+        "masks_segment": Work(training if people else 0, frames * picture_mpx),
+        "views_synthesize": Work(gaps, views["views_per_segment"] * picture_mpx),
+        "background_train": Work(1, room["training"]["iterations"] * (gaussians + picture_mpx / 10)),
+        "humans_train": Work(people, human["iterations"] * picture_mpx * (1 + human["gaussians"] / 1e4)),
+        "render_shot": Work(len(films) + 1, mean_drawn * picture_mpx),
+        "enhance_shot": Work(len(films), mean_film * picture_mpx),
+        "enhance_comparison": Work(len(films), mean_film * picture_mpx),
+        "report_recognition": Work(1, films.get("heldout", training * frames) * picture_mpx),
+        "report_evaluate": Work(1, films.get("heldout", training * frames) * picture_mpx),
+        "deliver_player": Work(1, seeds),
+        "deliver_scene_glb": Work(1, seeds),
+        "deliver_export": Work(1, seeds),
+        "report_page": Work(1, drawn * picture_mpx),
+    }
+    return {rule: asked for rule, asked in work.items() if asked.jobs}
+
+
+def _working(wh: tuple[int, int], longer_side: int) -> tuple[int, int]:
+    shrink = min(1.0, longer_side / max(wh)) if longer_side else 1.0
+    return round(wh[0] * shrink), round(wh[1] * shrink)
+
+
+def _mpx(width: int, height: int, at_most: int) -> float:
+    shrink = min(1.0, at_most / width)
+    return width * height * shrink**2 / _MEGA
+
+
+def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
+    """Millions of Gaussians that the room is trained with: those of the photos, those where nobody sees, or the cap."""
+    if room["training"]["densify"] != "none":
+        return room["training"]["cap"] / _MEGA
+    unseen = min(_UNSEEN * (_UNSEEN_STEP_M / room["fill_step_m"]) ** 2, room["fill_limit"]) if room["fill"] else 0.0
+    return min(seeds + unseen / _MEGA, room["training"]["cap"] / _MEGA)
+
+
+def _pictures(shot: str, given: Mapping[str, Any], footage: Footage) -> int:
+    if given["kind"] == "heldout":
+        return footage.held_out * footage.frames
+    return int(getattr(film(given, shot), "frames", footage.frames))
