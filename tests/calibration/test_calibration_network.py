@@ -14,6 +14,7 @@ import pytest
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration import network
 from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.models.adapters import pi3
@@ -125,6 +126,7 @@ def test_footage_becomes_a_calibration_in_metres(
         tmp_path,
         "cpu",
         model,
+        depths := [tmp_path / f"network/{n}.exr" for n in names],
     )
     ((cameras, pictures),) = asked
     assert cameras == names
@@ -146,6 +148,9 @@ def test_footage_becomes_a_calibration_in_metres(
     np.testing.assert_allclose(gaps, factor * wanted, rtol=1e-6)
     # The bundled body's torso is not exactly half a metre: lengths follow it.
     assert 0.8 < factor < 1.25
+    # Depth is in the metres of the cameras.
+    for path in depths:
+        np.testing.assert_allclose(read_depth(path)[0], 3.0 * factor, rtol=1e-4)
     assert np.ptp(own[:, 2]) < 1e-3, "z is up: the ring of cameras is level"
     for lens, camera in zip(lenses, truth):
         assert lens.wh == WH

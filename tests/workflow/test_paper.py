@@ -27,5 +27,27 @@ def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path)
     plan = House(house.folder, str(videos)).plan("--configfile", *PRESETS)
     assert {"calibration_network": 1, "detect_people": 5, "tracks_bodies": 4}.items() <= plan.items()
     assert {"depth_network": 1, "depth_aligned": 4, "capture_frames": 5}.items() <= plan.items()
+    # Pelvises at the scene's depth: association waits for them.
+    assert plan["people_lift"] == 4
     # What hangs on who is found is planned when association has run.
     assert not {"tracks_keypoints", "views_synthesize", "calibration_from_people"} & set(plan)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"calibration": {"source": "people"}}, "set calibration.source to one"),
+        ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
+        ({"detect": {"source": "auto"}}, "the embedded detector looks"),
+    ],
+    ids=["first moment", "every frame", "second look"],
+)
+def test_lifting_by_depth_is_refused_without_what_it_reads(
+    house: House, videos: Path, changed: dict, said: str
+) -> None:
+    refused = House(house.folder, str(videos)).snakemake(
+        "--dry-run", "--configfile", *PRESETS, house.overlay(**changed), check=False
+    )
+    assert refused.returncode != 0
+    assert "people.association.position is scene" in refused.stdout
+    assert said in refused.stdout

@@ -73,6 +73,7 @@ if PLAN.networks.cameras:
             model="results/{scene}/calibration/network/images.txt",
             intrinsics="results/{scene}/calibration/network/cameras.txt",
             points="results/{scene}/calibration/network/points3D.txt",
+            depths=collect("results/{scene}/calibration/network/{camera}.exr", camera=PLAN.cameras, allow_missing=True),
         log:
             "logs/{scene}/calibration/network.log",
         benchmark:

@@ -7,7 +7,7 @@ checkpoint people_associate:
     input:
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        detections=files.detections,
+        detections=files.compared,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
         corrected=files.corrected,
     output:
@@ -31,6 +31,38 @@ checkpoint people_associate:
         "Who is who: which tracks of which cameras are the same person"
     shell:
         command("people.associate")
+
+
+if PLAN.lifted:
+
+    # Where people stand by the depth of the scene, the paper's way.
+    rule people_lift:
+        input:
+            model=MODEL,
+            video="results/{scene}/capture/{camera}.mkv",
+            detections=files.detection,
+            first="results/{scene}/calibration/network/{camera}.exr",
+            found="results/{scene}/calibration/network/images.txt",
+        output:
+            lifted_detections="results/{scene}/people/lifted/{camera}.npz",
+        log:
+            "logs/{scene}/people/lift/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/people/lift/{camera}.tsv"
+        container:
+            model_image(PLAN.networks.depth)
+        threads: 1
+        resources:
+            mem_mb=16000,
+            gpu=gpus(PLAN.networks.depth),
+        params:
+            settings=settings("people.lift"),
+            code=code("people.lift"),
+            network=PLAN.networks.depth,
+            weights=PLAN.networks.weights,
+            device=config["device"],
+        shell:
+            command("people.lift")
 
 
 if PLAN.sight.detected:

@@ -2,7 +2,8 @@
 """``calibration.network``: cameras of a capture without calibration by an upstream network (the paper's way), as a
 COLMAP model.
 
-The network sees one picture of every camera. Its unit is put to metres by people's torsos, measured between keypoints
+The network sees one picture of every camera. What it says of their depth is kept too, in metres: people are lifted by
+it. Its unit is put to metres by people's torsos, measured between keypoints
 on its own depth; ``calibration.files`` then reads the model like any other, finds which way is up, and
 ``cameras.refine`` moves it on the people.
 """
@@ -19,6 +20,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
 from studiorecon.footage.source import glimpses, open_source
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -127,9 +129,13 @@ def run(
     weights: Place,
     device: str,
     model: Written,
+    depths: list[Written],
 ) -> None:
     """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``; ``sightings`` may be none,
-    or one each."""
+    or one each.
+
+    ``depths``: of every camera, EXR of that moment's depth in metres and the network's confidence, at its own size.
+    """
     common = read_clocks(clocks)
     if common.refusal:
         raise UserError(common.refusal)
@@ -149,4 +155,6 @@ def run(
     torso_m = float(np.linalg.norm(torso[:2].mean(axis=0) - torso[2:].mean(axis=0)))
     factor, told = metres_per_unit(lengths, torso_m, found.metric, card_of(settings.source).title)
     say(told)
+    for path, depth, sure in zip(depths, found.depths, found.confidences, strict=True):
+        write_depth(path, factor * depth, sure)
     write_model(model.parent, [in_metres(camera, size, factor) for camera, size in zip(found.cameras, wh)])

@@ -23,9 +23,6 @@ PRESETS = ("paper.yaml", "networks.yaml")
 PAGE: Path = CONFIGURATION.parents[1] / "docs" / "paper.md"
 
 WITHOUT: Mapping[str, str] = {
-    "people.association.position": (
-        "`pelvis` takes the depth that the network's own body brings; the scene's is made after the people here"
-    ),
     "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
     "depth.sweep_width": "the planes are the metric reference that a network's depth is put to",
     "survey.gap_deg": "survey.force decides whether there are views",

@@ -67,6 +67,7 @@ SECTIONS: tuple[Section, ...] = (
             "configuration.planned:People",
             "people.review:Settings",
             "people.shared:Triangulated",
+            "people.lift:Settings",
             "people.associate:Settings",
             "people.fit:Settings",
             "people.shared:Smoothed",

@@ -23,6 +23,7 @@ class Plan:
         given_body: the body model that the configuration names; body: the same as plain arrays, which steps read.
         identities: file of the user's own say on who is who; "" when there is none.
         sight: in which cameras people are looked for; networks: which upstream networks are asked for.
+        lifted: people are told apart by pelvises at the scene's depth.
         from_people: the cameras are found from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
         segments: the gaps between neighbouring training cameras that new views may fill.
@@ -39,6 +40,7 @@ class Plan:
     identities: str
     sight: Sight
     networks: Networks
+    lifted: bool
     from_people: bool
     calibration: list[str]
     segments: list[str]

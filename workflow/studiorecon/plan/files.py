@@ -45,6 +45,12 @@ class Files(Brought):
         cameras = self.plan.training if self._somebody else []
         return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
 
+    def compared(self, wildcards: Any) -> list[str]:
+        """The same as association compares it: with pelvises at the scene's depth where that is asked for."""
+        if not (self._somebody and self.plan.lifted):
+            return self.detections(wildcards)
+        return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.plan.training]
+
     @property
     def _somebody(self) -> bool:
         return bool(self.plan.people and self.plan.sight.somebody)

@@ -27,6 +27,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     given_body = beside(config["body"], home)
     gaps = len(dataset.training) - (0 if config["views"]["closed"] else 1)
     source = config["calibration"]["source"]
+    position, affinity = (config["people"]["association"][key] for key in ("position", "affinity"))
     written = [f"results/{scene}/calibration/network/{name}.txt" for name in ("cameras", "images")]
     plan = Plan(
         dataset=dataset,
@@ -40,6 +41,7 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         identities=str(config["people"]["identities"] or dataset.identities or ""),
         sight=sight,
         networks=networks,
+        lifted=dataset.people and position == "scene" and affinity != "pose",
         from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sight.watched)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
         segments=[f"{i:02d}" for i in range(gaps)],

@@ -9,6 +9,7 @@ from typing import Any
 
 from studiorecon.calibration.formats import accepted
 from studiorecon.errors import UserError
+from studiorecon.models.catalogue.registry import of_kind
 from studiorecon.people.silhouettes import MIN_CAMERAS
 from studiorecon.plan.decisions import Plan
 
@@ -23,6 +24,8 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
         )
     if plan.people:
         _keypoints(plan, MIN_CAMERAS)
+    if plan.lifted:
+        _lifting(plan)
     if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.sight.watched]):
         raise UserError(
             f"dataset {plan.dataset.folder} has no calibration, so its cameras are found from people, and camera "
@@ -41,6 +44,27 @@ def _calibration(plan: Plan) -> None:
         raise UserError(
             f"dataset {plan.dataset.folder} has no calibration: put one there ({accepted()}), or name it in "
             "capture.yaml (calibration: FILE)"
+        )
+
+
+def _lifting(plan: Plan) -> None:
+    asked = "people.association.position is scene, which"
+    monocular = [card.name for card in of_kind("monocular depth")]
+    if not plan.networks.cameras:
+        raise UserError(
+            f"{asked} needs the first moment's depth of the network that finds the cameras: set calibration.source to "
+            "one, or the position to rays"
+        )
+    if plan.networks.depth not in monocular:
+        raise UserError(
+            f"{asked} needs the depth of every frame: set depth.source to {' or '.join(monocular)}, or the position to "
+            "rays"
+        )
+    if plan.sight.detected:
+        raise UserError(
+            f"{asked} lifts people whom a network's bodies or keypoint files show, and the embedded detector looks "
+            f"for them in camera {plan.sight.detected[0]}: set detect.source to comotion or keypoints, or the position "
+            "to rays"
         )
 
 

@@ -49,10 +49,13 @@ class AssociationLimits:
         paper="both, ablation table of association",
         letter="both",
     )
-    position: Literal["rays", "pelvis"] = setting(
+    position: Literal["rays", "pelvis", "scene"] = setting(
         "rays",
-        "rays = how close the rays of shared keypoints pass; pelvis = the monocular body's pelvis at its own depth.",
-        paper="pelvis, lifted by the scene's depth, Eq. S1; U26, U28",
+        "rays = how close the rays of shared keypoints pass; pelvis = the monocular body's pelvis at its own depth; "
+        "scene = the pelvis at the depth of the scene there, which calibration.source and depth.source must be "
+        "networks for.",
+        paper="the pelvis lifted by the scene's depth, Eq. S1; U26, U28",
+        letter="scene",
     )
     gate_m: float = setting(
         0.15,

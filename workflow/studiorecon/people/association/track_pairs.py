@@ -2,10 +2,10 @@
 """What is known about every two tracks, or every two detections, that may be one person: how far apart, how different
 in pose.
 
-Two sources of position. ``rays``: how close the rays of shared keypoints pass; needs no depth, and says nothing about
-pairs that share too few keypoints, where depth-lifted pelvises stand in if the detections bring them. ``pelvis``: the
-paper's, the pelvis joint of the monocular body at its own depth (U26), averaged over the frames that two tracks share
-(A11).
+Three sources of position. ``rays``: how close the rays of shared keypoints pass; needs no depth, and says nothing about
+pairs that share too few keypoints, where depth-lifted pelvises stand in if the detections bring them. ``pelvis``:
+the pelvis joint of the monocular body at its own depth (U26), averaged over the frames that two tracks share (A11).
+``scene``: the same joint at the scene's depth, the paper's, which ``people.lift`` has put in its place.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 _MIN_SHARED = 4
+_BY_PELVIS = ("pelvis", "scene")
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,10 @@ def sights(
     detections: Sequence[Detections], stable: Sequence[Detections], cameras: Sequence[Camera], limits: AssociationLimits
 ):
     """One ``Sights`` per camera; raises UserError when the settings ask for what no detection brings."""
+    if limits.position == "scene" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
+        raise UserError(
+            "people.association.position is scene, but no pelvis lies where the scene's depth is known; set it to rays"
+        )
     if limits.position == "pelvis" and limits.affinity != "pose" and not any(_some(d.pelvis) for d in detections):
         raise UserError(
             "people.association.position is pelvis, but no detection brings the depth of its "
@@ -108,7 +113,7 @@ def detection_affinities(
     """(A, B) affinity of the detections ``i`` (A,) of one camera and ``j`` (B,) of another, in the paper's form."""
     if not len(i) or not len(j):
         return np.zeros((len(i), len(j)))
-    if limits.position == "pelvis":
+    if limits.position in _BY_PELVIS:
         distance, gate_m = (
             np.linalg.norm(first.pelvis_m[i][:, None] - second.pelvis_m[j][None], axis=-1),
             limits.pelvis_gate_m,
@@ -151,7 +156,7 @@ def track_pairs(
     """
     graph = track_graph(stable, cameras)
     shares = graph.distance_m / limits.gate_m
-    if limits.position == "pelvis":
+    if limits.position in _BY_PELVIS:
         shares = _pelvis_distances(graph, seen) / limits.pelvis_gate_m
     elif any(np.isfinite(s.pelvis_m).any() for s in seen):
         shares = np.where(np.isnan(shares), _pelvis_distances(graph, seen) / limits.pelvis_gate_m, shares)

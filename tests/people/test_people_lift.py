@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pelvises at the scene's depth: a monocular network's depth in the metres of the first moment, by one alignment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
+from studiorecon.footage.video import write_lossless
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.models.adapters import moge
+from studiorecon.models.catalogue.card import Card
+from studiorecon.people import lift
+from studiorecon.people.association.affinity import AssociationLimits
+from studiorecon.people.association.track_pairs import detection_affinities, sights
+from studiorecon.people.lift import Lifting, Settings
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections, read_detections, write_detections
+
+from tests.made.cameras import look_at
+
+WH = (160, 88)
+FRAMES = 6
+UNIT, SHIFT = 0.4, 0.3
+THICK_M = 0.13
+PLACES = np.array([[0.6, -0.2, 1.0], [-0.7, 0.5, 1.0]])
+LAYOUT = LAYOUTS["body_25"]
+
+
+def rig() -> list[Camera]:
+    return [
+        look_at(name, np.array(place), [0, 0, 1]).resized(WH)
+        for name, place in (("a", [4.0, 0.5, 1.5]), ("b", [0.3, 4.0, 1.4]), ("c", [-3.5, -1.0, 1.6]))
+    ]
+
+
+def room_depth(camera: Camera) -> np.ndarray:
+    """(H, W) z-depth of the walls of a box of 10 m by 9 m by 6 m."""
+    origin, directions = camera.rays()
+    half = np.array([5.0, 4.5, 3.0])
+    with np.errstate(divide="ignore"):
+        return np.where(directions > 0, (half - origin) / directions, (-half - origin) / directions).min(-1)
+
+
+def moments(camera: Camera) -> list[np.ndarray]:
+    """Depth (H, W) of the room with two balls about the pelvises, frame by frame: the first walks."""
+    origin, directions = camera.rays()
+    depths = []
+    for t in range(FRAMES):
+        depth = room_depth(camera)
+        for place in pelvises(t):
+            o = origin - place
+            a, b, c = (directions**2).sum(-1), (directions * o).sum(-1), (o**2).sum() - THICK_M**2
+            root = b**2 - a * c
+            hit = (-b - np.sqrt(np.maximum(root, 0))) / a
+            depth = np.where((root > 0) & (hit > 0), np.minimum(depth, hit), depth)
+        depths.append(depth)
+    return depths
+
+
+def pelvises(t: int) -> np.ndarray:
+    return PLACES + np.array([[0.1 * t, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+def seen_by(camera: Camera) -> Detections:
+    """Two people with a pelvis pixel, and shoulders and feet that say how large they are."""
+    frames, tracks, points, own = [], [], [], []
+    for t in range(FRAMES):
+        for k, place in enumerate(pelvises(t)):
+            keypoints = np.full((25, 3), np.nan)
+            keypoints[:, 2] = 0
+            for name, up in (("left_shoulder", 0.45), ("right_shoulder", 0.45), ("left_ankle", -0.9)):
+                keypoints[LAYOUT.index(name)] = [*camera.project(place + [0, 0, up])[0], 0.9]
+            frames.append(t)
+            tracks.append(k)
+            points.append(keypoints)
+            own.append([*camera.project(place)[0], np.nan])
+    return Detections(
+        camera.name, "body_25", np.array(frames), np.array(tracks), np.array(points), pelvis=np.array(own)
+    )
+
+
+def network_depths(camera: Camera) -> dict[int, np.ndarray]:
+    """What a network says of them in a unit of its own."""
+    return {t: (d - SHIFT) / UNIT for t, d in enumerate(moments(camera))}
+
+
+def lifted_m(camera: Camera, found: Detections) -> np.ndarray:
+    """(D, 3) world places of lifted pelvises."""
+    assert found.pelvis is not None
+    return camera.unproject(found.pelvis[:, :2], found.pelvis[:, 2])
+
+
+def planted(camera: Camera, **lifting: float) -> tuple[Detections, np.ndarray]:
+    seen, predicted, first_m = seen_by(camera), network_depths(camera), moments(camera)[0]
+    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    assert alignment.model == "affine"
+    return lift.lifted(seen, predicted, first_m, alignment, camera, Lifting(**lifting)), np.concatenate(
+        [pelvises(t) for t in range(FRAMES)]
+    )
+
+
+@pytest.mark.parametrize("camera", rig(), ids=lambda c: c.name)
+def test_pelvises_come_out_where_they_are(camera: Camera) -> None:
+    found, truth = planted(camera)
+    gap_m = np.linalg.norm(lifted_m(camera, found) - truth, axis=-1)
+    assert gap_m.max() < 0.03
+    # The paper's letter reads the surface, which is as far in front as the body is thick.
+    found, _ = planted(camera, surface_to_joint_m=0.0)
+    gap_m = np.linalg.norm(lifted_m(camera, found) - truth, axis=-1)
+    assert gap_m == pytest.approx(np.full(len(gap_m), THICK_M), abs=0.03)
+
+
+def test_one_alignment_for_all_frames_keeps_whoever_stands_at_one_depth() -> None:
+    camera = rig()[0]
+    seen, predicted, first_m = seen_by(camera), network_depths(camera), moments(camera)[0]
+    # The walls differ from frame to frame, people do not: a fit of each frame's own would move whoever stands.
+    rng = np.random.default_rng(5)
+    for t, depth in predicted.items():
+        nobody = lift.still(camera.hw, seen.keypoints[seen.frame == t])
+        predicted[t] = np.where(nobody, depth * rng.normal(1, 0.02, depth.shape), depth)
+    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    assert alignment.scale == pytest.approx(UNIT, rel=0.1)
+    alone = [lift.aligned_to_first({t: depth}, first_m, seen).scale for t, depth in predicted.items()]
+    assert np.ptp(alone) > 1e-4
+    found = lift.lifted(seen, predicted, first_m, alignment, camera, Lifting())
+    still = lifted_m(camera, found)[seen.track == 1][1:]
+    assert np.ptp(still, axis=0).max() < 1e-9
+
+
+def test_the_first_moment_keeps_its_own_depth() -> None:
+    camera = rig()[0]
+    seen, predicted = seen_by(camera), network_depths(camera)
+    first_m = moments(camera)[0]
+    alignment = lift.aligned_to_first(predicted, first_m, seen)
+    nearer = lift.lifted(seen, predicted, 0.9 * first_m, alignment, camera, Lifting())
+    assert nearer.pelvis is not None
+    as_it_was = lift.lifted(seen, predicted, first_m, alignment, camera, Lifting())
+    assert as_it_was.pelvis is not None
+    moved = np.abs(nearer.pelvis[:, 2] - as_it_was.pelvis[:, 2]) > 0.05
+    assert moved[seen.frame == 0].all()
+    assert not moved[seen.frame > 0].any()
+
+
+def test_people_are_no_part_of_what_stands_still() -> None:
+    points = np.zeros((1, 25, 3))
+    points[0, :2] = [[40, 20, 0.9], [60, 60, 0.9]]
+    mask = lift.still((88, 160), points)
+    assert not mask[20:61, 40:61].any()
+    assert not mask[15, 36]
+    assert mask[5].all()
+    assert mask[:, 80].all()
+
+
+def test_without_a_body_the_middle_of_the_hips_is_lifted() -> None:
+    seen = replace(seen_by(rig()[0]), pelvis=None)
+    assert np.isnan(lift.pelvis_pixels(seen)).all()
+    for name, x in (("left_hip", 30.0), ("right_hip", 40.0)):
+        seen.keypoints[0, LAYOUT.index(name)] = [x, 50.0, 0.8]
+    assert lift.pelvis_pixels(seen)[0].tolist() == [35.0, 50.0]
+
+
+def run_lifting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, camera: Camera, other_view: bool = False
+) -> Detections:
+    """The whole step, with a calibration whose unit is another one than that of the cameras in use."""
+    frames = iter(network_depths(camera).values())
+
+    class Planted:
+        def __init__(self, card: Card, weights: Path, where: str) -> None:
+            assert card.name == "moge"
+
+        def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
+            assert picture.shape == (*camera.hw, 3)
+            assert focal_px == pytest.approx(camera.focal_px[0])
+            own = next(frames)
+            return np.random.default_rng(2).uniform(0.5, 50, own.shape) if other_view else own
+
+    monkeypatch.setattr(moge, "ADAPTER", Planted)
+    half = []
+    for own in rig():
+        pose = own.camera_from_world.copy()
+        pose[:3, 3] *= 0.5
+        half.append(replace(own, camera_from_world=pose))
+    write_model(tmp_path / "network", half)
+    write_model(tmp_path / "cameras", rig())
+    first_m = moments(camera)[0]
+    write_depth(tmp_path / "first.exr", 0.5 * first_m, np.ones(camera.hw))
+    write_lossless(tmp_path / "seen.mkv", [np.zeros((*camera.hw, 3), np.uint8)] * FRAMES, 24.0)
+    write_detections(tmp_path / "seen.npz", seen_by(camera))
+    lift.run(
+        Settings(),
+        camera.name,
+        tmp_path / "cameras/images.txt",
+        tmp_path / "seen.mkv",
+        tmp_path / "seen.npz",
+        tmp_path / "first.exr",
+        tmp_path / "network/images.txt",
+        "moge",
+        tmp_path,
+        "cpu",
+        tmp_path / "lifted.npz",
+    )
+    return read_detections(tmp_path / "lifted.npz")
+
+
+def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras = rig()[:2]
+    found = [run_lifting(tmp_path, monkeypatch, camera) for camera in cameras]
+    limits = AssociationLimits(method="star", affinity="position", position="scene")
+    first, second = sights(found, found, cameras, limits)
+    now = np.flatnonzero(first.frame == FRAMES - 1)
+    alike = detection_affinities(first, now, second, now, limits)
+    assert (np.diag(alike) > 0.7).all()
+    # Beyond 0.3 m two pelvises are two people.
+    assert alike[0, 1] == alike[1, 0] == 0
+    nobody = [replace(one, pelvis=None) for one in found]
+    with pytest.raises(UserError, match="no pelvis lies where the scene's depth is known"):
+        sights(nobody, nobody, cameras, limits)
+
+
+def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UserError, match="differ by|nothing says"):
+        run_lifting(tmp_path, monkeypatch, rig()[0], other_view=True)
+
+
+def test_cameras_in_one_place_say_nothing_of_a_metre() -> None:
+    with pytest.raises(UserError, match="share no two places"):
+        lift.metres_per_metre(rig()[:1], rig())

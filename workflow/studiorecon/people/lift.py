@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``people.lift``: one camera's pelvises at the depth of the scene, the paper's place of a person (Eq. S1).
+
+Depth of the first moment is that of the network that found the cameras. Every later frame is a monocular network's,
+put to the first one's metres by one alignment per camera: people walk through single frames' fits, and a depth that
+breathes from frame to frame would move everybody (U22, D06).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.video import read_frames
+from studiorecon.geometry.depth_alignment import Alignment, align_depth, shared_alignment
+from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_pelvis
+from studiorecon.images.sizes import nearest
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.loading import load
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections, read_detections, write_detections
+from studiorecon.signature import Place, Written
+
+_HIPS = ("left_hip", "right_hip")
+# A person's clothes and shadow reach this share of their height beyond their keypoints.
+_WIDER = 0.15
+# Two cameras of one picture: the network's and the working one differ by rounding only.
+_FOCAL_TOLERANCE = 0.05
+# Half the still pixels must be within this factor after alignment, or the two do not show the same thing.
+_WORST_GAP = 0.25
+_NEAR_M = 0.1
+
+
+@dataclass(frozen=True)
+class Lifting:
+    """How a pixel of a person becomes a place.
+
+    Attributes:
+        patch_px: side of the square in which the depth is read (paper: the pixel's own).
+    """
+
+    surface_to_joint_m: float = setting(
+        SURFACE_TO_PELVIS_M,
+        "With position scene: how far behind the surface that a depth map shows the pelvis lies, along the ray.",
+        unit="m",
+        minimum=0,
+        maximum=0.5,
+        paper="none, the depth as it is, Eq. S1; U26",
+        letter=0.0,
+    )
+    patch_px: int = 1
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How people are lifted."""
+
+    lift: Lifting = setting(Lifting(), "Places of people by the scene's depth.")
+
+
+def pelvis_pixels(seen: Detections) -> np.ndarray:
+    """(D, 2) pixel of each detection's pelvis: its body's own, else the middle of its hips; NaN where neither is
+    known."""
+    layout = LAYOUTS[seen.layout]
+    pixels = np.full((len(seen.frame), 2), np.nan)
+    if set(_HIPS) <= set(layout.keypoints):
+        hips = seen.keypoints[:, [layout.index(name) for name in _HIPS]]
+        both = (hips[..., 2] > 0).all(-1)
+        pixels[both] = hips[both, :, :2].mean(1)
+    if seen.pelvis is not None:
+        own = np.isfinite(seen.pelvis[:, :2]).all(-1)
+        pixels[own] = seen.pelvis[own, :2]
+    return pixels
+
+
+def still(hw: tuple[int, int], people: np.ndarray) -> np.ndarray:
+    """(H, W) bool: outside of the boxes about people's keypoints (P, K, 3), widened for what keypoints do not reach."""
+    out = np.ones(hw, bool)
+    for points in people:
+        known = points[points[:, 2] > 0, :2]
+        if len(known):
+            margin = _WIDER * float(np.ptp(known[:, 1]))
+            (left, top), (right, bottom) = known.min(0) - margin, known.max(0) + margin
+            out[max(int(top), 0) : max(int(bottom) + 1, 0), max(int(left), 0) : max(int(right) + 1, 0)] = False
+    return out
+
+
+def aligned_to_first(predicted: Mapping[int, np.ndarray], first_m: np.ndarray, seen: Detections) -> Alignment:
+    """The one alignment that puts a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W)
+    in metres.
+
+    Every frame is fitted on pixels that nobody hides, in it or at the first moment; the camera stands still, so its
+    frames share one scale and shift.
+    """
+    rng, nobody = np.random.default_rng(0), still(first_m.shape, seen.keypoints[seen.frame == 0])
+    fits = [
+        align_depth(depth, first_m, nobody & still(first_m.shape, seen.keypoints[seen.frame == frame]), rng)
+        for frame, depth in sorted(predicted.items())
+    ]
+    return shared_alignment(fits)
+
+
+def lifted(
+    seen: Detections,
+    predicted: Mapping[int, np.ndarray],
+    first_m: np.ndarray,
+    alignment: Alignment,
+    camera: Camera,
+    lifting: Lifting,
+) -> Detections:
+    """The detections with their pelvises (u, v, z in metres) at the scene's depth, NaN where that is unknown.
+
+    ``predicted``: depth maps (H, W) by frame, of every frame with detections; ``first_m``: frame 0's own in metres.
+    """
+    pixels = pelvis_pixels(seen)
+    pelvis = np.full((len(seen.frame), 3), np.nan)
+    for frame in np.unique(seen.frame):
+        rows = np.flatnonzero(seen.frame == frame)
+        depth_m = alignment.apply(predicted[int(frame)], _NEAR_M)
+        if frame == 0:
+            depth_m = np.where(first_m > 0, first_m, depth_m)
+        points_m, valid = lift_pelvis(
+            depth_m,
+            np.ones(camera.hw, bool),
+            pixels[rows],
+            camera,
+            surface_to_joint_m=lifting.surface_to_joint_m,
+            patch_px=lifting.patch_px,
+            near_m=_NEAR_M,
+        )
+        where, z_m = camera.project(points_m[valid])
+        pelvis[rows[valid]] = np.column_stack([where, z_m])
+    return replace(seen, pelvis=pelvis)
+
+
+def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera]) -> float:
+    """Working metres in one of the network's: the ratio of distances between the same cameras, whatever moved or
+    scaled the world since. Raises UserError when they share fewer than two places."""
+    own = {c.name: c.centre_m for c in found}
+    shared = [(own[c.name], c.centre_m) for c in used if c.name in own]
+    before, after = (sum(float(np.linalg.norm(a[k] - b[k])) for a, b in combinations(shared, 2)) for k in (0, 1))
+    if not before > 0:
+        raise UserError(
+            f"the network's cameras ({', '.join(sorted(own))}) and those in use share no two places, so nothing says "
+            "what its depth measures; set people.association.position to rays"
+        )
+    return after / before
+
+
+def _first_moment(first: Path, found: Path, cameras: Sequence[Camera], own: Camera) -> np.ndarray:
+    """(H, W) depth of the first moment in working metres, at the size of the camera ``own``."""
+    network = read_model(found.parent)
+    seen = next((c for c in network if c.name == own.name), None)
+    if seen is None:
+        raise UserError(f"camera {own.name} is not in {found}; delete results and run again")
+    apart = seen.resized(own.wh).focal_px[0] / own.focal_px[0]
+    if abs(apart - 1) > _FOCAL_TOLERANCE:
+        raise UserError(
+            f"camera {own.name} has {apart:.2f} times its focal length where the network measured depth, so the two "
+            "do not show the same picture; set people.association.position to rays"
+        )
+    return metres_per_metre(network, cameras) * nearest(read_depth(first)[0], own.hw).astype(np.float64)
+
+
+def run(
+    settings: Settings,
+    camera: str,
+    model: Path,
+    video: Path,
+    detections: Path,
+    first: Path,
+    found: Path,
+    network: str,
+    weights: Place,
+    device: str,
+    lifted_detections: Written,
+) -> None:
+    """Write one camera's ``detections`` with pelvises at the scene's depth.
+
+    ``first``: depth (EXR, metres of the model ``found``) of the first moment; ``network``: a monocular one for the
+    later frames of ``video``. Depth maps of all frames with people are in memory at once: 4 bytes a pixel.
+    """
+    cameras = read_model(model.parent)
+    own = next((c for c in cameras if c.name == camera), None)
+    if own is None:
+        raise UserError(f"camera {camera} is not in {model}")
+    seen, first_m = read_detections(detections), _first_moment(first, found, cameras, own)
+    if not len(seen.frame):
+        write_detections(lifted_detections, replace(seen, pelvis=np.zeros((0, 3))))
+        return
+    wanted, last = set(seen.frame.tolist()), int(seen.frame.max()) + 1
+    monocular = load("monocular depth", network, weights, device)
+    predicted = {
+        t: monocular.depth(picture, own.focal_px[0])
+        for t, picture in enumerate(progress(read_frames(video, 0, last), f"depth of {camera}", total=last))
+        if t in wanted
+    }
+    title, alignment = card_of(network).title, aligned_to_first(predicted, first_m, seen)
+    if alignment.model == "undetermined":
+        raise UserError(
+            f"nothing says how many metres a unit of {title} is in camera {camera}: in none of {len(predicted)} frames "
+            "are there enough pixels without people whose depth the first moment has; set "
+            "people.association.position to rays"
+        )
+    gaps = [_gap(alignment.apply(depth, _NEAR_M), first_m) for depth in predicted.values()]
+    if not (gap := float(np.median(gaps))) <= _WORST_GAP:
+        raise UserError(
+            f"{title} and the first moment's depth differ by {gap:.0%} in the median in camera {camera}: not the same "
+            "view; set people.association.position to rays"
+        )
+    result = lifted(seen, predicted, first_m, alignment, own, settings.lift)
+    known = int(np.isfinite(result.pelvis[:, 2]).sum()) if result.pelvis is not None else 0
+    say(
+        f"camera {camera}: metres = {alignment.scale:.4g} × {title} + {alignment.shift_m:.2f}, one alignment for "
+        f"{len(predicted)} frames, {gap:.1%} off the first moment's depth; {known} of {len(seen.frame)} pelvises "
+        "lifted, the others lie where no depth is known"
+    )
+    write_detections(lifted_detections, result)
+
+
+def _gap(depth_m: np.ndarray, first_m: np.ndarray) -> float:
+    both = (depth_m > 0) & (first_m > 0)
+    return float(np.median(np.abs(depth_m[both] / first_m[both] - 1))) if both.any() else float("inf")
