@@ -105,6 +105,7 @@ def test_an_edited_adapter_reruns_the_steps_that_run_it_and_no_others() -> None:
     assert modules_of("enhance.shot", preset) == ["models.adapters.difix", "models.adapters.raft"]
     assert modules_of("humans.canonical", {}) == ["models.adapters.lhm"]
     assert modules_of("depth.network", {"depth": {"source": "embedded"}}) == []
+    assert modules_of("people.lift", {"depth": {"source": "moge"}}) == ["models.adapters.moge"]
     assert modules_of("report.page", preset) == sorted({module_of(name) for _, name in selected(preset)})
     without = code.digest("masks.network")
     assert code.digest("masks.network", ["models.adapters.sam3"]) != without

@@ -75,7 +75,7 @@ def seen_by(camera: Camera) -> Detections:
             keypoints = np.full((25, 3), np.nan)
             keypoints[:, 2] = 0
             for name, up in (("left_shoulder", 0.45), ("right_shoulder", 0.45), ("left_ankle", -0.9)):
-                keypoints[LAYOUT.index(name)] = [*camera.project(place + [0, 0, up])[0], 0.9]
+                keypoints[LAYOUT.index(name)] = [*camera.project(place + np.array([0, 0, up]))[0], 0.9]
             frames.append(t)
             tracks.append(k)
             points.append(keypoints)
@@ -225,7 +225,7 @@ def test_two_cameras_find_the_same_people_by_them(tmp_path: Path, monkeypatch: p
 
 
 def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UserError, match="differ by|nothing says"):
+    with pytest.raises(UserError, match="differ by"):
         run_lifting(tmp_path, monkeypatch, rig()[0], other_view=True)
 
 
