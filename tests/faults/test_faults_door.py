@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+import pickle
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -96,6 +97,23 @@ QCA = """<calibration><cameras><camera active="1" serial="7" viewrotation="0">
 </camera></cameras></calibration>"""
 
 
+XCP = """<Cameras VERSION="2.0"><Camera DEVICEID="7" PIXEL_ASPECT_RATIO="1" SENSOR_SIZE="1920 1080"><KeyFrames>
+<KeyFrame FOCAL_LENGTH="1000" ORIENTATION="0.5 0.5 0.5 0.5" POSITION="0 0 1000" PRINCIPAL_POINT="960 540"
+VICON_RADIAL2="Vicon3Parameter 960 540 1e-8 0 0"/></KeyFrames></Camera></Cameras>"""
+MCAL = """<?xml version="1.0" encoding="UTF-16LE"?><Cameras><Camera Serial="C7">
+<Attributes ImagerPixelWidth="1920" ImagerPixelHeight="1080"/>
+<IntrinsicStandardCameraModel LensCenterX="960" LensCenterY="540" HorizontalFocalLength="1000"
+VerticalFocalLength="1000" k1="0" k2="0" k3="0" TangentialX="0" TangentialY="0"/>
+<Extrinsic X="0" Y="1" Z="2" OrientMatrix0="1" OrientMatrix1="0" OrientMatrix2="0" OrientMatrix3="0" OrientMatrix4="1"
+OrientMatrix5="0" OrientMatrix6="0" OrientMatrix7="0" OrientMatrix8="1"/></Camera></Cameras>"""
+BIOCV = """1920\n1080\n\n1000 0 960\n0 1000 540\n0 0 1\n
+1 0 0 0\n0 0 -1 0\n0 1 0 3000\n0 0 0 1\n\n0.01 0 0 0 0\n"""
+OPENCAP = {
+    "intrinsicMat": np.array([[1000.0, 0, 960], [0, 1000, 540], [0, 0, 1]]), "distortion": np.zeros((1, 5)),
+    "imageSize": np.array([[1080.0], [1920.0]]), "rotation": np.eye(3), "translation": np.zeros((3, 1)),
+}  # fmt: skip
+
+
 def npz(**arrays: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
@@ -148,6 +166,10 @@ READERS = {
     "extri": Reader("extri.yml", EXTRI.encode(), calibration_right, beside=(("intri.yml", INTRI.encode()),)),
     "egoexo": Reader("gopro_calibs.csv", CSV.encode(), calibration_right),
     "qualisys": Reader("c.qca.txt", QCA.encode(), calibration_right),
+    "vicon": Reader("c.xcp", XCP.encode(), calibration_right),
+    "optitrack": Reader("c.mcal", MCAL.encode("utf-16"), calibration_right, text=False),
+    "biocv": Reader("c.calib", BIOCV.encode(), calibration_right),
+    "opencap": Reader("c.pickle", pickle.dumps(OPENCAP), calibration_right, text=False),
     "llff": Reader(
         "poses_bounds.npy",
         npy(np.array([[0, 1, 0, x, 360, 1, 0, 0, 0, 640, 0, 0, -1, 0, 500, 1, 9.0] for x in (0, 2.0)])),
@@ -191,7 +213,7 @@ def test_what_is_no_such_file_is_refused(reader: Reader, kind: str, tmp_path: Pa
     path = reader.written(tmp_path, damage.ENCODINGS[kind](reader.whole))
     said = survives(reader, path)
     # XML says its own encoding, and an archive may stand behind other bytes.
-    harmless = {("c.qca.txt", "utf-16"), ("k.npz", "latin-1")}
+    harmless = {("c.qca.txt", "utf-16"), ("c.xcp", "utf-16"), ("k.npz", "latin-1")}
     may_be_whole = reader.name in ("capture.yaml", "identities.tsv") and kind in ("empty", "half")
     if not may_be_whole and (reader.name, kind) not in harmless:
         assert said != "right"

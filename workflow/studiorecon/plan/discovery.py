@@ -142,11 +142,17 @@ def find_calibration(folder: Path) -> tuple[Path, ...]:
         for names in form.files:
             if all((folder / n).is_file() for n in names):
                 return tuple(folder / n for n in names)
-    patterns = [(p, form.holds_cameras) for form in FORMATS.values() for names in form.files for p in names if "*" in p]
-    for pattern, holds_cameras in dict.fromkeys(patterns):
+    patterns = [
+        (p, form.holds_cameras, form.file_per_camera)
+        for form in FORMATS.values()
+        for names in form.files
+        for p in names
+        if "*" in p
+    ]
+    for pattern, holds_cameras, file_per_camera in dict.fromkeys(patterns):
         found = [path for path in sorted(folder.glob(pattern)) if holds_cameras(path)]
-        if len(found) == 1:
-            return (found[0],)
+        if len(found) == 1 or (found and file_per_camera):
+            return tuple(found)
         if len(found) > 1:
             listed = ", ".join(p.name for p in found)
             raise UserError(
@@ -165,7 +171,7 @@ def _per_camera(
     folder: Path, named: str | None, defaults: tuple[str, ...], footage: Mapping[str, Path]
 ) -> dict[str, Path]:
     """camera → path inside the named (or first existing default) folder: ``<camera>``, ``<camera>_json``,
-    ``<camera>.*``."""
+    ``<camera>.*``, or DeepLabCut's ``<camera>DLC_<network>.csv``."""
     base = folder / named if named is not None else next((folder / d for d in defaults if (folder / d).is_dir()), None)
     if base is None:
         return {}
@@ -176,7 +182,7 @@ def _per_camera(
     for camera in footage:
         for entry in entries:
             stem = entry.name if entry.is_dir() else entry.name.split(".")[0]
-            if stem in (camera, f"{camera}_json", f"{camera}_ext"):
+            if stem in (camera, f"{camera}_json", f"{camera}_ext") or stem.startswith(f"{camera}DLC_"):
                 found[camera] = entry
                 break
     return found

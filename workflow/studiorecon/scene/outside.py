@@ -14,6 +14,7 @@ import io
 import json
 import math
 import tokenize
+import xml.etree.ElementTree as ElementTree
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
@@ -132,6 +133,19 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not valid TOML ({_first_line(error)})") from None
+
+
+def read_xml(path: Path) -> ElementTree.Element:
+    """The root of an XML file in the encoding that it declares; raises UserError, also for one that declares entities,
+    which can grow without end."""
+    data = read_bytes(path, MOST_TEXT_BYTES)
+    # Without zero bytes, which UTF-16 has between letters.
+    if b"<!DOCTYPE" in (plain := data.replace(b"\0", b"")) or b"<!ENTITY" in plain:
+        raise UserError(f"{path} declares entities, which no calibration needs; export it again")
+    try:
+        return ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
+        raise UserError(f"{path} is not valid XML ({_first_line(error)}); {_COPY}") from None
 
 
 def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:

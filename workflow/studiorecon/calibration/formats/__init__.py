@@ -10,6 +10,7 @@ In come the paths of a user's files; out goes a ``reading.Reading``: cameras in 
 from __future__ import annotations
 
 from studiorecon.calibration.formats.alicevision import FORMAT as ALICEVISION
+from studiorecon.calibration.formats.biocv import FORMAT as BIOCV
 from studiorecon.calibration.formats.caliscope import FORMAT as CALISCOPE
 from studiorecon.calibration.formats.colmap_files import FORMAT as COLMAP
 from studiorecon.calibration.formats.easymocap import FORMAT as EASYMOCAP
@@ -17,10 +18,13 @@ from studiorecon.calibration.formats.egoexo import FORMAT as EGOEXO
 from studiorecon.calibration.formats.egohumans import FORMAT as EGOHUMANS
 from studiorecon.calibration.formats.llff import FORMAT as LLFF
 from studiorecon.calibration.formats.nerfstudio import FORMAT as NERFSTUDIO
+from studiorecon.calibration.formats.opencap import FORMAT as OPENCAP
+from studiorecon.calibration.formats.optitrack import FORMAT as OPTITRACK
 from studiorecon.calibration.formats.pose2sim import FORMAT as POSE2SIM
 from studiorecon.calibration.formats.qualisys import FORMAT as QUALISYS
 from studiorecon.calibration.formats.reading import CalibrationFormat
 from studiorecon.calibration.formats.train_meta import FORMAT as TRAIN_META
+from studiorecon.calibration.formats.vicon import FORMAT as VICON
 from studiorecon.calibration.formats.zju import FORMAT as ZJU
 
 # In the order in which files are looked for, and asked for what they are: the first format that answers counts.
@@ -37,6 +41,10 @@ _LISTED = (
     POSE2SIM,
     QUALISYS,
     ALICEVISION,
+    VICON,
+    OPTITRACK,
+    OPENCAP,
+    BIOCV,
 )
 FORMATS: dict[str, CalibrationFormat] = {form.name: form for form in _LISTED}
 

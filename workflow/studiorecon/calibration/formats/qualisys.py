@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
 from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
 from studiorecon.errors import UserError
-from studiorecon.scene.outside import MOST_TEXT_BYTES, read_bytes
+from studiorecon.scene.outside import read_xml
 
 _SUBPIXELS = 64.0
 # Qualisys cameras look along -z with y up; ours along +z with y down.
@@ -25,14 +25,7 @@ def recognises(files: list[Path]) -> bool:
 def read(files: list[Path]) -> Reading:
     """The active cameras of the file, in metres."""
     path = files[0]
-    data = read_bytes(path, MOST_TEXT_BYTES)
-    # Without zero bytes, which UTF-16 has between letters.
-    if b"<!DOCTYPE" in (plain := data.replace(b"\0", b"")) or b"<!ENTITY" in plain:
-        raise UserError(f"{path} declares entities, which a Qualisys calibration has not; export it again")
-    try:
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
-        raise UserError(f"{path} is not valid XML ({error})") from None
+    root = read_xml(path)
     cameras = []
     for element in root.iter("camera"):
         if element.get("active") == "0":

@@ -47,6 +47,7 @@ class CalibrationFormat:
         files_in_words: what lies in the dataset's folder, in Markdown.
         files: the alternatives it is found by there, first things first: names relative to the folder that must all be
             there, or one pattern.
+        file_per_camera: whether every file that a pattern finds is one camera of the same calibration.
         recognises: whether files are of this format, by their names or by what they hold.
         read: the cameras; raises UserError where a file is not what its format says.
         holds_cameras: whether a file that a pattern finds is a calibration at all.
@@ -59,6 +60,7 @@ class CalibrationFormat:
     recognises: Callable[[list[Path]], bool]
     read: Callable[[list[Path]], Reading]
     holds_cameras: Callable[[Path], bool] = _always
+    file_per_camera: bool = False
 
 
 def merged_static(cameras: list[RawCamera], centre_tolerance: float, angle_tolerance_deg: float) -> list[RawCamera]:

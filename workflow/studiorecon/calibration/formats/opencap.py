@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OpenCap's ``cameraIntrinsicsExtrinsics.pickle``: one table of arrays per camera, millimetres, OpenCV's conventions.
+
+``intrinsicMat`` (3, 3), ``distortion`` (1, 5) k1 k2 p1 p2 k3, ``imageSize`` (2, 1) height first, ``rotation`` (3, 3),
+``translation`` (3, 1) of x_camera = R X + t, whose world is that of the checkerboard, upright on the floor. As
+Pose2Sim's ``calib_opencap_fun`` reads and its ``calib_toml_to_opencap`` writes them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.calibration.formats.pickles import read_pickle
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, intrinsics_matrix, opencv_distortion, rigid_camera_from_world
+from studiorecon.errors import UserError
+from studiorecon.scene.values import numbers
+
+_NAME = "cameraIntrinsicsExtrinsics.pickle"
+_SIZES = {"intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3}
+
+
+def recognises(files: list[Path]) -> bool:
+    return bool(files) and all(f.suffix == ".pickle" for f in files)
+
+
+def read(files: list[Path]) -> Reading:
+    """One camera per file, in millimetres; OpenCap's own name for it is that of its folder (``Videos/Cam0``)."""
+    return Reading("OpenCap", tuple(_camera(path) for path in files), "mm", ())
+
+
+def _camera(path: Path) -> RawCamera:
+    name = path.parent.name if path.name == _NAME else path.stem
+    where = f"camera {name} in {path}"
+    table = read_pickle(path)
+    if not isinstance(table, dict):
+        raise UserError(f"{path} holds no table of camera parameters; it is not OpenCap's {_NAME}")
+    values = {}
+    for key, size in _SIZES.items():
+        if key not in table:
+            raise UserError(f"{where}: {key} is missing; a file with intrinsics only needs OpenCap's extrinsics too")
+        values[key] = numbers(table[key], f"{where}: {key}").reshape(-1)
+        if len(values[key]) != size:
+            raise UserError(f"{where}: {key} holds {len(values[key])} numbers; OpenCap writes {size}")
+    k = values["intrinsicMat"].reshape(3, 3)
+    height, width = values["imageSize"]
+    return RawCamera(
+        name=name,
+        wh=(round(width), round(height)),
+        intrinsics=intrinsics_matrix(k[0, 0], k[1, 1], k[0, 2], k[1, 2], integer_centres=True),
+        model="opencv",
+        distortion=opencv_distortion(values["distortion"], where),
+        camera_from_world=rigid_camera_from_world(np.array(values["rotation"]), values["translation"], where)[0],
+    )
+
+
+FORMAT = CalibrationFormat(
+    name="opencap",
+    made_by="OpenCap",
+    files_in_words=f"`{_NAME}`, one per camera",
+    files=((f"*/{_NAME}",), (f"Videos/*/{_NAME}",), ("calibration/*.pickle",)),
+    recognises=recognises,
+    read=read,
+    file_per_camera=True,
+)

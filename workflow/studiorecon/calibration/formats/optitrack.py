@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OptiTrack's ``*.mcal``, the XML calibration of Motive 3.2 and later: metres, y up, cameras that look along -z.
+
+``Extrinsic``: the camera's place X Y Z and, row by row, the rotation from its axes (x right, y up, z backwards) to the
+world's. ``IntrinsicStandardCameraModel``: pixels and OpenCV's distortion k1 k2 k3 with TangentialX and TangentialY as
+p1 and p2; ``Intrinsic`` beside it is Motive's own lens model, which nobody documents. Sources: OptiTrack's page ".mcal
+XML Calibration Files", and overlays that others have checked on Prime Color footage. Pixels are counted as OpenCV does.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from studiorecon.calibration.formats.reading import CalibrationFormat, Reading
+from studiorecon.camera_files.raw_camera import RawCamera, camera_from_world_of_pose, intrinsics_matrix
+from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_xml
+
+# Motive's cameras look along -z with y up; ours along +z with y down.
+_FLIP = np.diag([1.0, -1.0, -1.0])
+
+
+def recognises(files: list[Path]) -> bool:
+    return len(files) == 1 and files[0].suffix.lower() in (".mcal", ".cal")
+
+
+def read(files: list[Path]) -> Reading:
+    """The cameras with a place and a standard lens, by serial number (``C11764``); raises UserError for the binary
+    ``*.cal`` of older Motives."""
+    path = files[0]
+    if path.suffix.lower() == ".cal":
+        raise UserError(
+            f"{path} is a binary calibration of Motive before 3.2, which only Motive can read; open it in Motive 3.2 "
+            "or later and save it as .mcal"
+        )
+    cameras, notes = [], []
+    for element in read_xml(path).iter("Camera"):
+        name = element.get("Serial", "?")
+        extrinsic, lens = element.find("Extrinsic"), element.find("IntrinsicStandardCameraModel")
+        if extrinsic is None or lens is None:
+            lacking = "Extrinsic" if extrinsic is None else "IntrinsicStandardCameraModel"
+            notes.append(f"camera {name} of {path.name} has no {lacking} and was left out")
+            continue
+        cameras.append(_camera(name, element, extrinsic, lens, f"camera {name} in {path}"))
+    return Reading("OptiTrack mcal", tuple(cameras), "m", tuple(notes))
+
+
+def _camera(name: str, element: Element, extrinsic: Element, lens: Element, where: str) -> RawCamera:
+    world_from_camera = np.eye(4)
+    axes = np.array([_number(extrinsic, f"OrientMatrix{i}", where) for i in range(9)]).reshape(3, 3)
+    world_from_camera[:3, :3] = axes @ _FLIP
+    world_from_camera[:3, 3] = [_number(extrinsic, axis, where) for axis in "XYZ"]
+    focal = [_number(lens, f"{way}FocalLength", where) for way in ("Horizontal", "Vertical")]
+    centre = [_number(lens, f"LensCenter{axis}", where) for axis in "XY"]
+    k1, k2, k3 = (_number(lens, f"k{i}", where) for i in (1, 2, 3))
+    p1, p2 = (_number(lens, f"Tangential{axis}", where) for axis in "XY")
+    size = element.find("Attributes")
+    if size is None:
+        raise UserError(f"{where}: Attributes, which hold the size of its pictures, are missing; save it again")
+    return RawCamera(
+        name=name,
+        wh=(round(_number(size, "ImagerPixelWidth", where)), round(_number(size, "ImagerPixelHeight", where))),
+        intrinsics=intrinsics_matrix(focal[0], focal[1], centre[0], centre[1], integer_centres=True),
+        model="opencv",
+        distortion=np.array([k1, k2, p1, p2, k3, 0, 0, 0]),
+        camera_from_world=camera_from_world_of_pose(world_from_camera, where),
+    )
+
+
+def _number(element: Element, attribute: str, where: str) -> float:
+    value = element.get(attribute)
+    if value is None:
+        raise UserError(f"{where}: {attribute} of {element.tag} is missing; save the calibration again in Motive")
+    return float(value)
+
+
+FORMAT = CalibrationFormat(
+    name="optitrack",
+    made_by="OptiTrack Motive 3.2 and later",
+    files_in_words="`*.mcal`",
+    files=(("*.mcal",), ("calibration/*.mcal",), ("*.cal",), ("calibration/*.cal",)),
+    recognises=recognises,
+    read=read,
+)
