@@ -97,6 +97,17 @@ QCA = """<calibration><cameras><camera active="1" serial="7" viewrotation="0">
 </camera></cameras></calibration>"""
 
 
+PARTS = [f"{side}{part}" for part in ("Shoulder", "Hip", "Knee", "Ankle") for side in "LR"]
+DEEPLABCUT = "\n".join(
+    ",".join([first, *(cell for part in PARTS for cell in cells(part))])
+    for first, cells in {
+        "scorer": lambda part: ["net"] * 3, "individuals": lambda part: ["one"] * 3,
+        "bodyparts": lambda part: [part] * 3, "coords": lambda part: ["x", "y", "likelihood"],
+        "0": lambda part: ["10.5", "20", "0.9"], "1": lambda part: ["", "", ""],
+    }.items()
+)  # fmt: skip
+
+
 XCP = """<Cameras VERSION="2.0"><Camera DEVICEID="7" PIXEL_ASPECT_RATIO="1" SENSOR_SIZE="1920 1080"><KeyFrames>
 <KeyFrame FOCAL_LENGTH="1000" ORIENTATION="0.5 0.5 0.5 0.5" POSITION="0 0 1000" PRINCIPAL_POINT="960 540"
 VICON_RADIAL2="Vicon3Parameter 960 540 1e-8 0 0"/></KeyFrames></Camera></Cameras>"""
@@ -159,6 +170,7 @@ READERS = {
     "keypoint npz": Reader(
         "k.npz", npz(keypoints=np.ones((4, 2, 17, 3)), ids=np.ones((4, 2))), keypoints_right, text=False
     ),
+    "deeplabcut": Reader("k.csv", DEEPLABCUT.encode(), keypoints_right),
     "transforms": of_json("transforms.json", TRANSFORMS, calibration_right),
     "train_meta": of_json("train_meta.json", TRAIN_META, calibration_right),
     "toml": Reader("Calib.toml", TOML.encode(), calibration_right),

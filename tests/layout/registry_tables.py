@@ -10,12 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from studiorecon.calibration import formats
+from studiorecon.keypoints import layouts, readers
 from studiorecon.survey import effects
 
 ROOT = Path(__file__).resolve().parents[2]
 # Page and name of the table → what writes it.
 TABLES: dict[tuple[str, str], Callable[[], str]] = {
     ("docs/capture.md", "calibration formats"): formats.table,
+    ("docs/capture.md", "keypoint files"): readers.table,
+    ("docs/capture.md", "keypoint layouts"): layouts.table,
     ("config/README.md", "effects"): effects.table,
 }
 

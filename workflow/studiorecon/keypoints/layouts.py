@@ -165,3 +165,24 @@ BY_COUNT = {
     count: tuple(n for n, names in _NAMES.items() if len(names) == count)
     for count in sorted({len(names) for names in _NAMES.values()})
 }
+
+# What programs call them.
+_WRITTEN_BY = {
+    "blazepose33": "MediaPipe Pose, BlazePose",
+    "coco17": "COCO, RTMPose, ViTPose, AlphaPose",
+    "openpose_coco18": "OpenPose COCO",
+    "body_25": "OpenPose BODY_25",
+    "body_25b": "OpenPose BODY_25B",
+    "halpe26": "Halpe, RTMPose with feet",
+    "wholebody133": "COCO-WholeBody, RTMW",
+    "body_135": "OpenPose BODY_135",
+    "halpe136": "Halpe with face and hands",
+    "smpl24": "SMPL's joints",
+    "comotion27": "CoMotion",
+}
+
+
+def table() -> str:
+    """The layouts as a table in Markdown."""
+    rows = [f"| `{name}` | {len(one.keypoints)} | {_WRITTEN_BY[name]} |" for name, one in LAYOUTS.items()]
+    return "\n".join(["| `keypoint_layout` | points | of |", "|---|---|---|", *rows])

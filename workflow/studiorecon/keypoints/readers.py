@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.keypoints.deeplabcut import read_deeplabcut
 from studiorecon.scene.outside import read_json, read_npz
 from studiorecon.scene.values import listed, numbers, shown, whole
 
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 
+# What lies under keypoints/ for a camera → who writes it.
+FORMATS = {
+    "`<camera>/*.json` or `<camera>_json/*.json`, one a picture": "OpenPose, EasyMocap, MMPose, MediaPipe by Pose2Sim",
+    "`<camera>.json`": "AlphaPose and COCO results, MMPose",
+    "`<camera>.csv` or `<camera>DLC_….csv`, one animal or several": "DeepLabCut, MediaPipe by Pose2Sim",
+    "`<camera>.npz`: `keypoints` (frames, people, points, 3)": "anything else",
+}
 MOST_PEOPLE_PER_PICTURE = 500
 """Association compares everybody in a picture with everybody."""
 MOST_KEYPOINTS = 1000
@@ -42,7 +50,7 @@ class KeypointEntry:
 
 
 def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
-    """All detections of one camera, and the format's name; ``path`` is a folder of JSON files, a JSON file or an npz.
+    """All detections of one camera, and the format's name; ``path`` is one of ``FORMATS``.
 
     Raises UserError naming the file, and the frame where there is one, when it is of no known format or holds anything
     but it, when its detections do not all have the same number of keypoints, and for more than
@@ -54,10 +62,18 @@ def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
         entries, kind = _neutral(path), "npz"
     elif path.suffix == ".json":
         entries, kind = _results(path)
+    elif path.suffix == ".csv":
+        entries = [KeypointEntry(int(t), points, int(who)) for t, who, points in zip(*read_deeplabcut(path))]
+        kind = "DeepLabCut"
+    elif path.suffix == ".h5":
+        raise UserError(
+            f"{path} is DeepLabCut's HDF5, of which the table is read as CSV: analyse the video with save_as_csv=True, "
+            "or run deeplabcut.analyze_videos_converth5_to_csv"
+        )
     else:
         raise UserError(
-            f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an "
-            "AlphaPose or MMPose .json, or an .npz"
+            f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an AlphaPose or MMPose .json, "
+            "DeepLabCut's .csv, or an .npz"
         )
     counts = sorted({len(e.keypoints) for e in entries})
     if len(counts) > 1:
@@ -210,3 +226,10 @@ def _triples(values: Any, path: Path, frame: int) -> np.ndarray:
     if len(flat) % 3:
         raise UserError(f"{path}: {len(flat)} keypoint numbers are not triples of x, y, confidence")
     return flat.reshape(-1, 3)
+
+
+def table() -> str:
+    """The formats as a table in Markdown."""
+    return "\n".join(
+        ["| under `keypoints/` | written by |", "|---|---|", *(f"| {k} | {v} |" for k, v in FORMATS.items())]
+    )

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DeepLabCut's and MediaPipe's tables: planted keypoints, written in another order and under other names, come back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.errors import UserError
+from studiorecon.keypoints.deeplabcut import canonical
+from studiorecon.keypoints.layout_choice import choose_layout
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.readers import read_keypoints
+from studiorecon.plan.discovery import open_dataset
+
+# MediaPipe's PoseLandmark, in its order.
+MEDIAPIPE = [
+    "NOSE", "LEFT_EYE_INNER", "LEFT_EYE", "LEFT_EYE_OUTER", "RIGHT_EYE_INNER", "RIGHT_EYE", "RIGHT_EYE_OUTER",
+    "LEFT_EAR", "RIGHT_EAR", "MOUTH_LEFT", "MOUTH_RIGHT", "LEFT_SHOULDER", "RIGHT_SHOULDER", "LEFT_ELBOW",
+    "RIGHT_ELBOW", "LEFT_WRIST", "RIGHT_WRIST", "LEFT_PINKY", "RIGHT_PINKY", "LEFT_INDEX", "RIGHT_INDEX",
+    "LEFT_THUMB", "RIGHT_THUMB", "LEFT_HIP", "RIGHT_HIP", "LEFT_KNEE", "RIGHT_KNEE", "LEFT_ANKLE", "RIGHT_ANKLE",
+    "LEFT_HEEL", "RIGHT_HEEL", "LEFT_FOOT_INDEX", "RIGHT_FOOT_INDEX",
+]  # fmt: skip
+
+
+def write(path: Path, parts: list[str], keypoints: np.ndarray, individuals: bool = False) -> Path:
+    """``keypoints`` (T, P, K, 3) as pandas writes DeepLabCut's table; NaN is an empty cell."""
+    people = [f"person{p}" for p in range(keypoints.shape[1])]
+    columns = [(who, part, c) for who in people for part in parts for c in ("x", "y", "likelihood")]
+    lines = [["scorer", *("net" for _ in columns)]]
+    lines += [["individuals", *(c[0] for c in columns)]] if individuals else []
+    lines += [["bodyparts", *(c[1] for c in columns)], ["coords", *(c[2] for c in columns)]]
+    for t, row in enumerate(keypoints.reshape(len(keypoints), -1)):
+        lines.append([str(t), *("" if np.isnan(v) else f"{v:.17g}" for v in row)])
+    path.write_text("\n".join(",".join(line) for line in lines) + "\n")
+    return path
+
+
+def planted(frames: int, people: int, count: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.concatenate(
+        [rng.uniform(10, 900, (frames, people, count, 2)), rng.uniform(0.3, 1, (frames, people, count, 1))], axis=-1
+    )
+
+
+def test_mediapipe_s_names_are_ours() -> None:
+    assert tuple(canonical(name) for name in MEDIAPIPE) == LAYOUTS["blazepose33"].keypoints
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours"),
+    [("RBigToe", "right_big_toe"), ("LShoulder", "left_shoulder"), ("shoulder_left", "left_shoulder"), ("Nose", "nose"),
+     ("left ankle", "left_ankle"), ("rightKnee", "right_knee"), ("R_Hip", "right_hip"), ("Neck", "neck")],
+)  # fmt: skip
+def test_names_of_other_programs(theirs: str, ours: str) -> None:
+    assert canonical(theirs) == ours
+
+
+def test_mediapipe_s_table_comes_back(tmp_path: Path) -> None:
+    given = planted(4, 1, 33)
+    entries, kind = read_keypoints(write(tmp_path / "camDLC.csv", MEDIAPIPE, given))
+    assert kind == "DeepLabCut"
+    assert [e.frame for e in entries] == [0, 1, 2, 3]
+    np.testing.assert_array_equal(np.array([e.keypoints for e in entries]), given[:, 0])
+    assert choose_layout(given[:, 0], "auto", "x")[0] == "blazepose33"
+
+
+def test_several_people_in_any_order_of_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = list(LAYOUTS["coco17"].keypoints)
+    order = np.random.default_rng(1).permutation(17)
+    given = planted(3, 2, 17)
+    given[1, 1] = np.nan  # the second person is not seen in frame 1
+    path = write(tmp_path / "k.csv", [names[k] for k in order] + ["tail"], np.concatenate([given[:, :, order], given[:, :, :1]], 2), True)  # fmt: skip  # noqa: E501
+    entries, _ = read_keypoints(path)
+    assert [(e.frame, e.identity) for e in entries] == [(0, 0), (0, 1), (1, 0), (2, 0), (2, 1)]
+    for entry in entries:
+        np.testing.assert_array_equal(entry.keypoints, given[entry.frame, entry.identity])
+    assert "tail are not in the layout coco17" in capsys.readouterr().out + capsys.readouterr().err
+
+
+def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "k.h5").write_bytes(b"\x89HDF")
+    with pytest.raises(UserError, match=r"DeepLabCut's HDF5.*save_as_csv=True"):
+        read_keypoints(tmp_path / "k.h5")
+    path = tmp_path / "k.csv"
+    path.write_text("x,y\n1,2\n")
+    with pytest.raises(UserError, match="does not begin with rows of scorer, bodyparts and coords"):
+        read_keypoints(path)
+    with pytest.raises(UserError, match=r"its body parts \(snout, tail\) are not those of a person"):
+        read_keypoints(write(path, ["snout", "tail"], planted(1, 1, 2)))
+    text = write(path, MEDIAPIPE, planted(2, 1, 33)).read_text().rstrip("\n")
+    path.write_text(text + ",7\n")
+    with pytest.raises(UserError, match="line 5: it holds 101 cells"):
+        read_keypoints(path)
+    path.write_text(text.rpartition(",")[0] + ",much\n")
+    with pytest.raises(UserError, match="line 5: one of its cells is no number"):
+        read_keypoints(path)
+
+
+def test_deeplabcut_s_own_file_names_are_found(tmp_path: Path) -> None:
+    for name in ("videos/a.mp4", "videos/b.mp4", "keypoints/aDLC_resnet50_x.csv", "keypoints/aDLC_resnet50_x.h5"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    assert {c: p.name for c, p in open_dataset(tmp_path).keypoints.items()} == {"a": "aDLC_resnet50_x.csv"}

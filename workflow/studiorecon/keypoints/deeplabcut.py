@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DeepLabCut's CSV, with one animal or several: body parts by name, in whichever order → one of our layouts.
+
+Its first rows name every column: ``scorer``, ``individuals`` (with several), ``bodyparts`` and ``coords`` (x, y,
+likelihood); then one row per frame, numbered from 0. MediaPipe's landmarks come this way too (Pose2Sim's
+``Blazepose_runsave``). What is no part of a layout is told and left out; what a layout has besides stays unseen.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.progress import say
+from studiorecon.scene.outside import read_text
+from studiorecon.scene.values import shown
+
+_COORDS = ("x", "y", "likelihood")
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
+# Words of other programs for the same part: MediaPipe, OpenPose (RBigToe), AlphaPose.
+_WORDS = {
+    "l": "left", "r": "right", "ankel": "ankle", "pinky": "little_finger", "index": "index_finger",
+    "foot_index": "big_toe", "bigtoe": "big_toe", "smalltoe": "small_toe", "midhip": "mid_hip", "head": "head_top",
+    "pinkie": "little_finger", "eye_inner": "inner_eye", "eye_outer": "outer_eye",
+}  # fmt: skip
+_LEAST = 6
+
+
+def read_deeplabcut(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frames (D,), people (D,) and keypoints (D, K, 3) of everybody seen in a frame, in the order of the smallest
+    layout that has all parts that any has.
+
+    Raises UserError with the line for a table of another kind, a cell that is no number, and names of no person.
+    """
+    names, columns, rows = _table(path)
+    people = list(dict.fromkeys(individual for individual, _, _ in columns))
+    layout, place = _layout(names, path)
+    frames, who, found = [], [], []
+    for line, cells in rows:
+        frame, values = _values(path, line, cells, len(columns))
+        persons = np.zeros((len(people), len(LAYOUTS[layout].keypoints), 3))
+        for (individual, part, coordinate), value in zip(columns, values):
+            if part in place:
+                persons[people.index(individual), place[part], coordinate] = value
+        persons[~np.isfinite(persons).all(-1)] = 0.0
+        for person in np.flatnonzero((persons[..., 2] > 0).any(-1)):
+            frames.append(frame)
+            who.append(int(person) if len(people) > 1 else -1)
+            found.append(persons[person])
+    count = len(LAYOUTS[layout].keypoints)
+    return np.array(frames, np.int64), np.array(who, np.int64), np.array(found, float).reshape(len(found), count, 3)
+
+
+def canonical(part: str) -> str:
+    """A body part's name as in ``layouts``: side first, words joined by ``_`` (``RShoulder``, ``LEFT_EYE_INNER``)."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=^[LR])(?=[A-Z][a-z])", "_", part.strip())
+    words = [_WORDS.get(w, w) if w in ("l", "r") else w for w in re.split(r"[\s_\-.]+", spaced.lower()) if w]
+    side = next((word for word in words if word in ("left", "right")), "")
+    rest = "_".join(word for word in words if word != side)
+    rest = _WORDS.get(rest, rest)
+    return f"{side}_{rest}" if side else rest
+
+
+def _table(path: Path) -> tuple[list[str], list[tuple[str, str, int]], list[tuple[int, list[str]]]]:
+    """Names of parts, (individual, part, coordinate) of every column, and (line, cells) of every frame."""
+    reader = csv.reader(io.StringIO(read_text(path), newline=""))
+    try:
+        lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except csv.Error as error:
+        raise UserError(f"{path}, line {reader.line_num}: not a table ({error})") from None
+    header: dict[str, list[str]] = {}
+    while lines and (row := lines[0][1][0].strip()) in _HEADERS and row not in header:
+        header[row] = [cell.strip() for cell in lines.pop(0)[1][1:]]
+    if not {"scorer", "bodyparts", "coords"} <= header.keys():
+        raise UserError(
+            f"{path} does not begin with rows of scorer, bodyparts and coords; a CSV of keypoints must be DeepLabCut's"
+        )
+    parts, coords = header["bodyparts"], header["coords"]
+    individuals = header.get("individuals", ["" for _ in parts])
+    if not len(parts) == len(coords) == len(individuals):
+        raise UserError(f"{path}: its rows of names have {len(parts)}, {len(coords)} and {len(individuals)} cells")
+    if unknown := [c for c in coords if c not in _COORDS]:
+        raise UserError(
+            f"{path} has a column {shown(unknown[0])}; DeepLabCut writes x, y and likelihood (labels without "
+            "likelihood are training data: analyse the video)"
+        )
+    columns = [(i, p, _COORDS.index(c)) for i, p, c in zip(individuals, parts, coords)]
+    if len(set(columns)) < len(columns):
+        raise UserError(f"{path} has a column of {shown(next(c for c in columns if columns.count(c) > 1)[1])} twice")
+    return list(dict.fromkeys(parts)), columns, lines
+
+
+def _layout(names: Sequence[str], path: Path) -> tuple[str, dict[str, int]]:
+    """The layout, and the place in it of every part that it has."""
+    ours = {name: canonical(name) for name in names}
+    known = {part for layout in LAYOUTS.values() for part in layout.keypoints}
+    if len({part for part in ours.values() if part in known}) < _LEAST:
+        raise UserError(
+            f"{path}: its body parts ({', '.join(names[:8])}{', …' if len(names) > 8 else ''}) are not those of a "
+            "person; name at least shoulders, hips, knees and ankles (left_shoulder, RKnee, LEFT_HIP, …)"
+        )
+    best = max(LAYOUTS.values(), key=lambda one: (len(set(ours.values()) & set(one.keypoints)), -len(one.keypoints)))
+    place = {name: best.keypoints.index(part) for name, part in ours.items() if part in best.keypoints}
+    if len(set(place.values())) < len(place):
+        raise UserError(f"{path}: two of its body parts are the same part of {best.name}; rename one")
+    if strange := [name for name in names if name not in place]:
+        say(f"{path.name}: {', '.join(strange)} are not in the layout {best.name}, and were left out")
+    return best.name, place
+
+
+def _values(path: Path, line: int, cells: list[str], count: int) -> tuple[int, list[float]]:
+    number = re.search(r"(\d{1,15})(?:\.\w+)?$", cells[0].strip())
+    if number is None or len(cells) != count + 1:
+        raise UserError(
+            f"{path}, line {line}: it holds {len(cells)} cells and begins with {shown(cells[0])}; a frame's "
+            f"number and {count} values are expected"
+        )
+    try:
+        return int(number[1]), [float(cell) if cell.strip() else np.nan for cell in cells[1:]]
+    except ValueError:
+        raise UserError(f"{path}, line {line}: one of its cells is no number") from None
