@@ -7,6 +7,7 @@ In come (H, W[, 3]) arrays; out come arrays and figures. No files but those of p
 * ``edges``: what is straight in a picture;
 * ``plate``, ``difference``, ``exposure``, ``colours``: what stays put, what differs from it, and how cameras agree;
 * ``flow``, ``transfer`` (inner loops: ``lookup``): where pixels go, and what renders miss carried to other views;
-* ``metrics`` (inner loops: ``similarity``, ``temporal``), ``perceptual``: how close a picture is to the true one;
+* ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: how close a picture is to the true
+  one;
 * ``palette``: the colours of people in films and pages.
 """

@@ -28,7 +28,7 @@ from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, Net, opened
+from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
 from studiorecon.report.metrics.films import first_frames
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
@@ -79,9 +79,14 @@ class Settings:
     lpips: Net = setting(
         "none", "Network of LPIPS: alex is what papers call LPIPS, vgg is in the lineage of 3DGS; both need weights."
     )
+    flip_every: int = setting(
+        12,
+        "Frames from one that ꟻLIP, a perceptual measure without weights, is taken of to the next; 0 = none.",
+        minimum=0,
+    )
 
 
-def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
+def missing_reasons(have_truth: bool, net: str, flip_every: int) -> dict[str, str]:
     """Why a measure of a region or of time may be null, or LPIPS, for which ``net`` was asked."""
     region = "no frame shows at least 256 pixels of it" if have_truth else _NO_TRUTH
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
@@ -93,6 +98,7 @@ def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
         reasons |= {"share_people_seen": _NO_DEPTH}
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
+    reasons["flip"] = no_flip(flip_every)
     reasons["lpips"] = NO_LPIPS if net == "none" else TOO_SMALL
     return reasons | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
 
@@ -105,6 +111,7 @@ def measure_camera(
     regions_of_frames: Iterator[Mapping[str, np.ndarray]],
     flow_preset: str,
     distance: PerceptualDistance | None,
+    flip_every: int,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
     streams = {
@@ -121,7 +128,7 @@ def measure_camera(
                 masks,
             )
 
-    return measure_sequence(together(), flow_preset, distance)
+    return measure_sequence(together(), flow_preset, distance, flip_every)
 
 
 def score_pictures(
@@ -139,11 +146,11 @@ def score_pictures(
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(cameras, "cameras"):
         masks = regions_of(camera) if regions_of is not None else repeat({})
-        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance
+        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance, settings.flip_every
         for name, values in measure_camera(camera.name, *about).items():
             measured.setdefault(name, {})[camera.name] = values
     reasons, bootstrap = (
-        missing_reasons(regions_of is not None, settings.lpips),
+        missing_reasons(regions_of is not None, settings.lpips, settings.flip_every),
         Bootstrap(settings.bootstrap_samples, settings.seed),
     )
     return {

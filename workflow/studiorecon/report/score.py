@@ -27,7 +27,7 @@ from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
 from studiorecon.report.metrics.definitions import NO_PCK, PROTOCOL, definitions, provenance
-from studiorecon.report.metrics.distance import TOO_SMALL, opened
+from studiorecon.report.metrics.distance import TOO_SMALL, no_flip, opened
 from studiorecon.report.metrics.folders import cameras_in, digest, frames_of, masks_of
 from studiorecon.report.metrics.measures import (
     NAMES,
@@ -46,6 +46,7 @@ _NO_DEPTH = "needs the depth of the true pictures and of the training cameras, w
 _NO_BODIES = "needs fitted and true bodies, which folders of pictures do not have"
 # As config/config.yaml has them for a whole run, so that both print the same numbers.
 _FLOW_PRESET = "fast"
+_FLIP_EVERY = 12
 _BOOTSTRAP = Bootstrap(samples=1000, seed=0)
 _WIDE_PX = 21
 
@@ -87,7 +88,7 @@ def score_camera(
                 people_regions(pictures["masks"]) if "masks" in pictures else {},
             )
 
-    return measure_sequence(together(), _FLOW_PRESET, distance)
+    return measure_sequence(together(), _FLOW_PRESET, distance, _FLIP_EVERY)
 
 
 def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
@@ -100,6 +101,7 @@ def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     found |= dict.fromkeys(
         TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
     )
+    found["flip"] = no_flip(_FLIP_EVERY)
     found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
     found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
     return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
@@ -128,7 +130,13 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     why = reasons(masks is not None, lpips is not None)
     for version, names in (("renders", NAMES), ("photo", TEMPORAL)):
         versions[version] = summaries({c: found[version] for c, found in measured.items()}, names, why, _BOOTSTRAP)
-    used = {"lpips": net, "flow_preset": _FLOW_PRESET, "bootstrap_samples": _BOOTSTRAP.samples, "seed": _BOOTSTRAP.seed}
+    used = {
+        "lpips": net,
+        "flip_every": _FLIP_EVERY,
+        "flow_preset": _FLOW_PRESET,
+        "bootstrap_samples": _BOOTSTRAP.samples,
+        "seed": _BOOTSTRAP.seed,
+    }
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
     return {
         "pictures": versions,

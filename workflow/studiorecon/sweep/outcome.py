@@ -26,6 +26,7 @@ _PICTURES = (
     "warp_rms",
     "temporal_l1",
     "lpips",
+    "flip",
 )
 # What two results must share to be comparable, as in report.compare.
 _SCORED = ("masks", "libraries", "code", "settings")

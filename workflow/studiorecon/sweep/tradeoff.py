@@ -18,6 +18,7 @@ MEASURES = (
     ("psnr", "PSNR", "dB", 2, 1),
     ("ssim", "SSIM", "", 4, 1),
     ("lpips", "LPIPS", "", 4, -1),
+    ("flip", "ꟻLIP", "", 4, -1),
     ("psnr_people", "PSNR of people", "dB", 2, 1),
     ("psnr_background", "PSNR of the room", "dB", 2, 1),
     ("psnr_unseen", "PSNR of unseen surfaces", "dB", 2, 1),

@@ -87,6 +87,9 @@ def definitions(net: str) -> dict[str, dict[str, str]]:
         found[f"share_{region}"] = _entry(
             "share of seen among seen and unseen pixels", "", "up", _REGIONS[region], ours
         )
+    found["flip"] = _entry(
+        "mean LDR-ꟻLIP, 67 pixels per degree; of every report.flip_every-th frame", "", "down", "none", "flip-evaluator"
+    )
     found["lpips"] = _entry(f"LPIPS 0.1, {_NETS[net]}, inputs in [−1, 1], float32", "", "down", "none", _library(net))
     return found
 

@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LPIPS of pictures where the user has brought its weights, and why it is missing where not."""
+"""LPIPS of pictures where the user has brought its weights; and why it, or ꟻLIP, is missing where it is."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Literal
 
+from studiorecon.images.flip import SMALLEST_PX, available
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX, PerceptualDistance
 
+NO_PACKAGE = "flip-evaluator does not load: it has no wheel for every Python and machine"
 TOO_SMALL = f"pictures are under {SMALLEST_MEASURED_PX} pixels a side"
 Net = Literal["none", "alex", "vgg"]
+
+
+def no_flip(every: int) -> str:
+    """Why ꟻLIP is null where it was to be measured at every so many frames."""
+    if every == 0:
+        return "report.flip_every is 0"
+    return f"pictures are under {SMALLEST_PX} pixels a side" if available() else NO_PACKAGE
 
 
 def opened(net: Net, weights: Path, threads: int, without: str) -> PerceptualDistance | None:

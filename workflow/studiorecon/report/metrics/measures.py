@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.images.flip import available, flip
 from studiorecon.images.flow import dis_flow, grey_levels
 from studiorecon.images.metrics import (
     PSNR_CAP_DB,
@@ -40,6 +41,7 @@ NOT_FINITE = "not_finite"
 NAMES = (
     *FULL,
     "lpips",
+    "flip",
     *(f"{measure}_{region}" for region in REGIONS for measure in ("psnr", "ssim")),
     *(f"psnr_{region}" for region in SENSITIVITY),
     *SHARES,
@@ -54,9 +56,10 @@ def measure_picture(
     photo: np.ndarray,
     regions: Mapping[str, np.ndarray],
     distance: PerceptualDistance | None = None,
+    flipped: bool = False,
 ) -> dict[str, float | None]:
     """Every picture measure of one frame; ``regions`` are masks (H, W) bool of the photo by name. Without a
-    ``distance`` there is no LPIPS.
+    ``distance`` there is no LPIPS, and ꟻLIP, which takes ten times the others' time, only of a ``flipped`` picture.
 
     A float prediction's values that are not finite count as black (white for +inf), as a stored video would have them,
     and ``not_finite`` says how many there were.
@@ -68,6 +71,7 @@ def measure_picture(
         "ssim_3dgs": ssim_3dgs(similarity),
         "psnr_colour_corrected": colour_corrected_psnr(prediction, photo),
         "lpips": None if distance is None else distance.measured(levels(prediction), levels(photo)),
+        "flip": flip(prediction, photo) if flipped else None,
         NOT_FINITE: 0.0 if prediction.dtype == np.uint8 else float((~np.isfinite(prediction)).sum()),
     }
     for name, mask in regions.items():
@@ -146,19 +150,23 @@ def measure_sequence(
     frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]],
     flow_preset: str,
     distance: PerceptualDistance | None = None,
+    flip_every: int = 0,
 ) -> dict[str, list[dict[str, float | None]]]:
     """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the
     photo).
 
-    ``"photo"`` is the photos' own flicker. Call inside ``one_thread``: the flow's result depends on OpenCV's number of
-    threads.
+    ``"photo"`` is the photos' own flicker. ꟻLIP is measured at every ``flip_every``-th frame, at none when that is 0.
+    Call inside ``one_thread``: the flow's result depends on OpenCV's number of threads.
     """
     flicker = Flicker(flow_preset)
     found: dict[str, list[dict[str, float | None]]] = {}
-    for photo, versions, masks in frames:
+    for t, (photo, versions, masks) in enumerate(frames):
+        flipped = flip_every > 0 and t % flip_every == 0 and available()
         moving = flicker.measure(photo, versions, masks)
         for name, picture in versions.items():
-            found.setdefault(name, []).append({**measure_picture(picture, photo, masks, distance), **moving[name]})
+            found.setdefault(name, []).append(
+                {**measure_picture(picture, photo, masks, distance, flipped), **moving[name]}
+            )
         found.setdefault("photo", []).append(moving["photo"])
     return found
 

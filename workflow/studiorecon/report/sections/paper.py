@@ -18,6 +18,7 @@ MEASURES = (
     ("ssim", "SSIM ↑", 3),
     ("ssim_3dgs", "SSIM, zero-padded ↑", 3),
     ("lpips", "LPIPS ↓", 3),
+    ("flip", "ꟻLIP ↓", 3),
     ("psnr_people", "PSNR, people ↑", 2),
     ("psnr_seen", "PSNR, seen ↑", 2),
     ("psnr_unseen", "PSNR, unseen ↑", 2),

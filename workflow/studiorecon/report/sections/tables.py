@@ -20,6 +20,7 @@ _MEASURES = (
     ("ssim", "SSIM ↑", "", 4, "whole picture, windows inside it"),
     ("ssim_3dgs", "SSIM, zero-padded ↑", "", 4, "as papers on Gaussian splatting print it"),
     ("lpips", "LPIPS ↓", "", 4, "perceptual distance, whole picture"),
+    ("flip", "ꟻLIP ↓", "", 4, "perceptual distance that needs no weights, of some frames"),
     ("psnr_people", "PSNR, people ↑", "dB", 2, "pixels of people"),
     ("ssim_people", "SSIM, people ↑", "", 4, "windows inside people"),
     ("psnr_people_wide", "PSNR, people and edges ↑", "dB", 2, "pixels of people and 10 px around them"),
