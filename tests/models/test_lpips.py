@@ -83,6 +83,23 @@ def test_masked_pixels_neither_count_nor_disturb() -> None:
     assert np.isfinite(first[1]).all()
 
 
+def test_where_the_paper_weighs_it_a_photo_counts_as_often_as_its_pixels_do() -> None:
+    import torch
+
+    network = Lpips(*random_weights(torch.float32))
+    rendered, target = pictures((32, 40))
+    weight = np.full((32, 40), 3, np.float32)
+    weight[:, 20:] = 0
+    plain, weighed = (
+        perceptual(network, SETTINGS, rendered, target, weight, np.random.default_rng(0), weighed)
+        for weighed in (False, True)
+    )
+    assert weighed[0] == pytest.approx(3 * plain[0], rel=1e-6)
+    np.testing.assert_allclose(weighed[1], 3 * plain[1], rtol=1e-5)
+    nothing = perceptual(network, SETTINGS, rendered, target, 0 * weight, np.random.default_rng(0), True)
+    assert nothing[0] == 0
+
+
 def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:
     import torch
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from studiorecon.splatting.train.perceptual import PerceptualSettings
 from studiorecon.splatting.train.photometric import Photometric
-from studiorecon.splatting.train.terms import Density
+from studiorecon.splatting.train.schedule import TrainingSettings
+from studiorecon.splatting.train.targets import Target
+from studiorecon.splatting.train.terms import Density, L1AndSsim, LpipsTerm, TensorView, terms_of
 
+from tests.made.cameras import look_at
 from tests.made.training import of_alpha, photometric
 
 SIZES = [(40, 53), (33, 64), (7, 5)]
@@ -112,6 +116,40 @@ def test_statistics_computed_at_use_equal_kept_ones() -> None:
     np.testing.assert_array_equal(*gradients)
     used = weight > 0
     assert terms[0].psnr_db == pytest.approx(-10 * np.log10(((rendered - target)[used] ** 2).mean()), abs=1e-3)
+
+
+def test_the_papers_density_counts_masked_pixels_like_all_others() -> None:
+    import torch
+
+    hw = (20, 30)
+    alpha = np.random.default_rng(7).random(hw).astype(np.float32)
+    _, _, weight = pair(hw, 7)
+    weight = np.where(weight > 0, np.float32(3), np.float32(0))
+    assert (weight == 0).any()
+    loss, gradient = of_alpha(Density(0.1, everywhere=True), alpha, weight)
+    again, same = of_alpha(Density(0.1), alpha, None)
+    assert loss == again != of_alpha(Density(0.1), alpha, weight)[0]
+    np.testing.assert_array_equal(gradient, same)
+    assert (gradient[weight == 0] != 0).any()
+    nothing = torch.zeros(hw)
+    of = Target(
+        look_at("c", np.array([4.0, 0, 1]), [0, 0, 1]).resized(hw[::-1]), np.zeros((*hw, 3), np.float32), weight
+    )
+    seen = TensorView(
+        of, 0, np.random.default_rng(0), torch.zeros((*hw, 3)), torch.tensor(alpha), nothing, torch.zeros((3, *hw)),
+        torch.tensor(weight), None, "view",
+    )  # fmt: skip
+    assert float(Density(0.1, everywhere=True).on_cuda(seen)) == pytest.approx(loss, rel=1e-5)
+
+
+def test_the_paper_weighs_photometric_terms_alone() -> None:
+    literal, plain = (
+        terms_of(TrainingSettings(density=0.1, weighing=weighing, lpips=PerceptualSettings(weight=0.1)))
+        for weighing in ("photometric", "picture")
+    )
+    assert [type(term) for term in literal] == [type(term) for term in plain] == [L1AndSsim, Density, LpipsTerm]
+    assert (literal[1].everywhere, literal[2].weighed) == (True, True)
+    assert (plain[1].everywhere, plain[2].weighed) == (False, False)
 
 
 @pytest.mark.parametrize("hw", SIZES)

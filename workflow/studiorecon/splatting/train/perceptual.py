@@ -62,11 +62,12 @@ def perceptual(
     target: np.ndarray,
     weight: np.ndarray | None,
     rng: np.random.Generator,
+    weighed: bool = False,
 ) -> tuple[float, np.ndarray]:
     """The term's share of the loss and its gradient (H, W, 3) for one picture of (H, W, 3).
 
     Where ``weight`` (H, W) is 0 the target stands in for the rendering, so masked pixels neither count nor disturb
-    their surroundings (U11). 0 for crops below ``SMALLEST_PX``.
+    their surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
     """
     rows, columns = crop_of(rendered.shape[:2], settings.crop_px, rng)
     gradient = np.zeros(rendered.shape, np.float32)
@@ -79,5 +80,7 @@ def perceptual(
     shown = np.where(used[..., None], rendered[rows, columns], wanted).astype(np.float32)
     distance, slope = network(shown, wanted)
     strength = settings.weight * settings.every
+    if weighed and weight is not None:
+        strength *= float(weight[rows, columns][used].mean(dtype=np.float64)) if used.any() else 0.0
     gradient[rows, columns] = np.where(used[..., None], slope * np.float32(strength), 0)
     return strength * distance, gradient

@@ -46,6 +46,13 @@ class TrainingSettings:
     density: float = setting(
         0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix C; U13", letter=0.1
     )
+    weighing: Literal["picture", "photometric"] = setting(
+        "picture",
+        "What the weights of pixels and views multiply: picture = L1, SSIM and the pull of alpha, LPIPS on the masked "
+        "picture alone; photometric = L1, SSIM and LPIPS, and the pull of alpha counts everywhere alike.",
+        paper="(1 - M) (L1 + SSIM + LPIPS) + L_den, Eq. 5; U15",
+        letter="photometric",
+    )
     depth: float = setting(0.0, "Relative depth error where targets have depth.", minimum=0)
     position_lr_start: float = 0.00016
     position_lr_end: float = 1.6e-06

@@ -2,8 +2,9 @@
 """The terms of a training's loss, each for planes on the CPU (gradient by hand) and tensors on CUDA (autograd).
 
 A training names the weights of its terms, ``terms_of`` makes them, and the one loop in ``trainer`` adds them up. Every
-term is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is Σ m·l / Σ m
-(U11), and a weight of 3 counts three times (U15). SSIM enters as 1 − SSIM, not halved (U10).
+term but LPIPS is a mean over the pixels whose weight is above 0, of weight times error: with weights 0 and 1 that is
+Σ m·l / Σ m (U11), and a weight of 3 counts three times (U15); ``weighing`` "photometric" has it as the paper prints it.
+SSIM enters as 1 − SSIM, not halved (U10).
 
 A new term is a class with ``on_cpu`` and ``on_cuda``, its line in ``WEIGHED`` and a setting of that name.
 """
@@ -186,12 +187,16 @@ class Silhouette:
 @dataclass(frozen=True)
 class Density:
     """Pull of alpha to 0 or 1 (I14, U13): the mean of D(α) = log(1 + 1/e) + α − log(1 + e^{2α−1}), 0 for empty
-    and for opaque pixels and 0.120 half-way; its slope is tanh(½ − α), finite everywhere."""
+    and for opaque pixels and 0.120 half-way; its slope is tanh(½ − α), finite everywhere.
+
+    ``everywhere``: over all pixels alike, masked ones too, as it stands in the paper's Eq. 5.
+    """
 
     weight: float
+    everywhere: bool = False
 
     def on_cpu(self, view: PlaneView) -> float:
-        weight = view.target.weight
+        weight = None if self.everywhere else view.target.weight
         used = view.planes[4].size if weight is None else int(np.count_nonzero(weight > 0))
         strength = np.float32(self.weight * (1.0 / used if used else 0.0))
         sums = np.zeros(view.planes.shape[1], np.float32)
@@ -202,6 +207,8 @@ class Density:
         from torch.nn.functional import softplus
 
         prior = float(DENSITY_OFFSET) + view.alpha - softplus(2 * view.alpha - 1)
+        if self.everywhere:
+            return self.weight * prior.mean()
         return self.weight * (view.weight * prior).sum() / (view.weight > 0).sum().clamp_min(1)
 
 
@@ -245,15 +252,21 @@ class Depth:
 
 @dataclass(frozen=True)
 class LpipsTerm:
-    """The perceptual distance on a random crop at every so-many-th step; without a network it is 0."""
+    """The perceptual distance on a random crop at every so-many-th step; without a network it is 0.
+
+    ``weighed``: times the mean weight of the crop's pixels that count, as Eq. 5 of the paper has it: a photo that
+    counts three times does so here too. A distance of pictures has no pixels of its own to weigh one by one.
+    """
 
     settings: PerceptualSettings
     network: Perceptual | None
+    weighed: bool = False
 
     def _of(self, rendered: np.ndarray, view: PlaneView | TensorView) -> tuple[float, np.ndarray] | None:
         if self.network is None or view.iteration % self.settings.every != 0:
             return None
-        return perceptual(self.network, self.settings, rendered, view.target.rgb, view.target.weight, view.rng)
+        target = view.target
+        return perceptual(self.network, self.settings, rendered, target.rgb, target.weight, view.rng, self.weighed)
 
     def on_cpu(self, view: PlaneView) -> float:
         found = self._of(np.ascontiguousarray(view.planes[:3].transpose(1, 2, 0)), view)
@@ -276,7 +289,9 @@ WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": De
 
 def terms_of(weights: Any, network: Perceptual | None = None) -> list[Term]:
     """The terms whose weights (fields ``l1``, ``ssim``, ``lpips`` and the names in ``WEIGHED``) are above 0; L1 and
-    SSIM always."""
+    SSIM always. ``weighing``, where there is such a field, says what the targets' weights multiply."""
     named = ((make, getattr(weights, name, 0.0)) for name, make in WEIGHED.items())
     terms: list[Term] = [L1AndSsim(weights.l1, weights.ssim), *(make(weight) for make, weight in named if weight > 0)]
-    return [*terms, LpipsTerm(weights.lpips, network)] if weights.lpips.weight > 0 else terms
+    photometric = getattr(weights, "weighing", "picture") == "photometric"
+    terms = [Density(term.weight, everywhere=photometric) if isinstance(term, Density) else term for term in terms]
+    return [*terms, LpipsTerm(weights.lpips, network, photometric)] if weights.lpips.weight > 0 else terms
