@@ -83,9 +83,13 @@ def test_a_killed_background_ends_with_the_same_bytes(
     )
 
 
-def test_a_killed_person_ends_with_the_same_bytes(default_settings: Callable, made: Made, tmp_path: Path) -> None:
+@pytest.mark.parametrize("densify", ["none", "gradient"])
+def test_a_killed_person_ends_with_the_same_bytes(
+    default_settings: Callable, made: Made, tmp_path: Path, densify: str
+) -> None:
     section = copy.deepcopy(default_settings("humans", iterations=ITERATIONS, gaussians=2000, pose_from=5))
-    section["temporal"] |= {"use": "always", "start": 2, "width": 8}
+    section["temporal"] |= {"use": "always", "start": 2, "width": 8, "points": 0 if densify == "gradient" else 512}
+    section["densify"] |= {"use": densify, "every": 5, "until": 30, "gradient": 1e-6}
     assert section["rates"]["pose_rad"] > 0, "poses are refined too"
     killed_and_taken_up("humans.train", section, made.options, {"gaussians": "p3.ply", "avatar": "p3.npz"}, tmp_path)
 

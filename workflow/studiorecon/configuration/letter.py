@@ -26,7 +26,7 @@ WITHOUT: Mapping[str, str] = {
     "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
     "depth.sweep_width": "the planes are the metric reference that a network's depth is put to",
     "survey.gap_deg": "survey.force decides whether there are views",
-    "humans.gaussians": "Gaussians lie evenly over the surface, and their number stays",
+    "humans.gaussians": "Gaussians lie evenly over the surface, as many as SMPL has vertices, not on them",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
 }
 """Why a setting of which the paper speaks has no value that is its word."""
@@ -47,6 +47,8 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("background.refinement:Refinement", "weight", 0.7, "reduced loss weight, appendix C"),
     ("humans.training:Losses", "l1", 0.8, "λ of L1, appendix D"),
     ("humans.training:Losses", "ssim", 0.2, "λ of SSIM, appendix D"),
+    ("humans.training:Growing", "every", 500, "densification, appendix C"),
+    ("humans.training:Growing", "gradient", 2e-4, "gradient threshold, appendix C"),
     ("humans.train_settings:Settings", "grid_resolution", 64, "64³ voxels, appendix D"),
     ("humans.appearance:OverTime", "layers", 8, "8 layers, appendix D"),
     ("report.evaluate:Settings", "seen_tolerance", 0.05, "Seen/Unseen Fidelity; U57"),

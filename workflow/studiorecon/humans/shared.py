@@ -16,6 +16,6 @@ class Started:
         10000,
         "Gaussians per person, on the body's surface.",
         minimum=16,
-        paper="one per SMPL vertex, 6890, then densified until iteration 1,500",
+        paper="one per SMPL vertex, 6890, appendix D",
     )
     seed: int = setting(0, "Seed of all draws.", minimum=0)

@@ -155,6 +155,11 @@ def run(
     names = read_people(people)
     if person not in names:
         raise UserError(f"{person} is not among the people of {people} ({', '.join(names) or 'none'})")
+    if settings.densify.use != "none" and settings.temporal.use != "never" and settings.temporal.points:
+        raise UserError(
+            "humans.densify.use is gradient, and humans.temporal.points asks the temporal network at points among a "
+            "number of Gaussians that stays: set points to 0, or temporal.use to never"
+        )
     fitted = read_person(fit)
     body_model = BodyModel.load(body)
     if fitted.body != body_model.identity:
@@ -237,6 +242,7 @@ def run(
         rng,
         appearance,
         device,
+        settings.densify,
     )
     terms = terms_of(losses, _network(settings, lpips, threads))
     span = 0, settings.iterations
@@ -244,8 +250,17 @@ def run(
     if subject.adam.refused:
         warn(f"{person}: {subject.adam.refused} gradient entries were not finite and were skipped")
     trained = subject.gaussians()
+    source = subject.source
+    if trained.count != start.count:
+        say(f"{person}: {start.count} Gaussians became {trained.count}")
+    if not np.array_equal(source, np.arange(start.count)):
+        grown = SurfaceSamples(
+            trained.means_m.astype(np.float64), samples.normals[source], samples.weights[source], samples.spacing_m
+        )
+        near, twin = neighbours(grown, _NEIGHBOURS), mirrored(grown, 2 * samples.spacing_m)
+    seen, bones, weights = seen[source], bones[source], weights[source]
     trained = recolour_unseen(trained, seen, near, twin)
-    moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m, axis=1)
+    moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m[source], axis=1)
     far_mm = np.quantile(moved_mm, 0.99)
     say(
         f"{person}: Gaussians moved {np.median(moved_mm):.1f} mm from the body's surface in "

@@ -9,7 +9,7 @@ from typing import Literal
 from studiorecon.configuration.setting import setting
 from studiorecon.humans.appearance import OverTime
 from studiorecon.humans.shared import Started
-from studiorecon.humans.training import GaussianLimits, Losses, Rates
+from studiorecon.humans.training import GaussianLimits, Growing, Losses, Rates
 
 
 @dataclass(frozen=True)
@@ -49,4 +49,5 @@ class Settings(Started):
     temporal: OverTime = setting(OverTime(), "A small network for what changes over time.")
     losses: Losses = setting(Losses(), "Weights of the loss.")
     rates: Rates = setting(Rates(), "Learning rates (Adam).")
+    densify: Growing = setting(Growing(), "How the number of Gaussians grows.")
     limits: GaussianLimits = GaussianLimits()

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numba
 import numpy as np
@@ -25,6 +25,7 @@ from studiorecon.humans.motion import RefinedMotion
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.device import rasteriser as rasteriser_on
+from studiorecon.splatting.train.density import grow
 from studiorecon.splatting.train.optimiser import Adam
 from studiorecon.splatting.train.perceptual import PerceptualSettings
 from studiorecon.splatting.train.targets import Target
@@ -99,6 +100,34 @@ class GaussianLimits:
     surface_m: float = 0.03
 
 
+@dataclass(frozen=True)
+class Growing:
+    """When Gaussians are added to a person.
+
+    Attributes:
+        every: steps from one time to the next. ``gradient``: mean screen gradient, in half widths of the crop, above
+            which a Gaussian is cloned or split. ``prune_opacity``: fainter ones are removed.
+        scale: share of the body's height above which one is split rather than cloned. ``cap``: most there may be.
+    """
+
+    use: Literal["none", "gradient"] = setting(
+        "none",
+        "none = as many as at the start; gradient = clone and split where the picture asks for it.",
+        paper="densified, appendix D",
+        letter="gradient",
+    )
+    until: int = setting(1500, "Last step that densifies.", minimum=0, paper="1,500, appendix D", letter=1500)
+    every: int = 500
+    gradient: float = 0.0002
+    prune_opacity: float = 0.005
+    scale: float = 0.01
+    cap: int = 100000
+
+    def watched(self, done: int, iterations: int) -> bool:
+        """Whether it goes on after ``done`` steps; what is added after the last one would be untrained."""
+        return self.use != "none" and done <= self.until and done < iterations
+
+
 def target_of(crop: Crop, behind_rgb: np.ndarray) -> Target:
     """The person as filmed, ``behind_rgb`` (3,) everywhere else; what belongs to nobody for certain is masked."""
     rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
@@ -125,11 +154,13 @@ def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) 
 class PersonInTraining:
     """A person for ``splatting.train.trainer.train``; ``motion`` and ``appearance`` are refined in place.
 
-    The number of Gaussians stays the same: they start on the surface, where a person's pixels come from. The pose moves
-    from iteration ``pose_from`` on when its rate is above 0.
+    Gaussians start on the surface, where a person's pixels come from; their number stays the same unless ``growing``
+    says otherwise, and whoever is added is carried by the bones of the one it comes from. The pose moves from iteration
+    ``pose_from`` on when its rate is above 0.
 
     Attributes:
         adam: counts what it refused.
+        source: (N,) the Gaussian at the start that each descends from.
     """
 
     def __init__(
@@ -149,6 +180,7 @@ class PersonInTraining:
         rng: np.random.Generator,
         appearance: Appearance | None = None,
         device: str = "cpu",
+        growing: Growing | None = None,
     ) -> None:
         self._own = {
             "means": start.means_m.copy(),
@@ -159,7 +191,12 @@ class PersonInTraining:
             "harmonics": start.sh[:, 1:].copy(),
         }
         self.adam = Adam(self._own, _BETAS, _EPSILON)
-        self._start_m, self._limits = start.means_m, limits
+        self._limits, self._growing = limits, growing or Growing()
+        self.source = np.arange(start.count)
+        self._first_m, self._first = start.means_m, posing
+        self._seen = None if appearance is None else appearance.seen
+        self._height_m = float(np.ptp(start.means_m, axis=0).max())
+        self._start_m, self._watched = start.means_m, np.zeros((2, start.count))
         self._scale_range = np.log(spacing_m * limits.smallest), np.log(spacing_m * limits.largest)
         self._posing, self._motion, self._appearance, self._crops = posing, motion, appearance, crops
         self._iterations, self._pose_from, self._losses, self._rates = iterations, pose_from, losses, rates
@@ -224,7 +261,47 @@ class PersonInTraining:
         self.adam.step(gradients, rates.at(iteration / self._iterations), back.screen > 0)
         # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
         np.clip(own["scales"], *self._scale_range, out=own["scales"])
+        if self._growing.watched(iteration + 1, self._iterations):
+            self._grow(iteration + 1, back.screen)
         return loss, crop_psnr_db(view.planes, self._crop)
+
+    def _grow(self, done: int, screen: np.ndarray) -> None:
+        """Add up the screen gradient (N,) in pixels; when it is time, clone, split and prune."""
+        growing, seen = self._growing, screen > 0
+        self._watched += np.where(seen, screen * self._crop.camera.wh[0] / 2, 0), seen
+        if done % growing.every:
+            return
+        grown = grow(
+            self.gaussians(),
+            self._watched[0] / np.maximum(self._watched[1], 1),
+            threshold=growing.gradient,
+            large_m=growing.scale * self._height_m,
+            prune_opacity=growing.prune_opacity,
+            cap=growing.cap,
+            rng=self._rng,
+        )
+        g = grown.gaussians
+        self._own = {
+            name: np.ascontiguousarray(value, self._own[name].dtype)
+            for name, value in {
+                "means": g.means_m,
+                "quaternions": g.quaternions,
+                "scales": g.log_scales,
+                "opacities": g.logit_opacities,
+                "colour": g.sh[:, :1],
+                "harmonics": g.sh[:, 1:],
+            }.items()
+        }
+        self.adam = self.adam.regrown(self._own, grown.parent, grown.fresh)
+        self._descend(self.source[grown.parent])
+
+    def _descend(self, source: np.ndarray) -> None:
+        """Everything that Gaussians have from the one that they descend from."""
+        self.source, self._start_m = source, self._first_m[source]
+        self._posing = Posing(self._first.bones[source], self._first.weights[source])
+        self._watched = np.zeros((2, len(source)))
+        if self._appearance is not None and self._seen is not None:
+            self._appearance.seen = self._seen[source]
 
     def preview(self) -> Preview:
         """The crop in the middle, over grey."""
@@ -235,6 +312,7 @@ class PersonInTraining:
     def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Gaussians, motion, temporal network, and Adam's state of each."""
         arrays, facts = {**self.adam.arrays(), **self._motion.arrays()}, {}
+        arrays |= {"growth.source": self.source, "growth.watched": self._watched}
         if (appearance := self._appearance) is not None:
             facts["decision"] = asdict(appearance.decision) if appearance.decision else None
             arrays |= appearance.arrays()
@@ -242,6 +320,12 @@ class PersonInTraining:
 
     def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
         """Puts a ``snapshot`` back, in place."""
+        if len(arrays["growth.source"]) != len(self.source) or (arrays["growth.source"] != self.source).any():
+            source = arrays["growth.source"]
+            self._own = {name: np.ascontiguousarray(value[source]) for name, value in self._own.items()}
+            self.adam = self.adam.regrown(self._own, source, np.ones(len(source), bool))
+            self._descend(source)
+        self._watched[...] = arrays["growth.watched"]
         self.adam.resume(arrays)
         self._motion.resume(arrays)
         if self._appearance is not None:

@@ -53,6 +53,18 @@ class Adam:
             self._steps[name] = int(held[f"steps.{name}"])
         self.refused = int(held["refused"])
 
+    def regrown(self, parameters: Mapping[str, np.ndarray], parent: np.ndarray, fresh: np.ndarray) -> Adam:
+        """Adam over ``parameters`` of other rows: ``parent`` (M,) is each one's old row, ``fresh`` (M,) bool start
+        without moments."""
+        other = Adam(parameters, self._betas, self._epsilon)
+        other.refused, other._steps = self.refused, dict(self._steps)
+        for name, old in self._moments.items():
+            for moment, new in zip(old, other._moments[name]):
+                rows = moment.reshape(self.parameters[name].shape)[parent]
+                rows[fresh] = 0
+                new[:] = rows.reshape(-1)
+        return other
+
     def step(
         self, gradients: Mapping[str, np.ndarray], rates: Mapping[str, float], rows: np.ndarray | None = None
     ) -> None:
