@@ -52,9 +52,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from pathlib import Path
+    from typing import Any
+
+    import numpy as np
 
     from studiorecon.deliver.finished import FinishedScene
+    from studiorecon.geometry.bundle import Adjusted
+    from studiorecon.geometry.triangulation import Triangulated
+    from studiorecon.people.association.grouping import Group
     from studiorecon.scene.camera import Camera
+    from studiorecon.scene.people import Detections
     from studiorecon.splatting.rendering import Rendering
 
 
@@ -81,3 +88,82 @@ def draw(
     from studiorecon import results
 
     return results.draw(scene, camera, frame, without, background_rgb)
+
+
+def triangulate(pixels: np.ndarray, confidence: np.ndarray, cameras: Sequence[Camera]) -> Triangulated:
+    """World points, metres, of ``pixels`` (V, ..., 2) that V cameras saw with ``confidence`` (V, ...); NaN is unseen.
+
+    With the limits that steps begin with; ``geometry.triangulation.triangulate`` takes others. Raises ValueError for
+    shapes that do not fit together.
+
+    >>> point = [[0.2, -0.1, 1.5]]
+    >>> pixels = np.stack([camera.project(point)[0] for camera in cameras])
+    >>> found = studiorecon.triangulate(pixels, np.ones(pixels.shape[:-1]), cameras)
+    >>> found.points_m.round(6).tolist(), found.verified.tolist()
+    ([[0.2, -0.1, 1.5]], [True])
+    """
+    from studiorecon.geometry.triangulation import Limits
+    from studiorecon.geometry.triangulation import triangulate as meeting
+
+    return meeting(pixels, confidence, cameras, Limits())
+
+
+def associate(detections: Sequence[Detections], cameras: Sequence[Camera], fps: float) -> list[Group]:
+    """Tracks of all cameras that show one person, and where its keypoints are: (T, K, 3) metres; one Group each.
+
+    With the limits that ``people.associate`` begins with; ``people.association`` takes others, and says who counts as a
+    person.
+
+    >>> people = studiorecon.associate(detections, cameras, fps=30)
+    >>> [len(person.members) for person in people]
+    [4, 4]
+    >>> people[0].points_m.shape
+    (30, 12, 3)
+    """
+    from studiorecon.geometry.triangulation import Limits
+    from studiorecon.people.association.affinity import AssociationLimits
+    from studiorecon.people.association.grouping import group_tracks
+
+    frames = max((int(found.frame.max()) + 1 for found in detections if len(found.frame)), default=0)
+    return group_tracks(detections, cameras, frames, fps, AssociationLimits(), Limits())
+
+
+def refine(cameras: Sequence[Camera], detections: Sequence[Detections]) -> Adjusted | None:
+    """Cameras moved to where the people in the pictures call for, as a bundle adjustment that trusts the given ones.
+
+    None where people show too little. ``cameras.refine`` decides besides whether that helps.
+
+    >>> nearer = studiorecon.refine(moved, detections)
+    >>> before, after = (np.linalg.norm(c[1].centre_m - cameras[1].centre_m) for c in (moved, nearer.cameras))
+    >>> bool(after < before / 2)
+    True
+    """
+    import numpy as np
+
+    from studiorecon.geometry.bundle import BundleSettings
+    from studiorecon.geometry.triangulation import Limits
+    from studiorecon.people.association.affinity import AssociationLimits
+    from studiorecon.rig.bundle import fitted
+    from studiorecon.rig.correspondences import observe
+
+    frames = np.unique(np.concatenate([found.frame for found in detections]))
+    seen, _ = observe(detections, cameras, frames, AssociationLimits().gate_m)
+    return fitted(cameras, seen, Limits(), BundleSettings())
+
+
+def score(
+    renders: str | Path, truth: str | Path, masks: str | Path | None = None, lpips: str | Path | None = None
+) -> dict[str, Any]:
+    """Every measure of one folder of films against another, as ``report.score`` writes it: PSNR, SSIM, in time, …
+
+    Raises ``errors.UserError`` when the folders have no camera in common, or films of other sizes and lengths.
+
+    >>> found = studiorecon.score(folder / "renders", folder / "photos")["pictures"]["renders"]
+    >>> found["psnr"]["value"] > 30, found["lpips"]["value"] is None
+    (True, True)
+    """
+    from pathlib import Path
+
+    from studiorecon.report import score as films
+
+    return films.score(Path(renders), Path(truth), Path(masks) if masks else None, Path(lpips) if lpips else None)
