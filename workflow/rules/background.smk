@@ -42,6 +42,8 @@ rule background_train:
         path="results/{scene}/views/path.json",
         views=files.views,
         supports=files.view_masks,
+        videos=files.first_pictures,
+        masks=files.first_masks,
         kernels=ancient("results/{scene}/background/kernels.txt"),
     output:
         background="results/{scene}/background/scene.ply",

@@ -24,8 +24,9 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.video import read_stack, to_float
+from studiorecon.footage.video import read_frame, read_stack, to_float
 from studiorecon.images.metrics import psnr
+from studiorecon.images.regions import dilated
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors, read_factors
@@ -146,6 +147,37 @@ def view_targets(
             Target(step.camera, to_float(rgb), support_weight(support, settings.hole_weight) * np.float32(weight))
         )
     return targets
+
+
+def without_people(
+    photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, exposure: Factors
+) -> list[Photo]:
+    """The first pictures in the plates' place (paper, Eq. 5): unknown where a mask has anybody, or somebody is within
+    the square of ``dilation_px``; without ``masks`` nobody is there."""
+    one_each([p.camera for p in photos], videos=list(videos))
+    if masks:
+        one_each([p.camera for p in photos], masks=list(masks))
+    seen = []
+    for view, (photo, video) in enumerate(zip(photos, videos)):
+        picture = to_float(exposure.even(photo.camera.name, read_frame(video, 0)))
+        people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
+        for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
+            if hw != photo.camera.hw:
+                raise UserError(
+                    f"{path} is {hw[1]}×{hw[0]} pixels, but camera {photo.camera.name} works at "
+                    f"{photo.camera.wh[0]}×{photo.camera.wh[1]}"
+                )
+        known = ~dilated(people, dilation_px)
+        if not known.any():
+            raise UserError(
+                f"camera {photo.camera.name} shows nothing but people at the first frame, {dilation_px} px about them "
+                "included: set background.photos to plates"
+            )
+        say(
+            f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px about them"
+        )
+        seen.append(replace(photo, rgb=picture, known=known))
+    return seen
 
 
 def _read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], exposure: Factors) -> list[Photo]:
@@ -274,10 +306,13 @@ def run(
     exposure: list[Path] | None = None,
     gloss: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
+    videos: list[Path] | None = None,
+    masks: list[Path] | None = None,
 ) -> None:
     """Train the background and write it with its provenance; plates are divided by the gains that ``exposure`` names,
     if any.
 
+    With ``photos`` "first_frames" the first pictures of ``videos`` are trained on, without those whom ``masks`` show.
     Without a file in ``gloss`` the survey does not call for colours that change with the view; None: it was not asked.
 
     ``working`` is a folder of its own: pictures of how it goes, and what a killed run goes on from; ``lpips`` holds the
@@ -286,7 +321,10 @@ def run(
     device = resolve(device)
     cameras = read_model(model.parent)
     box = read_room(shell)
-    photos = _read_photos(cameras, plates, depth, read_factors(exposure or []))
+    factors = read_factors(exposure or [])
+    photos = _read_photos(cameras, plates, depth, factors)
+    if settings.photos == "first_frames":
+        photos = without_people(photos, videos or [], masks or [], settings.dilation_px, factors)
     rng = np.random.default_rng(settings.seed)
     if settings.start == "depth":
         start, marks = seeds(photos, box, settings)
@@ -307,6 +345,7 @@ def run(
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
     inputs = [model.parent / "cameras.txt", model, *plates, *depth, shell, path, *views, *supports, *(exposure or [])]
+    inputs += [*(videos or []), *(masks or [])]
     mark = fingerprint(settings, inputs, code.digest("background.train"), threads, device)
     half, whole = (
         Checkpoint(working / name, mark, settings.training.checkpoint_every_s)

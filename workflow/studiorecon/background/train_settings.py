@@ -27,6 +27,22 @@ class Settings:
     seed_size: float = 0.6
     seed_opacity: float = 0.7
     measured_confidence: float = 0.2
+    photos: Literal["plates", "first_frames"] = setting(
+        "plates",
+        "What stands for a training camera: plates = its clean plate; first_frames = its first picture, without the "
+        "pixels of people and dilation_px about them.",
+        paper="the first frames, (1 - M), Eq. 5",
+        letter="first_frames",
+    )
+    dilation_px: int = setting(
+        21,
+        "With first_frames: side of the square by which masks of people are dilated; 1 = not at all.",
+        unit="px",
+        minimum=1,
+        odd=True,
+        paper="21, appendix A; U24",
+        letter=21,
+    )
     fill: bool = setting(
         True,
         "Cover the parts of floor, walls and ceiling that no camera sees with discs painted from what lies "

@@ -130,6 +130,16 @@ class Files(Brought):
         """Person masks of every training camera; none when there are no people."""
         return [f"results/{wildcards.scene}/masks/{camera}.mkv" for camera in self.filmed_people(wildcards)]
 
+    def first_pictures(self, wildcards: Any) -> list[str]:
+        """Footage of the training cameras, where their first pictures are trained on in the plates' place."""
+        if self.config["background"]["photos"] == "plates":
+            return []
+        return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.plan.training]
+
+    def first_masks(self, wildcards: Any) -> list[str]:
+        """Who is in those pictures; none when there are no people."""
+        return self.masks(wildcards) if self.first_pictures(wildcards) else []
+
     def human_gaussians(self, wildcards: Any) -> list[str]:
         """Canonical Gaussians of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]
