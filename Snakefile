@@ -99,4 +99,6 @@ rule all:
         # How good it is, and everything on one page; the result in formats that other tools read.
         collect("results/{scene}/report/{file}", scene=PLAN.scene, file=["audit.json", "metrics.json", "index.html"]),
         collect("results/{scene}/deliver/{file}", scene=PLAN.scene, file=["manifest.json", "player.html", "scene.glb"]),
+        # Nobody was warned of anything, where that is asked for.
+        collect("results/{scene}/report/strict.txt", scene=PLAN.scene if config["strict"] else []),
     localrule: True

@@ -21,6 +21,7 @@ from studiorecon.catalogue import films_of, settings_of
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
 from studiorecon.render.kinds import KINDS
+from studiorecon.viewer import Viewer
 
 from tests.workflow.conftest import ROOT
 
@@ -132,26 +133,52 @@ def test_a_scene_is_found_by_its_capture_its_name_or_its_results(scene: Path, fo
 
 
 @pytest.fixture
-def address(scene: Path) -> Iterator[str]:
-    with command.serve(scene, 0) as server:
+def viewer(scene: Path) -> Iterator[Viewer]:
+    with Viewer(scene, 0) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
-        yield f"http://127.0.0.1:{server.server_port}"
+        yield server
         server.shutdown()
         thread.join()
 
 
-def test_a_page_is_served_from_this_machine_alone_and_nothing_above_it(address: str) -> None:
-    with urllib.request.urlopen(f"{address}/report/index.html") as page:
+def answer(address: str, method: str = "GET") -> int:
+    """The status of one request."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, method=method)) as page:
+            return page.status
+    except urllib.error.HTTPError as refused:
+        refused.close()
+        return refused.code
+
+
+def test_a_page_is_served_from_this_machine_alone_and_nothing_above_it(viewer: Viewer) -> None:
+    with urllib.request.urlopen(viewer.address("report/index.html")) as page:
         assert b"the page" in page.read()
-    for path in ("/../../secret.txt", "/%2e%2e/%2e%2e/secret.txt"):
-        with pytest.raises(urllib.error.HTTPError) as missing:
-            urllib.request.urlopen(address + path)
-        missing.value.close()
-        assert missing.value.code == 404
-    port = int(address.rpartition(":")[2])
-    with pytest.raises(UserError, match=f"port {port} of 127.0.0.1 cannot be had .*--port 0"):
-        command.serve(Path("."), port)
+        assert page.headers["Referrer-Policy"] == "no-referrer"
+    assert viewer.server_address[0] == "127.0.0.1"
+    for path in ("../../secret.txt", "%2e%2e/%2e%2e/secret.txt", "/etc/passwd", "report/", "report", ""):
+        assert answer(viewer.address(path)) == 404, path
+    with pytest.raises(UserError, match=f"port {viewer.server_port} of 127.0.0.1 cannot be had .*--port 0"):
+        Viewer(Path("."), viewer.server_port)
+
+
+def test_nobody_without_the_token_reads_or_writes(viewer: Viewer, scene: Path) -> None:
+    address = viewer.address("report/index.html")
+    assert answer(address.replace(viewer.token, "x" * len(viewer.token))) == 404
+    assert answer(address.replace(f"{viewer.token}/", "")) == 404
+    for method in ("POST", "PUT", "DELETE"):
+        assert answer(address, method) == 501
+    assert (scene / "report/index.html").read_text() == "<p>the page</p>"
+    with Viewer(scene, 0) as other:
+        assert other.token != viewer.token
+
+
+def test_a_link_out_of_the_folder_is_not_followed(viewer: Viewer, scene: Path) -> None:
+    (scene / "report/secret.html").symlink_to(scene.parents[1] / "secret.txt")
+    (scene / "report/again.html").symlink_to(scene / "report/index.html")
+    assert answer(viewer.address("report/secret.html")) == 404
+    assert answer(viewer.address("report/again.html")) == 200
 
 
 def test_every_setting_has_a_meaning_and_its_default() -> None:

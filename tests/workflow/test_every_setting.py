@@ -30,6 +30,7 @@ PLANNED: dict[str, set[str] | None] = {
     "body": None,
     "device": {"background_train", "humans_train", "render_shot", "report_audit"},
     "budget_min": None,  # another preset, whose settings these are
+    "strict": set(),  # a job more, not another
     "sweep": set(),
     "sweep_minutes": set(),
     "weights": set(),
@@ -44,7 +45,7 @@ PLANNED: dict[str, set[str] | None] = {
 }
 # The page prints the settings that a result may depend on.
 SHOWN = "report_page"
-NOT_SHOWN = {"images", "sweep", "sweep_minutes"}
+NOT_SHOWN = {"images", "strict", "sweep", "sweep_minutes"}
 
 
 def leaves(values: Mapping[str, Any], above: str = "") -> Iterator[str]:

@@ -53,6 +53,19 @@ def test_nothing_is_left_to_do(finished: House) -> None:
     assert finished.plan() == {}
 
 
+def test_strict_ends_a_run_that_warned_with_all_it_was_told(finished: House) -> None:
+    strict = finished.overlay(strict=True)
+    assert finished.plan("--configfile", strict) == {"report_strict": 1}
+    planted = finished.folder / "logs/tiny/people/planted.log"
+    planted.write_text("warning: camera cam9: its picture is upside down\n")
+    done = finished.snakemake("--cores", "2", "--configfile", strict, check=False)
+    planted.unlink()
+    assert done.returncode != 0
+    assert "people.planted: camera cam9: its picture is upside down" in done.stdout
+    assert (results(finished) / "report/index.html").is_file()
+    assert finished.plan() == {}, "nothing is lost by it"
+
+
 def test_a_render_setting_renders_again_and_trains_nothing(finished: House) -> None:
     plan = finished.plan("--configfile", finished.overlay(render={"background_rgb": [1.0, 1.0, 1.0]}))
     assert set(plan) == AFTER_HUMANS - {"deliver_scene_glb"}, "which holds the scene, not its films"

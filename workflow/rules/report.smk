@@ -186,3 +186,25 @@ rule report_page:
         "Everything on one page: {output.page}"
     shell:
         command("report.page")
+
+
+# Asked for with strict: the page comes first, so that nothing is lost by it.
+rule report_strict:
+    input:
+        page="results/{scene}/report/index.html",
+    output:
+        passed="results/{scene}/report/strict.txt",
+    log:
+        "logs/{scene}/report/strict.log",
+    benchmark:
+        "benchmarks/{scene}/report/strict.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=500,
+    params:
+        code=code("report.strict"),
+        logs="logs/{scene}",
+    shell:
+        command("report.strict")

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import argparse
 import difflib
-import http.server
 import importlib.util
 import os
 import subprocess
 import sys
 import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from studiorecon.__main__ import main as step_main
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
+from studiorecon.viewer import Viewer
 
 _DEMO = "resources/studio/demo.yaml"
 _PORT = 8642
@@ -302,24 +301,9 @@ def finished_scene(folder: str) -> Path:
     )
 
 
-def serve(place: Path, port: int) -> http.server.ThreadingHTTPServer:
-    """A server of one folder on 127.0.0.1, not yet running; raises UserError when the port is taken."""
-    try:
-        return http.server.ThreadingHTTPServer(("127.0.0.1", port), partial(_Quiet, directory=str(place)))
-    except (OSError, OverflowError) as error:
-        raise UserError(
-            f"port {port} of 127.0.0.1 cannot be had ({error}); choose another with --port, or --port 0 for a free one"
-        ) from None
-
-
-class _Quiet(http.server.SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: Any) -> None:
-        """Requests are nothing to tell anybody."""
-
-
 def _view(options: argparse.Namespace) -> int:
-    with serve(finished_scene(str(options.folder)), options.port) as server:
-        address = f"http://127.0.0.1:{server.server_port}/report/index.html"
+    with Viewer(finished_scene(str(options.folder)), options.port) as server:
+        address = server.address("report/index.html")
         print(f"{address} (Ctrl-C ends it)", flush=True)
         if not options.no_browser:
             webbrowser.open(address)

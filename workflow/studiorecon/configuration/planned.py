@@ -36,6 +36,10 @@ class General:
         unit="min",
         minimum=0,
     )
+    strict: bool = setting(
+        False,
+        "A run that warned of something ends with an error once everything is made: for runs that nobody watches.",
+    )
     sweep: str = setting(
         "config/sweeps/one_at_a_time.tsv", "Table of the configurations that `snakemake sweep` runs and scores."
     )

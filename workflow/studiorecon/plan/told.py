@@ -43,5 +43,5 @@ def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = 
 
 def shown_settings(config: Mapping[str, Any]) -> str:
     """What the page shows, as JSON: all settings but those that say how to run, not what comes out."""
-    shown = {key: value for key, value in config.items() if key not in ("sweep", "sweep_minutes", "images")}
+    shown = {key: value for key, value in config.items() if key not in ("strict", "sweep", "sweep_minutes", "images")}
     return json.dumps(shown, sort_keys=True)

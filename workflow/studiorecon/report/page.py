@@ -230,12 +230,16 @@ def run(
     body.append(sections.settings(configuration))
     body.append(terms.licences(json.loads(configuration), licences))
     of_films = appendix.film_warnings(ledgers, settings.min_measured, settings.max_angle_deg)
-    body.append(appendix.warnings([*appendix.read_warnings(logs), *of_films]))
-    for _, sentence in of_films:
-        warn(sentence)
+    before = appendix.read_warnings(logs)
+    body.append(appendix.warnings([*before, *of_films]))
     body.append(appendix.versions(measured["provenance"], spent["machine"]))
     body.append(
         appendix.links(page.parents[1], page, [metrics, costs, *decisions, refinement, *identities, *linked], ledgers)
     )
     write_text(page, html.page(f"{scene}: 4D scene", body, comparison_slider.STYLE))
     say(f"the page is {page.stat().st_size / 1e6:.1f} MB and needs no network: {page}")
+    # The last lines of a run: what a user should know who reads no other.
+    for _, sentence in of_films:
+        warn(sentence)
+    for step, sentence in before:
+        say(f"{step} warned: {sentence}")

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``report.strict``: with ``strict``, whatever a run warned of ends it with an error, after everything is made.
+
+A pipeline that nobody watches can so tell a scene that lost a camera or a person from one that is whole.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.errors import UserError
+from studiorecon.report.sections.appendix import read_warnings
+from studiorecon.scene.files import write_text
+from studiorecon.signature import Place, Written
+
+
+def run(page: Path, logs: Place, passed: Written) -> None:
+    """Write ``passed`` where no log of the scene holds a warning; else raise UserError with all of them.
+
+    ``page`` is what everything else was made for; it holds the same warnings.
+    """
+    found = [f"{step}: {sentence}" for step, sentence in read_warnings(logs)]
+    if found:
+        raise UserError(
+            f"{len(found)} warning{'s' if len(found) > 1 else ''}, which strict makes errors; everything is made, and "
+            f"{page} has them too:\n" + "\n".join(found)
+        )
+    write_text(passed, "no step warned\n")
