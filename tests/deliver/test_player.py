@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon.command import serve
 from studiorecon.deliver.player_data import Shade
 from studiorecon.footage.video import to_bytes
 from studiorecon.render import kinds
@@ -22,6 +21,7 @@ from studiorecon.render.planning import plan
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.factors import Factors
 from studiorecon.schema import mistakes
+from studiorecon.viewer import Viewer
 
 from tests.made.browser import BROWSER, NO_BROWSER, Browser, addresses_outside, pixels, software_gl
 from tests.made.player import drawn, scene_of, shade_for, write_page
@@ -104,10 +104,10 @@ def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page
 
 
 def test_served_it_asks_the_same_machine_only(browser: Browser, page: Path) -> None:
-    with serve(page.parent, 0) as server:
+    with Viewer(page.parent, 0) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
-        address = f"http://127.0.0.1:{server.server_port}/player.html"
+        address = server.address("player.html")
         browser.asked.clear()
         browser.open(address)
         browser.wait("!!window.player && player.drawn() > 0")

@@ -13,7 +13,9 @@ from studiorecon.scene.files import write_text
 
 def test_warnings_of_all_steps_are_one_error(tmp_path: Path) -> None:
     write_text(tmp_path / "logs/detect/people/cam2.log", "looked\nwarning: camera cam2: nobody was found\n")
-    write_text(tmp_path / "logs/people/associate.log", "warning: somebody was left out\nwarning: somebody was left out\n")
+    write_text(
+        tmp_path / "logs/people/associate.log", "warning: somebody was left out\nwarning: somebody was left out\n"
+    )
     with pytest.raises(UserError) as refused:
         strict.run(tmp_path / "index.html", tmp_path / "logs", tmp_path / "strict.txt")
     told = str(refused.value).splitlines()

@@ -3,6 +3,6 @@
 ``index.html``.
 
 Steps: ``recognition`` (whom a detector finds in the films), ``evaluate`` (measures), ``audit`` (effects that only a
-trained scene shows), ``picture`` (one overview), ``page``; by hand: ``score`` (any method's pictures), ``compare`` (two
-results). Below them: ``metrics`` and ``sections``.
+trained scene shows), ``picture`` (one overview), ``page``, ``strict`` (warnings stop the run, where asked); by hand:
+``score`` (any method's pictures), ``compare`` (two results). Below them: ``metrics`` and ``sections``.
 """
