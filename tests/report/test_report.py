@@ -20,7 +20,7 @@ from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
 from studiorecon.report.metrics.bodies import compare_bodies, match, similarity_aligned
-from studiorecon.report.metrics.measures import Flicker, measure_picture, summary
+from studiorecon.report.metrics.measures import Flicker, measure_picture, measure_sequence, summary
 from studiorecon.report.metrics.truth import TrueView, regions
 from studiorecon.report.sections import paper
 from studiorecon.report.sections import tables as sections
@@ -83,6 +83,25 @@ def test_flicker_of_a_still_picture_is_zero_and_of_noise_its_own_size() -> None:
     assert noise["flicker_excess"] == pytest.approx(noise["temporal_l1"], abs=1e-6), "the photos do not flicker"
     assert noise["temporal_l1_seen"] == noise["temporal_l1"]
     assert noise["temporal_l1_unseen"] is None
+
+
+def test_what_was_not_enhanced_has_the_same_numbers_as_if_measured_alone() -> None:
+    """Enhanced pictures are the raw ones in frames 0, 1 and 3: also the changes into and out of frame 2 are their
+    own."""
+    rng = np.random.default_rng(0)
+    photos = [cv2.GaussianBlur(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8), (0, 0), 2) for _ in range(5)]
+    raw = [np.clip(photo + rng.normal(0, 9, photo.shape), 0, 255).astype(np.uint8) for photo in photos]
+    enhanced = [photos[t] if t == 2 else picture.copy() for t, picture in enumerate(raw)]
+    masks = {"seen": np.ones((48, 64), bool)}
+    both = measure_sequence(
+        ((photo, {"raw": raw[t], "enhanced": enhanced[t]}, masks) for t, photo in enumerate(photos)), "fast"
+    )
+    for name, pictures in {"raw": raw, "enhanced": enhanced}.items():
+        alone = measure_sequence(((photo, {name: picture}, masks) for photo, picture in zip(photos, pictures)), "fast")
+        assert both[name] == alone[name]
+        assert both["photo"] == alone["photo"]
+    assert both["raw"][1] == both["enhanced"][1]
+    assert [both["raw"][t] != both["enhanced"][t] for t in range(5)] == [False, False, True, True, False]
 
 
 def walking(rng: np.random.Generator, frames: int = 20) -> np.ndarray:

@@ -40,7 +40,7 @@ def backward_flow(picture: np.ndarray, past: np.ndarray, search: Flow, check: bo
         raise UserError(f"optical flow needs pictures of one size, not {picture.shape[1::-1]} and {past.shape[1::-1]}")
     backward = search.flow(picture, past)
     if not check:
-        return backward, np.isfinite(backward).all(axis=-1)
+        return backward, np.isfinite(backward[..., 0]) & np.isfinite(backward[..., 1])
     return backward, consistent(backward, search.flow(past, picture))
 
 

@@ -37,23 +37,39 @@ def sample(
     """
     require("image", image, ("H", "W", ...))
     require("pixels", pixels, ("h", "w", 2))
-    height, width = image.shape[:2]
-    finite = np.isfinite(pixels).all(axis=-1)
-    # Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed
-    # point.
-    column = np.clip(np.where(finite, pixels[..., 0], 0.0), 0.0, width)
-    row = np.clip(np.where(finite, pixels[..., 1], 0.0), 0.0, height)
-    margin = 0.0 if how == "nearest" else 0.5
-    slack = _SLACK_PX
-    inside = (pixels[..., 0] >= margin - slack) & (pixels[..., 0] <= width - margin + slack)
-    inside &= (pixels[..., 1] >= margin - slack) & (pixels[..., 1] <= height - margin + slack)
     if how == "nearest":
-        columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
-        rows = np.minimum(np.floor(row).astype(np.intp), height - 1)
-        return image[rows, columns], finite & inside
+        rows, columns, inside = nearest_pixels(pixels, image.shape[:2])
+        return image[rows, columns], inside
+    column, row, inside = _pulled_inside(pixels, image.shape[:2], 0.5)
     as_float = image if image.dtype in (np.float32, np.float64) else image.astype(np.float32)
     x, y = (column - 0.5).astype(np.float32), (row - 0.5).astype(np.float32)
-    return _remap(as_float, x, y, _FILTERS[how]), finite & inside
+    return _remap(as_float, x, y, _FILTERS[how]), inside
+
+
+def nearest_pixels(pixels: np.ndarray, hw: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows and columns (h, w) that ``sample(…, "nearest")`` reads at coordinates (h, w, 2) of a picture of size ``hw``,
+    and (h, w) bool where they are real: for many pictures that are read at the same places."""
+    height, width = hw
+    column, row, inside = _pulled_inside(pixels, hw, 0.0)
+    columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
+    rows = np.minimum(np.floor(row).astype(np.intp), height - 1)
+    return rows, columns, inside
+
+
+def _pulled_inside(
+    pixels: np.ndarray, hw: tuple[int, ...], margin_px: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and rows (h, w), and where they are finite and at least ``margin_px`` within the picture's edge.
+
+    Coordinates beyond the image are pulled to its edge before float32 sees them: 1e30 would overflow remap's fixed
+    point.
+    """
+    height, width = hw
+    x, y = pixels[..., 0], pixels[..., 1]
+    finite = np.isfinite(x) & np.isfinite(y)
+    least = margin_px - _SLACK_PX
+    inside = finite & (x >= least) & (x <= width - least) & (y >= least) & (y <= height - least)
+    return np.clip(np.where(finite, x, 0.0), 0.0, width), np.clip(np.where(finite, y, 0.0), 0.0, height), inside
 
 
 def _remap(image: np.ndarray, x: np.ndarray, y: np.ndarray, filter_: int) -> np.ndarray:

@@ -29,7 +29,7 @@ def looked_through(camera: Camera, depth_m: np.ndarray, others: Sequence[tuple[C
     for other, surface_m in others:
         pixels, z = other.project(points_m)
         height, width = surface_m.shape
-        inside = (depth_m > 0) & (z > 0) & np.isfinite(pixels).all(axis=-1)
+        inside = (depth_m > 0) & (z > 0) & np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
         columns, rows = np.floor(np.where(inside[..., None], pixels, -1)).astype(np.int64).transpose(2, 0, 1)
         inside &= (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
         seen = np.where(inside, surface_m[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)], 0)

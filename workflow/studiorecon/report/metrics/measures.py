@@ -95,6 +95,7 @@ class Flicker:
         self._grey: np.ndarray | None = None
         self._photo: np.ndarray | None = None
         self._pictures: dict[str, np.ndarray] = {}
+        self._alike: dict[str, str] = {}
 
     def measure(
         self, photo: np.ndarray, pictures: Mapping[str, np.ndarray], regions: Mapping[str, np.ndarray]
@@ -106,23 +107,24 @@ class Flicker:
         """
         grey = grey_levels(photo)
         values: dict[str, dict[str, float | None]] = {name: dict.fromkeys(TEMPORAL) for name in (*pictures, "photo")}
+        alike, measured = first_alike(pictures), dict[tuple[str, str], dict[str, float | None]]()
         if self._grey is not None and min(grey.shape) >= _SMALLEST_FLOW_PX:
             backward = dis_flow(grey, self._grey, self._preset)
             valid = leads_back(backward, dis_flow(self._grey, grey, self._preset))
             assert self._photo is not None
             values["photo"] = self._changed(photo, self._photo, backward, valid, regions)
             for name, picture in pictures.items():
-                found = self._changed(picture, self._pictures[name], backward, valid, regions)
-                if found["temporal_l1"] is not None:
-                    of_photo = values["photo"]["temporal_l1"]
-                    assert of_photo is not None
-                    found["flicker_excess"] = found["temporal_l1"] - of_photo
-                values[name] = found
-        self._grey, self._photo, self._pictures = (
-            grey,
-            photo,
-            {name: levels(picture) for name, picture in pictures.items()},
-        )
+                pair = alike[name], self._alike[name]
+                if pair not in measured:
+                    found = self._changed(picture, self._pictures[name], backward, valid, regions)
+                    if found["temporal_l1"] is not None:
+                        of_photo = values["photo"]["temporal_l1"]
+                        assert of_photo is not None
+                        found["flicker_excess"] = found["temporal_l1"] - of_photo
+                    measured[pair] = found
+                values[name] = dict(measured[pair])
+        self._grey, self._photo, self._alike = grey, photo, alike
+        self._pictures = {name: levels(picture) for name, picture in pictures.items()}
         return values
 
     def _changed(
@@ -146,6 +148,19 @@ class Flicker:
         }
 
 
+def first_alike(pictures: Mapping[str, np.ndarray]) -> dict[str, str]:
+    """The first name whose picture is the same, for every name: what was not enhanced is not measured twice."""
+    alike: dict[str, str] = {}
+    for name, picture in pictures.items():
+        same = (first for first in set(alike.values()) if _same(pictures[first], picture))
+        alike[name] = next(same, name)
+    return alike
+
+
+def _same(one: np.ndarray, two: np.ndarray) -> bool:
+    return one.dtype == two.dtype and np.array_equal(one, two)
+
+
 def measure_sequence(
     frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]],
     flow_preset: str,
@@ -163,10 +178,11 @@ def measure_sequence(
     for t, (photo, versions, masks) in enumerate(frames):
         flipped = flip_every > 0 and t % flip_every == 0 and available()
         moving = flicker.measure(photo, versions, masks)
-        for name, picture in versions.items():
-            found.setdefault(name, []).append(
-                {**measure_picture(picture, photo, masks, distance, flipped), **moving[name]}
-            )
+        still: dict[str, dict[str, float | None]] = {}
+        for name, first in first_alike(versions).items():
+            if first not in still:
+                still[first] = measure_picture(versions[first], photo, masks, distance, flipped)
+            found.setdefault(name, []).append({**still[first], **moving[name]})
         found.setdefault("photo", []).append(moving["photo"])
     return found
 

@@ -20,7 +20,7 @@ from studiorecon.body.person_files import read_person
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
 from studiorecon.images.regions import dilated
-from studiorecon.images.warp import sample
+from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json
 
@@ -107,13 +107,15 @@ def regions(
     others = [seen_by(points, known, views[name].camera, views[name].room_depth_m, tolerances) for name in training]
     stop = first_frame + frames
     streams = [read_frames(views[name].masks, first_frame, stop) for name in training]
+    rows, columns, inside = nearest_pixels(pixels, own.room_depth_m.shape)
+    places = [nearest_pixels(where, views[name].room_depth_m.shape)[:2] for name, (_, where) in zip(training, others)]
     moving = _depth_frames(views, [camera.name, *training], first_frame, stop)
     for mask in read_frames(own.masks, first_frame, stop):
-        labels = np.where(inside, sample(mask, pixels, "nearest")[0], _PROPS)
+        labels = np.where(inside, mask[rows, columns], _PROPS)
         background = labels == 0
         seen = [np.zeros(labels.shape, bool) for _ in tolerances]
-        for (visible, where), stream in zip(others, streams):
-            clear = sample(next(stream), where, "nearest")[0] == 0
+        for (visible, _), place, stream in zip(others, places, streams):
+            clear = next(stream)[place] == 0
             for total, each in zip(seen, visible):
                 total |= each & clear
         people = (labels > 0) & (labels < _PROPS)
