@@ -32,6 +32,7 @@ from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.rig.lens_model import LensReading, as_model
+from studiorecon.rig.odd_one_out import odd_one_out
 from studiorecon.rig.sheet import contact_sheet
 from studiorecon.rig.stale import moves, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
@@ -90,6 +91,11 @@ def examined(
     for name, (cams, found) in (lens_readings or {}).items():
         row = lens_row(name, cams, found, few, settings.gate_m)
         table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
+    refined, odd = _refined(cameras, detections, frames, median, settings) if people else None, None
+    if people and (median is None or any(e is None or e > limit_px for e in each)):
+        odd = odd_one_out(cameras, detections, chosen, settings.gate_m, settings.limits)
+        if odd is not None and not odd.cause and refined is not None and refined["elsewhere"]:
+            odd = None  # cameras that were moved explain it
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
     middle, reach = _volume(cameras, points)
     half = min(frames, _CLOCK_FRAMES) // 2
@@ -101,9 +107,10 @@ def examined(
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
+        "odd_one_out": None if odd is None else odd.sentence(),
         "median_px": median,
         "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
-        "refined": _refined(cameras, detections, frames, median, settings) if people else None,
+        "refined": refined,
         "px_per_camera": dict(zip(names, each)),
         "shown_frame": shown,
         "lags_frames": {

@@ -31,7 +31,9 @@ from studiorecon.rig.bundle import (
 )
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.gravity import tell_tilt
-from studiorecon.rig.hypotheses import best_swap, check_conventions
+from studiorecon.rig.human_size import check_human_size, check_units
+from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
+from studiorecon.rig.odd_one_out import odd_one_out, warn_of_odd
 from studiorecon.rig.sheet import contact_sheet
 from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
@@ -42,12 +44,10 @@ from studiorecon.signature import Written
 
 _FOOT_HEIGHT_M = 0.08
 _MOST_CONTRADICTED = 0.5
-# Share of the allowed error past which it is asked whether cameras were exchanged, and how many times better people
-# must then fit.
-_SUSPICIOUS, _MUCH_BETTER = 0.5, 3.0
-# Against cameras that were moved, which have more freedom to fit; and how much worse other lenses at the given poses
-# may fit than those.
-_BETTER, _ABOUT_AS_WELL = 1.5, 1.1
+# Share of the allowed error past which it is asked whether cameras were exchanged.
+_SUSPICIOUS = 0.5
+# How much worse other lenses at the given poses may fit than cameras that were moved.
+_ABOUT_AS_WELL = 1.1
 
 
 @dataclass(frozen=True)
@@ -125,16 +125,21 @@ def decide(
     if anew is not None and len(points) and _lenses_instead(training, seen, anew.report["after_px"], settings):
         anew = None
     report["hypotheses"] = check_conventions(training, detections, few, settings.gate_m) if anew is None else []
+    blind = anew is None and len(training) > 2 and not len(points)
+    if blind:
+        check_units(training, detections, few, settings.gate_m, settings.limits)
     if anew is None and not len(seen.frame):
         return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
     if not before < _SUSPICIOUS * limit:
-        _refuse_swapped(
-            training, detections, chosen, before, np.inf if anew is None else anew.report["after_px"], settings
-        )
+        moved_px = np.inf if anew is None else anew.report["after_px"]
+        refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
+    if anew is not None or not len(points) or any(e is None or e > limit for e in before_each):
+        odd = odd_one_out(training, detections, chosen, settings.gate_m, settings.limits)
+        if odd is not None and (odd.cause or anew is None):
+            raise UserError(odd.sentence())
     if anew is not None:
         tell(given, anew)
         training, seen, report = anew.cameras, anew.seen, {**report, "stale": anew.report}
-    blind = anew is None and len(training) > 2 and not len(points)
     if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
         raise UserError(
             "the calibration does not fit the footage: no keypoint agrees in three cameras, "
@@ -165,37 +170,12 @@ def decide(
             "cameras and this zoom, and that the videos "
             "are synchronised"
         )
+    warn_of_odd(adjusted, seen, detections, after_each, limit, settings.limits)
+    report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
     report["tilt_deg"] = tell_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
         adjusted, held_out, points = _on_floor(adjusted, held_out, seen, points, settings)
     return Refinement(adjusted, held_out, points, report)
-
-
-def _refuse_swapped(
-    cameras: Sequence[Camera],
-    detections: Sequence[Detections],
-    frames: np.ndarray,
-    before: float,
-    moved_px: float,
-    settings: Settings,
-) -> None:
-    """Raises UserError when people fit several times better with two cameras exchanged, also than with cameras moved
-    (``moved_px``).
-
-    On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
-    """
-    found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], settings.gate_m)
-    if found is None:
-        return
-    row, swapped = found
-    seen, _ = observe(detections, swapped, frames, settings.gate_m)
-    after = error_medians(swapped, seen, settings.limits)[0] if len(seen.frame) else float("nan")
-    if after * _MUCH_BETTER < (before if np.isfinite(before) else np.inf) and after * _BETTER < moved_px:
-        known = f"{before:.0f} px as read" if np.isfinite(before) else "no three cameras agree as read"
-        raise UserError(
-            f"the calibration fits the people only if {row['hypothesis']} "
-            f"({after:.1f} px off, {known}): {row['remedy']}"
-        )
 
 
 def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, settings: Settings) -> bool:

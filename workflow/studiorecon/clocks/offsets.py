@@ -24,6 +24,7 @@ from studiorecon.clocks.people_clock import people_pair
 from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, timeline_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
+from studiorecon.footage.alike import one_film_twice
 from studiorecon.footage.source import FootageSource, PictureRate, open_source, uneven
 from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
@@ -254,6 +255,8 @@ def run(
     if not given and not frame_count and not common.refusal and (settings.sync != "auto" or found):
         unsure = found if settings.sync == "auto" else [{"camera": c, "kind": "undetermined"} for c in cameras]
         common = replace(common, refusal=lengths_differ(made, [f"{s.parent.name}/{s.name}" for s in sources], unsure))
+    twice = one_film_twice({camera: source for camera, source in zip(cameras, opened) if source is not None})
+    common = replace(common, refusal=twice or common.refusal)
     write_json(findings, {"sync": settings.sync, "given": dict(given), "cameras": found})
     write_clocks(clocks, common)
     if common.refusal:

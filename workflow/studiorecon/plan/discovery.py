@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from studiorecon.scene.names import checked_name, checked_place
 
 # Where the footage lies in the captures that people have; the first that holds any counts.
 _VIDEO_FOLDERS = ("videos", "frame_aligned_videos")
+_BYTES = 1 << 20
 _PICTURE_FOLDERS = (("images", ""), ("ims", ""), ("exo", "images"))
 
 
@@ -46,6 +48,12 @@ def open_dataset(folder: Path, capture_yaml: Path | None = None) -> Dataset:
     held_out = tuple(names_under(description, "held_out", footage))
     if "train" in description:
         footage = {c: footage[c] for c in footage if c in chosen}
+    for one, two in combinations(footage, 2):
+        if _same_bytes(footage[one], footage[two]):
+            raise UserError(
+                f"{footage[one]} and {footage[two]} are one film under two names; bring the footage of {two}, or leave "
+                "it out (train: [...] in capture.yaml)"
+            )
     if len(footage) - len(held_out) < 2:
         raise UserError(
             f"dataset {folder} has {len(footage) - len(held_out)} training camera(s); "
@@ -104,6 +112,23 @@ def _find_footage(folder: Path) -> dict[str, Path]:
             "(or jpg): put one video per camera there"
         )
     return found
+
+
+def _same_bytes(one: Path, two: Path) -> bool:
+    """Whether two videos are copies of, or links to, one file: of equal length, and equal at beginning, middle and
+    end."""
+    if one.is_dir() or two.is_dir():
+        return one.resolve() == two.resolve()
+    size = one.stat().st_size
+    if size != two.stat().st_size or not size:
+        return False
+    with open(one, "rb") as first, open(two, "rb") as second:
+        for place in (0, size // 2, max(size - _BYTES, 0)):
+            first.seek(place)
+            second.seek(place)
+            if first.read(_BYTES) != second.read(_BYTES):
+                return False
+    return True
 
 
 def _first_non_empty(lists: Iterable[list[Path]]) -> list[Path]:

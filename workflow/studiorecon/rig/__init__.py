@@ -8,5 +8,6 @@ is.
 * ``from_people``: cameras from nothing but people; ``self_calibration``: made exact, with their focal lengths and, by
   ``room_turns``, the room's straight edges; ``given_lengths``: their metres; ``certainty``: how well they are known;
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out``: those that only judge;
-  ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``sheet``: the picture of it all.
+  ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that all
+  others contradict; ``human_size``: another unit than metres; ``sheet``: the picture of it all.
 """

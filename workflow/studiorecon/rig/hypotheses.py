@@ -14,12 +14,16 @@ import numpy as np
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.correspondences import observe
 from studiorecon.rig.lens_model import LensReading
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 _CLEARLY = 1.5
+# How many times better people must fit cameras that were exchanged: than as they were read, than when they were moved,
+# which has more freedom to fit.
+_MUCH_BETTER, _BETTER = 3.0, 1.5
 _TORSO_M = (0.25, 0.9)
 MOST_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -109,6 +113,34 @@ def best_swap(
             ({"hypothesis": name, "score": _score(swapped, detections, frames, gate_m), "remedy": remedy}, swapped)
         )
     return max(rows, key=lambda row: row[0]["score"], default=None)
+
+
+def refuse_swapped(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: np.ndarray,
+    gate_m: float,
+    limits: Limits,
+    before_px: float,
+    moved_px: float,
+) -> None:
+    """Raises UserError when people fit several times better with two cameras exchanged than as read (``before_px``,
+    NaN where no three cameras agree), also than with cameras moved (``moved_px``).
+
+    On a regular ring a swap is nearly a mirror image: it passes every limit, and all bodies are wrong.
+    """
+    found = best_swap(cameras, detections, frames[:: max(1, len(frames) // 6)], gate_m)
+    if found is None:
+        return
+    row, swapped = found
+    seen, _ = observe(detections, swapped, frames, gate_m)
+    after = error_medians(swapped, seen, limits)[0] if len(seen.frame) else float("nan")
+    if after * _MUCH_BETTER < (before_px if np.isfinite(before_px) else np.inf) and after * _BETTER < moved_px:
+        known = f"{before_px:.0f} px as read" if np.isfinite(before_px) else "no three cameras agree as read"
+        raise UserError(
+            f"the calibration fits the people only if {row['hypothesis']} "
+            f"({after:.1f} px off, {known}): {row['remedy']}"
+        )
 
 
 def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:

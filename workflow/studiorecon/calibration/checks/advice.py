@@ -59,7 +59,7 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     off = _off(report)
     if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
         # Cameras that were moved since: nothing fits as read, another reading may seem to, and refinement mends it.
-        wrong, unclear = [], []
+        wrong, unclear = [report["odd_one_out"]] if report["odd_one_out"] else [], []
     name = (
         "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
     )
@@ -73,7 +73,7 @@ def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
     rows = {row["hypothesis"]: row for row in report["hypotheses"]}
     best = max((r for r in report["hypotheses"] if "median_px" not in r), key=lambda row: row["score"])
     as_read = rows["as read"]
-    found = []
+    found = [report["odd_one_out"]] if report["odd_one_out"] else []
     if best["score"] > _LEAST_AGREEMENT and best["score"] > CLEAR_MARGIN * as_read["score"]:
         found.append(
             f"people fit if {best['hypothesis']} (agreement {best['score']:.2f}, "

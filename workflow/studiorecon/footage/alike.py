@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two cameras that show the same picture are one film given twice, however it was named, cut or encoded again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import cv2
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.source import FootageSource, glimpses
+from studiorecon.progress import warn
+
+_WIDTH, _COARSE = 96, 4.0
+# Correlation of what stands still, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at most;
+# one film encoded again, or cut to another part of it: 0.99.
+_SAME = 0.95
+# Grey levels of detail below which there is nothing to compare.
+_LEAST_DETAIL = 1.0
+
+
+def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
+    """The sentence about two cameras (name → footage) that show the same view, of which three pictures are read; empty
+    where all differ."""
+    still: dict[str, np.ndarray] = {}
+    for camera, source in sources.items():
+        frames = max(source.declared_frames or 1, 1)
+        try:
+            still[camera] = standing(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
+        except UserError as refusal:  # the step that decodes it stops at that; the others are compared all the same
+            warn(str(refusal))
+    for one, two in combinations(still, 2):
+        if same_view(still[one], still[two]):
+            return (
+                f"cameras {one} and {two} show the same picture: one film was given for both, perhaps encoded again "
+                f"or cut; bring the footage of {two}, or leave it out (train: [...] in capture.yaml)"
+            )
+    return ""
+
+
+def standing(pictures: Sequence[np.ndarray]) -> np.ndarray:
+    """What stands still in pictures (H, W, 3) uint8 of one camera: (h, 96) grey without its coarse brightness."""
+    height, width = pictures[0].shape[:2]
+    size = (_WIDTH, max(round(_WIDTH * height / width), 1))
+    grey = [cv2.resize(cv2.cvtColor(p, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA) for p in pictures]
+    still = np.median(np.array(grey, dtype=np.float64), axis=0)
+    return still - cv2.GaussianBlur(still, (0, 0), _COARSE)
+
+
+def same_view(one: np.ndarray, two: np.ndarray) -> bool:
+    """Whether two ``standing`` pictures are of one film."""
+    if one.shape != two.shape or min(one.std(), two.std()) < _LEAST_DETAIL:
+        return False
+    one, two = one - one.mean(), two - two.mean()
+    return bool((one * two).mean() / (one.std() * two.std()) >= _SAME)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Are people as large as people? A calibration in feet fits every pixel, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# Stature of a mean adult by the length of a bone between keypoints, metres (shoulder to hip, hip to knee, knee to
+# ankle): the same mean adult as in ``rig.stale``.
+_ADULT_M = 1.70
+_BONES = {("shoulder", "hip"): 0.52, ("hip", "knee"): 0.42, ("knee", "ankle"): 0.41}
+# A toddler, and the tallest who ever lived, with a third of doubt: bones of few keypoints are short or long.
+_SMALLEST_M, _LARGEST_M = 0.5, 3.0
+# What an adult may be, to say which unit was meant.
+_ADULTS_M = 1.3, 2.2
+_LEAST_BONES = 30
+# Metres that something of another unit was taken for, over what it is.
+_TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
+
+
+def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> np.ndarray:
+    """(N,) the stature of a mean adult with each of the N bones that the cameras see."""
+    if not len(seen.frame):
+        return np.zeros(0)
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    counted = found.verified if len(cameras) > 2 and found.verified.sum() >= _LEAST_BONES else found.valid
+    of_body = seen.group * (int(seen.frame.max()) + 1) + seen.frame
+    bodies, row = np.unique(of_body, return_inverse=True)
+    joints = np.full((len(bodies), len(STABLE_KEYPOINTS), 3), np.nan)
+    joints[row[counted], seen.keypoint[counted]] = found.points_m[counted]
+    found_m = []
+    for (upper, lower), length_m in _BONES.items():
+        for side in ("left", "right"):
+            ends = [STABLE_KEYPOINTS.index(f"{side}_{joint}") for joint in (upper, lower)]
+            found_m.append(np.linalg.norm(joints[:, ends[0]] - joints[:, ends[1]], axis=-1) * _ADULT_M / length_m)
+    all_m = np.concatenate(found_m)
+    return all_m[np.isfinite(all_m)]
+
+
+def check_human_size(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float | None:
+    """The median stature in metres, None where too few bones are seen; raises UserError for what nobody is."""
+    found_m = statures_m(cameras, seen, limits)
+    if len(found_m) < _LEAST_BONES:
+        return None
+    stature_m = float(np.median(found_m))
+    if _SMALLEST_M <= stature_m <= _LARGEST_M:
+        return stature_m
+    raise UserError(_refusal(stature_m))
+
+
+def check_units(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+) -> None:
+    """Where nothing agrees: raises UserError if cameras whose lengths were of another unit see people of human size."""
+    for factor in _TAKEN_FOR_METRES.values():
+        smaller = [replace(c, camera_from_world=_scaled(c.camera_from_world, 1 / factor)) for c in cameras]
+        found_m = statures_m(smaller, observe(detections, smaller, frames, gate_m)[0], limits)
+        if len(found_m) >= _LEAST_BONES and _ADULTS_M[0] <= (stature_m := float(np.median(found_m))) <= _ADULTS_M[1]:
+            raise UserError(_refusal(stature_m * factor))
+
+
+def _refusal(stature_m: float) -> str:
+    told, factor = "", _ADULT_M / stature_m
+    for unit, per_metre in _TAKEN_FOR_METRES.items():
+        if _ADULTS_M[0] <= stature_m / per_metre <= _ADULTS_M[1]:
+            told, factor = f" but, it seems, {unit}", 1 / per_metre
+        elif _ADULTS_M[0] <= stature_m * per_metre <= _ADULTS_M[1]:
+            told, factor = f", it seems that metres were taken for {unit}", per_metre
+    return (
+        f"people would be {stature_m:.3g} m tall by this calibration, so its lengths are not metres{told}; multiply "
+        f"calibration.scale by {factor:.4g}, which makes people {stature_m * factor:.2f} m tall"
+    )
+
+
+def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    scaled = pose.copy()
+    scaled[:3, 3] *= factor
+    return scaled

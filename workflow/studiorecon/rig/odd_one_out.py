@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One camera that all others contradict: which one it is, and what was probably mixed up.
+
+Robust estimation hides it: triangulation leaves its rays out, all errors stay small, and its pictures are trained on
+all the same. So every camera is asked in turn whether it sees people where the others say that they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
+from studiorecon.progress import warn
+from studiorecon.rig.bundle import contradicted
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# A keypoint agrees when it lies this share of the longer image side from where the others see it: three times what a
+# calibration may be off (``Agreement.max_error_share``), since clocks and detectors are off too.
+_REACH_SHARE = 0.03
+# Keypoints that lie where others see people, as multiples of that share in the others themselves (their median):
+# contradicted up to the first, explained from the second. Where one thing was mixed up in one camera of a studio it had
+# 0 to 0.3, and 1.1 once put right; where all was well, or the focal length 25 % off, 0.8 to 1.
+_CONTRADICTED, _EXPLAINED = 0.4, 0.8
+# The others outvote a camera only if they agree themselves: so large a share, on so many points in so many frames.
+_OTHERS_AGREE, _LEAST_POINTS, _LEAST_FRAMES = 0.3, 60, 5
+_LOOSE = 3.0
+_FRAMES = 48
+# Share of contradicted points (``bundle.contradicted``) past which somebody must be wrong: 0.2 to 0.75 where all is
+# well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
+_WRONG_SOMEWHERE = 0.9
+_MOST_LAG = 90
+_COUNT = len(STABLE_KEYPOINTS)
+_OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
+_FOCAL = np.geomspace(1 / 40, 40, 75)
+_SIZES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
+_UNITS = {"centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "feet": 0.3048}
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Odd:
+    """A camera that disagrees with all others.
+
+    Attributes:
+        camera: its name.
+        share: of its keypoints that lie where the others see people.
+        share_then: the same if ``cause`` were so.
+        cause: what was probably mixed up; empty where nothing that was tried explains it.
+        remedy: what to do.
+    """
+
+    camera: str
+    share: float
+    share_then: float
+    cause: str
+    remedy: str
+
+    def sentence(self) -> str:
+        """What is wrong, and what would help."""
+        then = f", {self.share_then:.0%} would if {self.cause}" if self.cause else ""
+        return (
+            f"camera {self.camera} disagrees with all others: {self.share:.0%} of its keypoints lie where they see "
+            f"people{then}; {self.remedy}"
+        )
+
+
+@dataclass(frozen=True)
+class _Reading:
+    cause: str
+    remedy: str
+    camera: Camera
+    seen: np.ndarray
+
+
+def odd_one_out(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+) -> Odd | None:
+    """The camera that the others, who agree with one another, contradict; None where there is none.
+
+    ``frames`` (F,) are looked at, 48 of them at most. Three cameras name one only together with what was mixed up: two
+    rays always meet somewhere. Fewer than three name none.
+    """
+    if len(cameras) < 3:
+        return None
+    chosen = frames[evenly_spread(len(frames), _FRAMES)]
+    own = [_gridded(d, chosen) for d in stable_detections(detections)]
+    without: list[tuple[int, int, np.ndarray]] = []
+    for v in range(len(cameras)):
+        rest = [k for k in range(len(cameras)) if k != v]
+        points = _points([cameras[k] for k in rest], [detections[k] for k in rest], chosen, gate_m, limits)
+        without.append((int(np.isfinite(points[..., 0]).sum()), v, points))
+    if len(cameras) > 3:  # whose absence leaves most that three others agree on
+        without = [max(without, key=lambda row: row[0])]
+    found: list[tuple[float, Odd]] = []
+    for count, v, points in without:
+        rest = [k for k in range(len(cameras)) if k != v]
+        usual = float(np.median([_share(points, own[k], cameras[k])[0] for k in rest]))
+        share, counted = _share(points, own[v], cameras[v])
+        if min(count, counted) < _LEAST_POINTS or usual < _OTHERS_AGREE or share > _CONTRADICTED * usual:
+            continue
+        readings = _readings(v, cameras, detections, own, chosen, points)
+        then, best = max(((_share(points, r.seen, r.camera)[0], r) for r in readings), key=lambda row: row[0])
+        if then >= _EXPLAINED * usual:
+            found.append((then / usual, Odd(cameras[v].name, share, then, best.cause, best.remedy)))
+        elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _LEAST_POINTS:
+            remedy = (
+                "see whether its video, keypoints and calibration are of one camera and one take, or leave it out "
+                f"(train: [{', '.join(cameras[k].name for k in rest)}] in capture.yaml)"
+            )
+            found.append((0.0, Odd(cameras[v].name, share, share, "", remedy)))
+    return max(found, key=lambda row: row[0], default=(0.0, None))[1]
+
+
+def _gridded(seen: Detections, frames: np.ndarray) -> np.ndarray:
+    """(F, M, K, 2) pixels of the at most M people in each of the frames, NaN where there is none."""
+    of_frame = [np.flatnonzero(seen.frame == f) for f in frames]
+    grid = np.full((len(frames), max([len(o) for o in of_frame] + [1]), _COUNT, 2), np.nan)
+    for t, which in enumerate(of_frame):
+        keypoints = seen.keypoints[which]
+        grid[t, : len(which)] = np.where(keypoints[..., 2:] > 0, keypoints[..., :2], np.nan)
+    return grid
+
+
+def _points(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+) -> np.ndarray:
+    """(F, G, K, 3) world points of the people that these cameras agree on, NaN elsewhere."""
+    seen, _ = observe(detections, cameras, frames, gate_m)
+    if not len(seen.frame):
+        return np.full((len(frames), 1, _COUNT, 3), np.nan)
+    wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+    found = triangulate(seen.pixels, seen.confidence, cameras, wide)
+    counted = found.verified if len(cameras) > 2 else found.valid
+    grid = np.full((len(frames), int(seen.group.max()) + 1, _COUNT, 3), np.nan)
+    place = np.searchsorted(frames, seen.frame[counted])
+    grid[place, seen.group[counted], seen.keypoint[counted]] = found.points_m[counted]
+    return grid
+
+
+def _projected(points_m: np.ndarray, camera: Camera) -> np.ndarray:
+    """(F, G, K, 2) pixels, NaN behind the camera and where there is no point."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        pixels, depth = camera.project(points_m)
+    return np.where((np.nan_to_num(depth) > 0)[..., None] & np.isfinite(pixels), pixels, np.nan)
+
+
+def _share(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> tuple[float, int]:
+    """Which share of what a camera saw (F, M, K, 2) lies where the points (F, G, K, 3) are, and of how many keypoints
+    that is: those in frames where the same joint of somebody is known; (0, 0) with too few frames."""
+    known = np.isfinite(points_m[..., 0]).any(axis=1)  # (F, K)
+    counted = np.isfinite(seen[..., 0]) & known[:, None]
+    if counted.any(axis=(1, 2)).sum() < _LEAST_FRAMES:
+        return 0.0, 0
+    where = _projected(points_m, camera)
+    with np.errstate(over="ignore"):
+        apart = np.linalg.norm(seen[:, :, None] - where[:, None], axis=-1)
+    near = np.nan_to_num(apart, nan=np.inf).min(axis=2) <= _REACH_SHARE * max(camera.wh)
+    return float(near[counted].mean()), int(counted.sum())
+
+
+def _in_picture(points_m: np.ndarray, camera: Camera) -> int:
+    """How many of the points lie in the picture as it was calibrated."""
+    pixels = np.nan_to_num(_projected(points_m, camera), nan=-1.0)
+    return int(((pixels >= 0) & (pixels < camera.wh)).all(axis=-1).sum())
+
+
+def _readings(
+    v: int,
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    own: Sequence[np.ndarray],
+    frames: np.ndarray,
+    points_m: np.ndarray,
+) -> Iterator[_Reading]:
+    """What camera ``v`` would be, if one thing about it were otherwise; where two are as good, the first is told."""
+    camera, seen = cameras[v], own[v]
+    for k in range(len(cameras)):
+        if k != v and _same(seen, own[k]):
+            cause = f"they stood for {cameras[k].name}, whose keypoints they are"
+            yield _Reading(cause, f"bring the footage or keypoints of {camera.name}", cameras[k], seen)
+    width, height = camera.wh
+    check_video = "bring its video and keypoints as the camera that was calibrated saw them"
+    across, down = seen * [-1, 1] + [width, 0], seen * [1, -1] + [0, height]
+    yield _Reading("its video were mirrored", check_video, camera, across[:, :, _OTHER_SIDE])
+    yield _Reading("its keypoints were mirrored", check_video, camera, across)
+    yield _Reading("its picture stood on its head", check_video, camera, across * [1, -1] + [0, height])
+    yield _Reading("its keypoints were counted from the bottom", check_video, camera, down)
+    for size in _SIZES:
+        cause = f"its keypoints were for a picture of {round(width / size)}×{round(height / size)} pixels"
+        yield _Reading(cause, "bring keypoints in the pixels of its video", camera, seen * size)
+    for k in range(len(cameras)):
+        if k != v:
+            remedy = f"exchange or bring again what was mixed up with {cameras[k].name}"
+            there = replace(camera, camera_from_world=cameras[k].camera_from_world)
+            yield _Reading(f"its pose were that of {cameras[k].name}", remedy, there, seen)
+    moved = _offset_px(points_m, seen, camera)
+    if moved is not None:
+        right, down = (-moved).round().astype(int)
+        cause = f"they lay {right} px further right and {down} px further down, as in a picture that was not cropped"
+        yield _Reading(cause, check_video, camera, seen - moved)
+    yield from _of_calibration(camera, seen)
+    for lag in range(-_MOST_LAG, _MOST_LAG + 1):
+        if lag:
+            cause = f"its frames were numbered about {abs(lag)} {'lower' if lag > 0 else 'higher'}"
+            remedy = "see the clocks in the log of clocks.offsets, or write starts into capture.yaml"
+            yield _Reading(cause, remedy, camera, _gridded(stable_detections([detections[v]])[0], frames + lag))
+
+
+def _offset_px(points_m: np.ndarray, seen: np.ndarray, camera: Camera) -> np.ndarray | None:
+    """(2,) pixels by which most of what a camera saw lies beside the points; None where nothing is to be compared."""
+    apart = (seen[:, :, None] - _projected(points_m, camera)[:, None]).reshape(-1, 2)
+    apart = apart[np.isfinite(apart).all(axis=-1)]
+    if not len(apart):
+        return None
+    reach = _REACH_SHARE * max(camera.wh)
+    cells, count = np.unique(np.round(apart / reach), axis=0, return_counts=True)
+    middle = cells[np.argmax(count)] * reach
+    return np.median(apart[np.linalg.norm(apart - middle, axis=-1) <= reach], axis=0)
+
+
+def _of_calibration(camera: Camera, seen: np.ndarray) -> Iterator[_Reading]:
+    """The same, with another lens or pose in the calibration."""
+    given = camera.camera_from_world
+    poses = {
+        "were world-from-camera": np.linalg.inv(given),
+        "had OpenGL's axes": _FLIP @ given,
+        "were world-from-camera with OpenGL's axes": _FLIP @ np.linalg.inv(given),
+    }
+    for unit, metres in _UNITS.items():
+        poses[f"were in {unit}"] = _scaled(given, metres)
+        poses[f"were in metres, not {unit}"] = _scaled(given, 1 / metres)
+    for cause, pose in poses.items():
+        there = replace(camera, camera_from_world=pose)
+        yield _Reading(f"its pose in the calibration {cause}", "correct it there", there, seen)
+    for factor in _FOCAL:
+        intrinsics = np.array(camera.intrinsics, dtype=np.float64)
+        with np.errstate(over="ignore"):
+            intrinsics[[0, 1], [0, 1]] *= factor
+        if np.isfinite(intrinsics).all():
+            cause = (
+                f"its focal length were about {intrinsics[0, 0]:.0f} px of this picture, not {camera.focal_px[0]:.4g}"
+            )
+            remedy = "correct it in the calibration (pixels, not millimetres, and of the size of picture that it names)"
+            yield _Reading(cause, remedy, replace(camera, intrinsics=intrinsics), seen)
+
+
+def _scaled(pose: np.ndarray, factor: float) -> np.ndarray:
+    scaled = pose.copy()
+    scaled[:3, 3] *= factor
+    return scaled
+
+
+def _same(one: np.ndarray, two: np.ndarray) -> bool:
+    """Whether two cameras have the same keypoints, nearly to the pixel."""
+    people = min(one.shape[1], two.shape[1])
+    apart = np.linalg.norm(one[:, :people] - two[:, :people], axis=-1)
+    apart = apart[np.isfinite(apart)]
+    return len(apart) >= _LEAST_POINTS and bool(np.median(apart) < 0.5)
+
+
+def warn_of_odd(
+    cameras: Sequence[Camera],
+    seen: Observations,
+    detections: Sequence[Detections],
+    each_px: Sequence[float | None],
+    limit_px: float,
+    limits: Limits,
+) -> None:
+    """Warn of cameras whose people no two others confirm, or only far off, and where somebody is wrong but nobody can
+    tell who: ``each_px`` are the median errors of the cameras, ``limit_px`` what they may be."""
+    if len(cameras) < 3:
+        return
+    help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
+    for camera, own, px in zip(cameras, detections, each_px):
+        if len(own.frame) and (px is None or px > limit_px):
+            how = "nobody whom two others see" if px is None else f"people {px:.0f} px beside where the others see them"
+            warn(f"camera {camera.name} shows {how}; {help_}")
+    share = contradicted(cameras, seen, detections, limits) if len(seen.frame) else 0.0
+    if share > _WRONG_SOMEWHERE:
+        warn(
+            f"where two cameras agree on somebody, another one shows people elsewhere in {share:.0%} of the cases; one "
+            f"of {', '.join(c.name for c in cameras)} is probably of another take, mirrored, late or calibrated in "
+            "another unit"
+        )
