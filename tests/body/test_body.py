@@ -151,8 +151,8 @@ def test_smpl_file_loads_into_the_same_class(body: BodyModel, smpl_file: Path, p
     ("damage", "sentence"),
     [
         ("missing", "is missing"),
-        ("text", "not an .npz"),
-        ("no weights", "no array 'weights'"),
+        ("text", r"not a readable \.npz .* convert an SMPL \.pkl"),
+        ("no weights", "no entry 'weights'"),
         ("nan", "not finite"),
         ("tree", "tree of 24"),
     ],

@@ -90,9 +90,18 @@ def _run(module: types.ModuleType, step: str, options: dict) -> int:
         fail(f"{step}: {refusal}")
         return 1
     except Exception as error:
-        fail(f"{step}: {_sentence(error)}" if unloaded(error) is not None else traceback.format_exc())
+        fail(
+            f"{step}: {_sentence(error)}" if unloaded(error) is not None else f"{traceback.format_exc()}{_fault(step)}"
+        )
         return 1
     return 0
+
+
+def _fault(step: str) -> str:
+    return (
+        f"{step}: this is a fault of the program, not of your files: please report it with these lines, this step's "
+        "log and the scene's calibration/doctor.json, by the form .github/ISSUE_TEMPLATE/wrong.yml"
+    )
 
 
 def _sentence(error: Exception) -> str:

@@ -9,7 +9,6 @@ one shape space and mean nothing in another: files name the space (``identity``)
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from studiorecon.body import skinning
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
+from studiorecon.scene.outside import laid_out_as, read_npz
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Integer, Num
@@ -73,25 +73,15 @@ class BodyModel:
     @staticmethod
     def load(path: Path) -> BodyModel:
         """The bundled body or an SMPL ``.npz``; raises UserError with one sentence for anything else."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                data = {name: file[name] for name in file.files}
-        except FileNotFoundError:
-            raise UserError(
-                f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz"
-            ) from None
-        except (ValueError, OSError, zipfile.BadZipFile):
-            raise UserError(
-                f"body model {path} is not an .npz of plain arrays; convert an SMPL .pkl with "
-                "v_template, shapedirs, J_regressor, weights, "
-                "kintree_table and f to one"
-            ) from None
-        try:
+        if not path.exists():
+            raise UserError(f"body model {path} is missing; resources/body.npz is bundled, or give an SMPL .npz")
+        cure = (
+            "convert an SMPL .pkl with v_template, shapedirs, J_regressor, weights, kintree_table and f to an .npz of "
+            "plain arrays"
+        )
+        data = read_npz(path, remedy=cure)
+        with laid_out_as(path, "a body model with the arrays of SMPL's .npz"):
             return _read(data, path)
-        except KeyError as missing:
-            raise UserError(
-                f"body model {path} has no array {missing.args[0]!r}; it must hold the arrays of SMPL's .npz"
-            ) from None
 
     @property
     def vertex_count(self) -> int:

@@ -12,7 +12,8 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.progress import warn
-from studiorecon.scene.files import open_npz, write_npz
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.people import Person
 
 
@@ -32,8 +33,10 @@ def read_person(path: Path) -> Person:
     Raises UserError when the file is missing, its arrays have different lengths, no frame is sound, or the shape is not
     finite.
     """
-    with open_npz(path) as data:
-        arrays = {n: data[n] for n in ("poses", "trans", "betas", "joints", "valid", "sigma")}
+    fields = ("poses", "trans", "betas", "joints", "valid", "sigma")
+    data = read_arrays(path, gaps=fields)
+    with as_written(path):
+        arrays = {n: data[n] for n in fields}
         person = Person(
             str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays
         )

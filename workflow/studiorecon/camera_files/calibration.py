@@ -7,13 +7,14 @@ from pathlib import Path
 
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Lens
-from studiorecon.scene.files import read_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 
 def read_lenses(calibration: Path) -> dict[str, Lens]:
     """All lenses by the name of their camera, in the file's order."""
-    lenses = map(Lens.from_json, read_json(calibration)["lenses"])
-    return {lens.name: lens for lens in lenses}
+    value = read_content(calibration)
+    with as_written(calibration):
+        return {lens.name: lens for lens in map(Lens.from_json, value["lenses"])}
 
 
 def lens_of(calibration: Path, camera: str) -> Lens:

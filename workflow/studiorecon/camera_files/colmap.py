@@ -8,7 +8,7 @@ users, with distortion, rigs or in binary, are ``camera_files.colmap_models``'.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_text
+from studiorecon.scene.intermediate import as_written
+from studiorecon.scene.outside import read_text
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -64,6 +66,13 @@ def write_model(
 
 def read_model(folder: Path) -> list[Camera]:
     """The cameras of a model written by ``write_model``, in image order; raises UserError naming the offending file."""
+    with as_written(folder / "cameras.txt"):
+        models = _models(folder)
+    with as_written(folder / "images.txt"):
+        return _cameras(folder, models)
+
+
+def _models(folder: Path) -> dict[str, tuple[tuple[int, int], np.ndarray]]:
     models = {}
     for line in _lines(folder / "cameras.txt"):
         fields = line.split()
@@ -72,17 +81,28 @@ def read_model(folder: Path) -> list[Camera]:
                 f"{folder / 'cameras.txt'}: camera {fields[0]} is {fields[1]}; results "
                 "hold undistorted PINHOLE cameras only"
             )
-        fx, fy, cx, cy = (float(v) for v in fields[4:8])
+        fx, fy, cx, cy = _finite(fields[4:8])
         models[fields[0]] = ((int(fields[2]), int(fields[3])), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    return models
+
+
+def _cameras(folder: Path, models: Mapping[str, tuple[tuple[int, int], np.ndarray]]) -> list[Camera]:
     cameras = []
     for line in _lines(folder / "images.txt"):
         fields = line.split()
         wh, intrinsics = models[fields[8]]
         camera_from_world = np.eye(4)
-        camera_from_world[:3, :3] = rotations.from_quaternion(np.array([float(v) for v in fields[1:5]]))
-        camera_from_world[:3, 3] = [float(v) for v in fields[5:8]]
+        camera_from_world[:3, :3] = rotations.from_quaternion(np.array(_finite(fields[1:5])))
+        camera_from_world[:3, 3] = _finite(fields[5:8])
         cameras.append(Camera(" ".join(fields[9:]).removesuffix(".png"), wh, intrinsics, camera_from_world))
     return cameras
+
+
+def _finite(fields: Sequence[str]) -> list[float]:
+    values = [float(v) for v in fields]
+    if not np.isfinite(values).all():
+        raise ValueError(f"{' '.join(fields)} is not finite")
+    return values
 
 
 def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
@@ -92,7 +112,4 @@ def read_points(folder: Path) -> Num[np.ndarray, "N 3"]:
 
 
 def _lines(path: Path) -> list[str]:
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    text = path.read_text(encoding="utf-8").splitlines()
-    return [line for line in text if line.strip() and not line.startswith("#")]
+    return [line for line in read_text(path).split("\n") if line.strip() and not line.startswith("#")]

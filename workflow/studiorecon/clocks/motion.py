@@ -65,7 +65,7 @@ def grey_frames(source: FootageSource) -> Iterator[np.ndarray]:
             yield cv2.resize(picture.mean(axis=2).astype(np.uint8), _small(*source.wh), interpolation=cv2.INTER_AREA)
         return
     try:
-        with av.open(str(source.path)) as container:
+        with av.open(str(source.path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):

@@ -70,7 +70,7 @@ def sound_of(path: Path) -> np.ndarray | None:
     if path.is_dir():
         return None
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.audio:
                 return None
             stream = container.streams.audio[0]

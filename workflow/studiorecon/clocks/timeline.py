@@ -61,7 +61,7 @@ def timeline_of(source: FootageSource) -> Timeline:
 
 def _shown_s(path: Path) -> np.ndarray:
     """Times of all frames that a decoder will give, in order; NaN where the file says none."""
-    with av.open(str(path)) as container:
+    with av.open(str(path), metadata_errors="replace") as container:
         stream = container.streams.video[0]
         base_s = stream.time_base
         times = [

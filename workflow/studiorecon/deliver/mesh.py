@@ -22,6 +22,7 @@ from studiorecon.deliver.room_planes import Plane, distance_m, kept, planes
 from studiorecon.errors import UserError
 from studiorecon.progress import say
 from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import read_path
 from studiorecon.scene.provenance import INVENTED, MEASURED
 from studiorecon.scene.room import FACES, read_room
@@ -85,8 +86,7 @@ def run(model: Path, background: Path, provenance: Path, room: Path, path: Path,
     """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path``
     between them."""
     gaussians, shell = read_ply(background), read_room(room)
-    with np.load(provenance) as stored:
-        marks = stored["provenance"]
+    marks = read_arrays(provenance, ["provenance"])["provenance"]
     if len(marks) != gaussians.count:
         raise UserError(
             f"{provenance} speaks of {len(marks)} Gaussians and {background} has "

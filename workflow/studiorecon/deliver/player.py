@@ -22,8 +22,9 @@ from studiorecon.deliver.player_data import NEAR_M, described, shade_of
 from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
 from studiorecon.progress import say
 from studiorecon.scene.factors import read_factors
-from studiorecon.scene.files import complete, open_npz, write_text
+from studiorecon.scene.files import complete, write_text
 from studiorecon.scene.gaussians import concatenate
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Written
 from studiorecon.splatting.device import rasteriser
 
@@ -142,8 +143,7 @@ def run(
     held, factors = Bytes(), read_factors(exposure, finished.capture.frames)
     shaded = None
     for path in shade:
-        with open_npz(path) as data:
-            shaded = shade_of(data)
+        shaded = shade_of(read_arrays(path))
     told, sentences = described(finished, held, factors, shaded)
     if shaded is None and finished.people:
         sentences.append(

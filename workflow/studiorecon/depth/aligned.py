@@ -19,9 +19,11 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.depth.shared import Assumed, Near
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
+from studiorecon.footage.stills import decoded
 from studiorecon.geometry.depth_alignment import Alignment, align_depth
 from studiorecon.images.sizes import nearest
 from studiorecon.progress import say
+from studiorecon.scene.outside import read_npy, read_npz
 from studiorecon.signature import Written
 
 _MILLIMETRES = 1000.0
@@ -47,24 +49,33 @@ def read_estimate(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if path.suffix == ".exr":
         return read_depth(path)
     if path.suffix == ".png":
-        stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if stored is None or stored.dtype != np.uint16 or stored.ndim != 2:
+        stored = decoded(path, cv2.IMREAD_UNCHANGED)
+        if stored.dtype != np.uint16 or stored.ndim != 2:
             raise UserError(f"{path} is not a 16-bit grey picture of millimetres")
         depth = stored.astype(np.float32) / _MILLIMETRES
     else:
-        stored = np.load(path, allow_pickle=False)
-        if path.suffix == ".npz":
-            name = next((n for n in ("depth", "depths", "arr_0") if n in stored.files), None)
-            if name is None:
-                raise UserError(
-                    f"{path} holds {', '.join(stored.files)}; depth is looked for as depth, depths or arr_0"
-                )
-            stored = stored[name]
-        depth = np.squeeze(np.asarray(stored, dtype=np.float32))
+        depth = np.squeeze(_numbers(path))
     if depth.ndim != 2:
         raise UserError(f"{path} holds an array of shape {depth.shape}, expected one depth map (H, W)")
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     return depth, (depth > 0).astype(np.float32)
+
+
+def _numbers(path: Path) -> np.ndarray:
+    if path.suffix == ".npz":
+        held = read_npz(path)
+        name = next((n for n in ("depth", "depths", "arr_0") if n in held), None)
+        if name is None:
+            raise UserError(
+                f"{path} holds {', '.join(held) or 'no array'}; depth is looked for as depth, depths or arr_0"
+            )
+        array = held[name]
+    else:
+        array = read_npy(path)
+    if array.dtype.kind not in "fiu":
+        raise UserError(f"{path} holds {array.dtype} and no numbers; save the depth as floats")
+    with np.errstate(over="ignore"):  # a double beyond float32 is no depth, and becomes infinite here
+        return array.astype(np.float32)
 
 
 def joined(

@@ -31,6 +31,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.images.warp import sample
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.signature import Written
 
@@ -241,8 +242,7 @@ def run(
         raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     index = names.index(camera)
     room = read_room(shell)
-    with np.load(passes, allow_pickle=False) as stored:
-        agreed = [stored[f"depth_{name}"] for name in names]
+    agreed = list(read_arrays(passes, [f"depth_{name}" for name in names]).values())
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)

@@ -27,6 +27,7 @@ from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures,
 from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.people import read_detections, read_identities
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
@@ -193,7 +194,7 @@ def run(
     ``people``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
     """
     cameras = read_model(model.parent)
-    swept = [dict(np.load(path, allow_pickle=False)) for path in sweeps]
+    swept = [read_arrays(path) for path in sweeps]
     if len(swept) != len(cameras) or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
         raise UserError(
             f"{len(swept)} sweeps for {len(cameras)} cameras, or sweeps of different "

@@ -24,6 +24,7 @@ from studiorecon.enhance.backends import flow_of, network
 from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.enhance.shared import Enhancing, Injecting
 from studiorecon.errors import UserError
+from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
@@ -57,10 +58,7 @@ def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Itera
     if not files:
         raise UserError(f"{source} holds no pictures ({', '.join(sorted(_PICTURES))})")
     for file in files[first:stop]:
-        picture = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise UserError(f"{file} is not a readable picture")
-        yield np.ascontiguousarray(picture[..., ::-1])
+        yield np.ascontiguousarray(decoded(file, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def run(
@@ -135,13 +133,12 @@ def run(
 def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
     for index in range(first, first + count):
         file = output / f"{index:06d}.png"
-        stored = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_COLOR) if file.is_file() else None
-        if stored is None:
+        if not file.is_file():
             raise UserError(
                 f"{file} is missing; a part of a clip goes on from the outputs before it: "
                 f"make the pictures from {index} on first"
             )
-        yield np.ascontiguousarray(stored[..., ::-1])
+        yield np.ascontiguousarray(decoded(file, cv2.IMREAD_COLOR, "make it again")[..., ::-1])
 
 
 def _write(path: Path, picture: np.ndarray) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
+from studiorecon.footage.stills import decoded
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
 
@@ -69,7 +70,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
             f"footage {path} is missing; put the video back, or leave its camera out with train: [...] in capture.yaml"
         )
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.video:
                 raise UserError(f"{path} holds no video; put the camera's video there")
             stream = container.streams.video[0]
@@ -180,7 +181,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[np.ndarray]:
         shown = tuple(source.pictures[min(number, last)] for number in wanted)
         return list(_decode_folder(replace(source, pictures=shown)))
     try:
-        with av.open(str(source.path)) as container:
+        with av.open(str(source.path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             found = [_frame_at(container, stream, index, source.fps) for index in wanted]
@@ -221,7 +222,7 @@ def _upright(frame: av.VideoFrame, source: FootageSource) -> np.ndarray:
 def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
     number = -1
     try:
-        with av.open(str(source.path)) as container:
+        with av.open(str(source.path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):
@@ -241,11 +242,7 @@ def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
 
 def _decode_folder(source: FootageSource) -> Iterator[np.ndarray]:
     for path in source.pictures:
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR) if path.stat().st_size else None
-        if picture is None:
-            raise UserError(
-                f"{path} is not a readable picture; replace it, or leave its frame out with frames: in capture.yaml"
-            )
+        picture = decoded(path, cv2.IMREAD_COLOR, "replace it, or leave its frame out with frames: in capture.yaml")
         if (picture.shape[1], picture.shape[0]) != source.wh:
             size = f"{picture.shape[1]}×{picture.shape[0]}"
             raise UserError(
@@ -263,9 +260,7 @@ def _open_folder(path: Path, picture_fps: float) -> FootageSource:
             f"{path} lacks the pictures {missing}, and every later one would stand at another moment than in the other "
             "cameras; copy them again, or number the pictures without a gap"
         )
-    first = cv2.imdecode(np.fromfile(pictures[0], np.uint8), cv2.IMREAD_COLOR) if pictures[0].stat().st_size else None
-    if first is None:
-        raise UserError(f"{pictures[0]} is not a readable picture; replace it")
+    first = decoded(pictures[0], cv2.IMREAD_COLOR)
     note = f"a folder of pictures has no frame rate: {picture_fps:g} per second, as capture.picture_fps says"
     return FootageSource(
         path, (first.shape[1], first.shape[0]), picture_fps, len(pictures), 0, tuple(pictures), (note,)

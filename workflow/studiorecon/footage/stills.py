@@ -11,9 +11,23 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
+from studiorecon.scene.outside import read_bytes
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
+
+
+def decoded(path: Path, flags: int, cure: str = "replace it") -> np.ndarray:
+    """The picture of a file as OpenCV has it (BGR); raises UserError, which ends in ``cure``, when it is missing or
+    none."""
+    data = np.frombuffer(read_bytes(path), np.uint8)
+    try:
+        picture = cv2.imdecode(data, flags) if len(data) else None
+    except cv2.error:  # more pixels than it will make room for
+        picture = None
+    if picture is None:
+        raise UserError(f"{path} is not a readable picture; {cure}")
+    return picture
 
 
 def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -22,11 +36,9 @@ def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     8- and 16-bit files are read. Raises UserError naming the file.
     """
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    if stored is None or stored.dtype not in (np.uint8, np.uint16):
-        raise UserError(f"{path} is not a readable 8- or 16-bit picture")
+    stored = decoded(path, cv2.IMREAD_UNCHANGED)
+    if stored.dtype not in (np.uint8, np.uint16):
+        raise UserError(f"{path} holds {stored.dtype} numbers; save it as an 8- or 16-bit picture")
     if stored.ndim == 2:
         stored = np.repeat(stored[..., None], 3, axis=-1)
     largest = 255 if stored.dtype == np.uint8 else 65535

@@ -43,7 +43,7 @@ def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
 
 def _of_film(path: Path) -> float | None:
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             tags = dict(container.metadata)
             for stream in container.streams.video:
                 tags |= dict(stream.metadata)

@@ -136,7 +136,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
         raise UserError(f"{path} is missing")
     number = -1
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):
@@ -163,7 +163,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
         raise UserError(f"{path} is missing")
     expected = start
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             seconds_per_tick, rate = stream.time_base, stream.average_rate

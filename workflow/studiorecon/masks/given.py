@@ -11,6 +11,7 @@ import numpy as np
 
 from studiorecon.camera_files.calibration import lens_of
 from studiorecon.errors import UserError
+from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.regions import signed_distance_px
@@ -34,7 +35,7 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> np.
     """
     about = read_footage(footage)
     lens = lens_of(calibration, about.camera)
-    pictures = list(_pictures(path))
+    pictures = list(pictures_of(path))
     if len(pictures) > max(about.used) and len(pictures) != frames:
         pictures = [pictures[k] for k in about.used]
     if len(pictures) != frames:
@@ -96,16 +97,16 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
     return np.where(region, owner, 0).astype(np.uint8)
 
 
-def _pictures(path: Path) -> Iterable[np.ndarray]:
+def pictures_of(path: Path) -> Iterable[np.ndarray]:
     if path.is_dir():
         files = pictures_in(path)
         if missing := gaps_named(files):
             raise UserError(f"masks {path} lack the numbers {missing}; bring one mask for each frame")
         wh: tuple[int, ...] | None = None
         for file in files:
-            picture = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED) if file.stat().st_size else None
-            if picture is None or picture.dtype != np.uint8:
-                raise UserError(f"{file} is not a readable 8-bit mask; replace it")
+            picture = decoded(file, cv2.IMREAD_UNCHANGED)
+            if picture.dtype != np.uint8:
+                raise UserError(f"{file} holds {picture.dtype} numbers; save masks with 8 bits")
             if wh not in (None, picture.shape[1::-1]):
                 raise UserError(
                     f"{file} is {picture.shape[1]}×{picture.shape[0]}, but the first mask of its folder is "

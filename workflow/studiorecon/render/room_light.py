@@ -20,7 +20,9 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.render.occlusion import Groups, lost, nearness, sky_discs
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written
+from studiorecon.scene.outside import read_json
 
 # However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
 # dominate.
@@ -132,10 +134,11 @@ def write_light(path: Path, light: Light) -> None:
 
 def read_light(path: Path) -> Light:
     """Read what ``write_light`` wrote; raises UserError when it is missing or holds numbers that are not finite."""
-    value = read_json(path)
-    made = value.pop("lamps")
-    arrays = {n: np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual")}
-    places = {n: np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")}
+    with as_written(path):
+        value = read_json(path)
+        made = value.pop("lamps")
+        arrays = {n: np.array([lamp[n] for lamp in made], np.float64) for n in ("radius_m", "share", "usual")}
+        places = {n: np.array([lamp[n] for lamp in made], np.float64).reshape(-1, 3) for n in ("position_m", "facing")}
     others = [value[n] for n in ("sky", "contact", "contact_m", "floor_m")]
     if None in others or not all(np.isfinite(a).all() for a in (*arrays.values(), *places.values())):
         raise UserError(f"{path} holds numbers that are not finite; make the light again")

@@ -33,6 +33,7 @@ from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import PathStep, write_path
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
@@ -96,8 +97,7 @@ def read_composite(
     Raises UserError when the provenance is another background's.
     """
     static = read_ply(background)
-    with np.load(provenance, allow_pickle=False) as data:
-        classes = np.asarray(data["provenance"], np.uint8)
+    classes = np.asarray(read_arrays(provenance, ["provenance"])["provenance"], np.uint8)
     if len(classes) != static.count or (len(classes) and classes.max() > len(TRUTH_LEVELS) - 1):
         raise UserError(
             f"{provenance} does not describe the {static.count} Gaussians of {background}; make the background again"

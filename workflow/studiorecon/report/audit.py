@@ -29,6 +29,7 @@ from studiorecon.scene.decisions import Decision, forced, from_entry, read_decis
 from studiorecon.scene.effects import FILMED, TRAINED, force, thresholds
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Written
 from studiorecon.splatting.device import rasteriser
 
@@ -76,8 +77,7 @@ def decisions_of(avatars: Sequence[Path]) -> dict[str, Decision | None]:
     """What human training measured of every person."""
     found: dict[str, Decision | None] = {}
     for path in avatars:
-        with np.load(path, allow_pickle=False) as held:
-            told = str(held["decision"]) if "decision" in held.files else ""
+        told = str(read_arrays(path, ["decision"])["decision"])
         found[path.stem] = from_entry(json.loads(told)) if told else None
     return found
 

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,9 @@ def write_footage(path: Path, footage: Footage) -> None:
 
 
 def read_footage(path: Path) -> Footage:
-    return _footage(read_json(path))
+    value = read_content(path)
+    with as_written(path):
+        return _footage(value)
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
@@ -97,10 +100,11 @@ def write_manifest(path: Path, manifest: Manifest) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    value = read_json(path)
-    return Manifest(
-        value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"])
-    )
+    value = read_content(path)
+    with as_written(path):
+        return Manifest(
+            value["scene"], float(value["fps"]), int(value["frames"]), tuple(_footage(f) for f in value["footage"])
+        )
 
 
 def _footage(value: dict[str, Any]) -> Footage:

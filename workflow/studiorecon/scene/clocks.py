@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -100,9 +101,11 @@ def write_clocks(path: Path, clocks: Clocks) -> None:
 
 
 def read_clocks(path: Path) -> Clocks:
-    value = read_json(path)
-    cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
-    return Clocks(float(value["fps"]), float(value["start_s"]), int(value["frames"]), cameras, str(value["refusal"]))
+    value = read_content(path)
+    with as_written(path):
+        cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
+        fps, start_s, frames = float(value["fps"]), float(value["start_s"]), int(value["frames"])
+        return Clocks(fps, start_s, frames, cameras, str(value["refusal"]))
 
 
 def as_counted(camera: str, fps: float, first: int, frames: int) -> Clocks:

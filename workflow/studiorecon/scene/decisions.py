@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from studiorecon.errors import UserError
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written
+from studiorecon.scene.outside import read_json
 
 Verdict = Literal["on", "off", "undetermined"]
 
@@ -104,7 +106,9 @@ def switched_on(earlier: Sequence[Path]) -> frozenset[str]:
 
 def read_decisions(path: Path) -> dict[str, Decision]:
     """Decisions by effect."""
-    return {entry["effect"]: from_entry(entry) for entry in read_json(path)["decisions"]}
+    with as_written(path):
+        value = read_json(path)
+        return {entry["effect"]: from_entry(entry) for entry in value["decisions"]}
 
 
 def from_entry(entry: Mapping[str, Any]) -> Decision:

@@ -17,7 +17,8 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,12 @@ def read_factors(paths: Sequence[Path], frames: int | None = None) -> Factors:
     """
     product: dict[str, np.ndarray] = {}
     for path in paths:
-        content = read_json(path)
-        if "factors" not in content:
+        content = read_content(path)
+        if not isinstance(content, dict) or not isinstance(content.get("factors"), dict):
             raise UserError(f"{path} holds no factors of exposure; run snakemake once with --forcerun survey_decide")
         for camera, listed in content["factors"].items():
-            own = np.asarray(listed, np.float64).reshape(-1, 3)
+            with as_written(path):
+                own = np.asarray(listed, np.float64).reshape(-1, 3)
             if not len(own) or not (np.isfinite(own).all() and (own > 0).all()):
                 raise UserError(
                     f"{path} has factors of camera {camera} that are no positive numbers; run survey.decide again"

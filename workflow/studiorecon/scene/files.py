@@ -7,7 +7,6 @@ import csv
 import json
 import math
 import os
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,6 @@ from studiorecon.scene.outside import read_json, read_rows
 __all__ = [
     "complete",
     "one_each",
-    "open_npz",
     "read_json",
     "read_table",
     "write_json",
@@ -67,16 +65,6 @@ def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write a compressed npz, completely or not at all."""
     with complete(path) as partial, open(partial, "wb") as file:
         np.savez_compressed(file, **arrays)
-
-
-def open_npz(path: Path) -> np.lib.npyio.NpzFile:
-    """The arrays of an npz, read as they are asked for; raises UserError when the file is missing."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    try:
-        return np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path} is not a readable .npz ({error}); delete it, and it is made again") from None
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:

@@ -17,20 +17,23 @@ import tokenize
 import xml.etree.ElementTree as ElementTree
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
 
 from studiorecon.errors import UserError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 MOST_TEXT_BYTES = 2**30
 """The largest text (JSON, YAML, TOML, table) that is read: keypoints of an hour of a crowd have less."""
 MOST_ARRAY_BYTES = 2**33
 """The most that the arrays of one file may take in memory."""
+_MOST_REPEATED = 200
 _COPY = "it may have been copied only in part: copy it again, or write it again with the program that made it"
 # What a damaged header, which is a Python literal, ends in.
 _BROKEN_HEADER = (ValueError, TypeError, SyntaxError, OverflowError, RecursionError, MemoryError)
@@ -86,8 +89,9 @@ def read_text(path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def read_json(path: Path) -> Any:
-    """What a JSON file holds; raises UserError for what is no JSON, or is nested beyond what can be read.
+def read_json(path: Path, remedy: str = _COPY) -> Any:
+    """What a JSON file holds; raises UserError, which ends in ``remedy``, for what is no JSON, or is nested beyond what
+    can be read.
 
     NaN and infinities, which detectors write, are let in: ``scene.values`` refuses them where they must not be.
     """
@@ -95,11 +99,11 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        raise UserError(f"{path} is not readable JSON ({error}); {_COPY}") from None
+        raise UserError(f"{path} is not readable JSON ({error}); {remedy}") from None
     except RecursionError:
-        raise UserError(f"{path} is not readable JSON (its lists are nested too deeply); {_COPY}") from None
+        raise UserError(f"{path} is not readable JSON (its lists are nested too deeply); {remedy}") from None
     except ValueError as error:
-        raise UserError(f"{path} is not readable JSON ({_first_line(error)}); {_COPY}") from None
+        raise UserError(f"{path} is not readable JSON ({first_line(error)}); {remedy}") from None
 
 
 def read_yaml(path: Path, loader: type | None = None, *, comments: str = "") -> Any:
@@ -121,7 +125,7 @@ def read_yaml(path: Path, loader: type | None = None, *, comments: str = "") -> 
     except RecursionError:
         raise UserError(f"{path} is not valid YAML (its lists are nested too deeply)") from None
     except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        raise UserError(f"{path} is not valid YAML ({_first_line(error)})") from None
+        raise UserError(f"{path} is not valid YAML ({first_line(error)})") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -132,7 +136,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{path} is not valid TOML ({_first_line(error)})") from None
+        raise UserError(f"{path} is not valid TOML ({first_line(error)})") from None
 
 
 def read_xml(path: Path) -> ElementTree.Element:
@@ -145,7 +149,7 @@ def read_xml(path: Path) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError, RecursionError) as error:
-        raise UserError(f"{path} is not valid XML ({_first_line(error)}); {_COPY}") from None
+        raise UserError(f"{path} is not valid XML ({first_line(error)}); {_COPY}") from None
 
 
 def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list[tuple[int, dict[str, str]]]:
@@ -182,26 +186,38 @@ def read_rows(path: Path, columns: Iterable[str], delimiter: str = "\t") -> list
     return rows
 
 
-def read_npz(path: Path, most: int = MOST_ARRAY_BYTES) -> dict[str, np.ndarray]:
-    """The arrays of an npz by name; raises UserError for pickled objects, damage, and more than ``most`` bytes of
-    arrays, before any of them is taken into memory."""
+def read_npz(
+    path: Path,
+    most: int = MOST_ARRAY_BYTES,
+    *,
+    names: Iterable[str] | None = None,
+    but: Container[str] = (),
+    remedy: str = _COPY,
+) -> dict[str, np.ndarray]:
+    """The arrays of an npz by name: those of ``names`` (KeyError for one that is not there), or all but those of
+    ``but``.
+
+    Raises UserError, which ends in ``remedy``, for pickled objects, damage, and more than ``most`` bytes of arrays,
+    before any of them is taken into memory.
+    """
     file_size(path)
     try:
         with zipfile.ZipFile(path) as archive:
             members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            names = [info.filename.removesuffix(".npy") for info in members]
-            if len(set(names)) < len(names):
-                raise UserError(f"{path} holds an array twice; {_COPY}")
-            total = sum(info.file_size for info in members)
+            held = {info.filename.removesuffix(".npy"): info for info in members}
+            if len(held) < len(members):
+                raise UserError(f"{path} holds an array twice; {remedy}")
+            wanted = {name: held[name] for name in names or held if name not in but}
+            total = sum(info.file_size for info in wanted.values())
             if total > most:
                 raise UserError(f"{path} holds {total / 2**20:.0f} MiB of arrays; at most {most / 2**20:.0f} are read")
             found = {}
-            for name, info in zip(names, members):
+            for name, info in wanted.items():
                 with archive.open(info) as stream:
-                    found[name] = _array(stream, info.file_size, f"{path}: array {name}")
+                    found[name] = _array(stream, info.file_size, f"{path}: array {name}", remedy)
             return found
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, NotImplementedError, ValueError) as error:
-        raise UserError(f"{path} is not a readable .npz ({_first_line(error)}); {_COPY}") from None
+        raise UserError(f"{path} is not a readable .npz ({first_line(error)}); {remedy}") from None
 
 
 def read_npy(path: Path) -> np.ndarray:
@@ -225,14 +241,16 @@ def laid_out_as(path: Path | str, what: str) -> Iterator[None]:
         raise UserError(f"{path} has no entry {error.args[0]!r}, which {what} has; {_COPY}") from None
     except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError, RecursionError) as error:
         raise UserError(
-            f"{path} is not laid out as {what} is ({_first_line(error)}); write it again with the program that made it"
+            f"{path} is not laid out as {what} is ({first_line(error)}); write it again with the program that made it"
         ) from None
     except MemoryError:
         raise UserError(f"{path} asks for more memory than there is; is it {what}?") from None
 
 
-def _array(stream: Any, held: int, where: str) -> np.ndarray:
+def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarray:
     """The array of a stream in npy's format, of which ``held`` bytes are there."""
+    import numpy as np  # a tenth of a second, which plans that read only text do without
+
     try:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -241,12 +259,12 @@ def _array(stream: Any, held: int, where: str) -> np.ndarray:
             raise UserError(f"{where} holds Python objects, which could run a program; save plain numbers")
         # The header may promise anything: what is not there is not reserved.
         if any(extent < 0 for extent in shape) or math.prod(shape) * dtype.itemsize > held:
-            raise UserError(f"{where} is cut off: its header promises {shape} of {dtype}; {_COPY}")
+            raise UserError(f"{where} is cut off: its header promises {shape} of {dtype}; {remedy}")
         data = stream.read(math.prod(shape) * dtype.itemsize)
         flat = np.frombuffer(data, dtype, math.prod(shape)).copy()
         return flat.reshape(shape[::-1]).T if fortran else flat.reshape(shape)
     except (tokenize.TokenError, *_BROKEN_HEADER) as error:
-        raise UserError(f"{where} is not a readable array ({_first_line(error)}); {_COPY}") from None
+        raise UserError(f"{where} is not a readable array ({first_line(error)}); {remedy}") from None
 
 
 def _once(node: Any) -> None:
@@ -270,5 +288,7 @@ def _once(node: Any) -> None:
                 waiting += [key, value]
 
 
-def _first_line(error: BaseException) -> str:
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
+def first_line(error: BaseException) -> str:
+    """What a library says of a damaged file, on one line and not too long: some repeat what they read."""
+    line = next(iter(str(error).splitlines()), "") or type(error).__name__
+    return line if len(line) <= _MOST_REPEATED else line[: _MOST_REPEATED - 1] + "…"

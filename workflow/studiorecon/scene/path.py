@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ def write_path(path: Path, steps: list[PathStep], fps: float) -> None:
 
 def read_path(path: Path) -> tuple[list[PathStep], float]:
     """The steps and the frame rate of a path file."""
-    value = read_json(path)
-    steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
-    return steps, float(value["fps"])
+    value = read_content(path)
+    with as_written(path):
+        steps = [PathStep(Camera.from_json(s["camera"]), float(s["frame"]), str(s["segment"])) for s in value["steps"]]
+        return steps, float(value["fps"])

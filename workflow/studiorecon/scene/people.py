@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.scene.files import open_npz, read_table, write_npz, write_table
+from studiorecon.scene.files import read_table, write_npz, write_table
+from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.outside import read_rows
 from studiorecon.scene.values import shown
 
@@ -100,8 +101,9 @@ def write_detections(path: Path, detections: Detections) -> None:
 
 
 def read_detections(path: Path) -> Detections:
-    with open_npz(path) as data:
-        body = (data[name] if name in data.files else None for name in OPTIONAL_FIELDS)
+    data = read_arrays(path, gaps=("keypoints", "points_m", "pelvis"))
+    with as_written(path):
+        body = (data.get(name) for name in OPTIONAL_FIELDS)
         return Detections(
             str(data["camera"]), str(data["layout"]), data["frame"], data["track"], data["keypoints"], *body
         )

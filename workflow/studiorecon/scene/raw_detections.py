@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.errors import UserError
 from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import as_written, read_arrays
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -98,10 +98,8 @@ def is_found(path: Path) -> bool:
 def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
     """The detector's file; ``mask`` is empty unless asked for, which takes longer. Raises UserError when there is
     none."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
-    with np.load(path, allow_pickle=False) as data:
-        mask = data["mask"] if masks else np.zeros((len(data["frame"]), 0, 0), np.uint8)
+    data = read_arrays(path, but=() if masks else ("mask",), gaps=("keypoints", "points_m"))
+    with as_written(path):
         first, count = (int(v) for v in data["looked"])
         return RawDetections(
             str(data["camera"]),
@@ -110,7 +108,7 @@ def read_raw_detections(path: Path, masks: bool = False) -> RawDetections:
             data["keypoints"],
             data["presence"],
             data["points_m"],
-            mask,
+            data["mask"] if masks else np.zeros((len(data["frame"]), 0, 0), np.uint8),
             data["mask_from_picture"],
             (first, count),
             str(data["note"]),

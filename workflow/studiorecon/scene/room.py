@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
@@ -95,7 +96,12 @@ def write_room(path: Path, shell: RoomBox) -> None:
 
 def read_room(path: Path) -> RoomBox:
     """Read ``depth/room.json``; raises UserError when it is missing or not JSON."""
-    value = read_json(path)
+    value = read_content(path, gaps=("score",))
+    with as_written(path):
+        return _room(value)
+
+
+def _room(value: Mapping[str, Any]) -> RoomBox:
     faces = [value["faces"][name] for name in FACES]
     return RoomBox(
         yaw_rad=float(value["yaw_rad"]),

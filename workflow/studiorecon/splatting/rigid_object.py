@@ -16,6 +16,7 @@ from studiorecon.geometry import rotations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.intermediate import as_written, read_arrays
 
 # A logit that no rasteriser draws: opacity 1e-13.
 _ABSENT = -30.0
@@ -190,12 +191,12 @@ def write_objects(path: Path, objects: Sequence[RigidObject], frames: int) -> No
 
 def read_objects(path: Path) -> list[RigidObject]:
     """The objects of a scene; raises UserError when the file is missing or its arrays do not fit together."""
-    if not path.is_file():
-        raise UserError(f"{path} is missing")
     found = []
-    with np.load(path, allow_pickle=False) as data:
+    names = [str(name) for name in read_arrays(path, ["names"])["names"]]
+    data = read_arrays(path, gaps={f"{name}.centres_m" for name in names})
+    with as_written(path):
         frames = int(data["frames"])
-        for name in map(str, data["names"]):
+        for name in names:
             if f"{name}.turns" not in data:
                 raise UserError(f"{path} does not say how {name} turns; run objects again")
             gaussians = Gaussians(*(data[f"{name}.{field}"] for field in _GAUSSIANS))
@@ -204,6 +205,8 @@ def read_objects(path: Path) -> list[RigidObject]:
                 frames
             }:
                 raise UserError(f"{path} holds arrays of {name} that do not fit together; run objects again")
+            if not np.isfinite(centres_m[present]).all():
+                raise UserError(f"{path} does not say where {name} is in every frame that has it; run objects again")
             radius_m, turns = float(data[f"{name}.radius_m"]), str(data[f"{name}.turns"])
             found.append(RigidObject(name, gaussians, provenance, centres_m, valid, present, radius_m, turned, turns))
     return found

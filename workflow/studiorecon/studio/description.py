@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-
 from studiorecon import settings
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.scene.dataset import Dataset
+from studiorecon.scene.outside import read_yaml
 
 DEFAULTS = RESOURCES / "studio" / "defaults.yaml"
 
@@ -178,10 +177,7 @@ def planned_dataset(description: Description, folder: Path, truth: Path) -> Data
 def _mapping(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise UserError(f"studio description {path} does not exist; resources/studio/demo.yaml is one to start from")
-    try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except yaml.YAMLError as error:
-        raise UserError(f"{path} is not valid YAML ({str(error).splitlines()[0]})") from None
+    value = read_yaml(path) or {}
     if not isinstance(value, dict):
         raise UserError(f"{path} must be a mapping of options; resources/studio/defaults.yaml lists them all")
     return value

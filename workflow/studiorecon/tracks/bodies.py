@@ -29,6 +29,7 @@ from studiorecon.models.protocols import Bodies, BodyEstimator
 from studiorecon.progress import progress, say
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.outside import file_size, first_line, laid_out_as, read_npz
 from studiorecon.scene.people import Detections, write_detections
 from studiorecon.signature import Place, Written
 
@@ -92,21 +93,32 @@ def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, B
 
     Raises UserError naming the file.
     """
-    return estimator.stored(_rows(path), str(path))
+    rows = _rows(path)
+    for name, values in rows.items():
+        if values.dtype.kind not in "biuf" or not np.isfinite(values).all():
+            raise UserError(f"{path}: {name} holds what is no finite number; leave out the rows that are none")
+    with laid_out_as(path, "a file of one row per person and frame"):
+        return estimator.stored(rows, str(path))
 
 
 def _rows(path: Path) -> dict[str, np.ndarray]:
     if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+        return read_npz(path)
     try:
         import torch
     except ModuleNotFoundError:
         raise UserError(
             f"{path} is a torch file and torch is not installed ({remedy('torch')}); or save it as .npz"
         ) from None
-    saved: Any = torch.load(path, map_location="cpu", weights_only=True)
-    return {name: values.numpy() for name, values in saved.items()}
+    file_size(path)
+    try:
+        saved: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # damage ends in whatever the unpickler meets first
+        raise UserError(
+            f"{path} is not a readable torch file ({first_line(error)}); save a dictionary of tensors, or an .npz"
+        ) from None
+    with laid_out_as(path, "a dictionary of tensors"):
+        return {str(name): values.numpy() for name, values in saved.items()}
 
 
 def run(

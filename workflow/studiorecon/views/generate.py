@@ -16,6 +16,7 @@ from studiorecon.footage.video import write_lossless
 from studiorecon.models.loading import adapter, load
 from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Place, Written
 from studiorecon.views.shared import Made
 
@@ -47,11 +48,7 @@ class Settings(Made):
 
 def read_request(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a request (npz); UserError when it cannot be read."""
-    try:
-        with np.load(path) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, KeyError) as error:
-        raise UserError(f"{path} is not a readable request ({error}); delete it and run again") from None
+    return read_arrays(path)
 
 
 def frames_of(network: ViewSynthesizer, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:

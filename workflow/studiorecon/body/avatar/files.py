@@ -23,6 +23,7 @@ from studiorecon.progress import say
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.provenance import MEASURED
 
 if TYPE_CHECKING:
@@ -186,10 +187,8 @@ def _sha256(path: Path) -> str:
 def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
     """Read what ``write_avatar`` wrote; raises UserError when a file is missing, the two disagree or the body model is
     another one."""
-    if not npz.is_file():
-        raise UserError(f"{npz} is missing")
-    gaussians = read_ply(ply)
-    with np.load(npz, allow_pickle=False) as data:
+    gaussians, data = read_ply(ply), read_arrays(npz)
+    with as_written(npz):
         if str(data["body"]) != model.identity:
             raise UserError(
                 f"{npz} was trained on the body model {data['body']}, but "
@@ -197,7 +196,7 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
             )
         arrays = {name: data[name] for name in _ARRAYS}
         person, fps, metric = str(data["person"]), float(data["mocap_framerate"]), bool(data["metric"])
-        held = {name.removeprefix("network."): data[name] for name in data.files if name.startswith("network.")}
+        held = {name.removeprefix("network."): data[name] for name in data if name.startswith("network.")}
         network, decision = TemporalNetwork.from_arrays(held) if held else None, str(data["decision"])
     if len(arrays["bones"]) != gaussians.count:
         raise UserError(

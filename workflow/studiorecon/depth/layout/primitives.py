@@ -11,7 +11,8 @@ import numpy as np
 from numba import njit
 
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.files import write_json
+from studiorecon.scene.intermediate import as_written, read_content
 
 KINDS = ("box", "cylinder")
 
@@ -81,9 +82,11 @@ def write_primitives(path: Path, solids: Sequence[Primitive]) -> None:
 def read_primitives(path: Path) -> list[Primitive]:
     """Read ``depth/primitives.json``; raises UserError when it is missing or not JSON."""
     found = []
-    for value in read_json(path)["solids"]:
-        value["centre_m"], value["size_m"] = tuple(value["centre_m"]), tuple(value["size_m"])
-        found.append(Primitive(**value))
+    content = read_content(path)
+    with as_written(path):
+        for value in content["solids"]:
+            value["centre_m"], value["size_m"] = tuple(value["centre_m"]), tuple(value["size_m"])
+            found.append(Primitive(**value))
     return found
 
 

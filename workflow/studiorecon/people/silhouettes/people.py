@@ -30,6 +30,7 @@ from studiorecon.people.silhouettes.person_masks import silhouettes
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
+from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.people import Person
 
 # Parts of the hull whose middle is this near to a person's are the person's: a leg apart; metres.
@@ -223,9 +224,10 @@ def write_standing(path: Path, people: Sequence[SilhouettePerson]) -> None:
 
 def read_standing(path: Path) -> list[SilhouettePerson]:
     """Everybody in a file of ``write_standing``."""
-    with np.load(path, allow_pickle=False) as data:
+    data = read_arrays(path)
+    with as_written(path):
         return [
-            _standing(str(name), {k.removeprefix(f"{name}_"): data[k] for k in data.files if k.startswith(f"{name}_")})
+            _standing(str(name), {k.removeprefix(f"{name}_"): data[k] for k in data if k.startswith(f"{name}_")})
             for name in data["names"]
         ]
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.scene.dataset import VIDEO_SUFFIXES
 from studiorecon.scene.numbered import pictures_in
@@ -64,10 +65,7 @@ def _stored(source: Path) -> Iterator[np.ndarray]:
         yield from read_frames(source)
         return
     for path in pictures_in(source):
-        picture = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
-        if picture is None:
-            raise UserError(f"{path} is not a readable picture")
-        yield np.ascontiguousarray(picture[..., ::-1])
+        yield np.ascontiguousarray(decoded(path, cv2.IMREAD_COLOR)[..., ::-1])
 
 
 def digest(source: Path) -> str:
