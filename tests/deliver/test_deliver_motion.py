@@ -8,6 +8,7 @@ import json
 import struct
 from pathlib import Path
 
+import ezc3d
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -102,6 +103,31 @@ def test_trc_has_named_markers_and_gaps_where_nothing_was_measured(
     assert (float(rows[5][0]), float(rows[5][1])) == (6, pytest.approx(5 / FPS, abs=1e-6))
 
 
+def test_c3d_holds_the_same_markers_in_millimetres_and_none_where_nothing_was_measured(
+    tmp_path: Path, person: Person, body: BodyModel
+) -> None:
+    motion_files.c3d(tmp_path / "p2.c3d", person, body)
+    whole = (tmp_path / "p2.c3d").read_bytes()
+    file = ezc3d.c3d(str(tmp_path / "p2.c3d"))
+    told = file["parameters"]["POINT"]
+    assert told["LABELS"]["value"][:3] == ["Nose", "Neck", "RShoulder"]
+    assert told["UNITS"]["value"] == ["mm"]
+    assert told["RATE"]["value"].tolist() == [FPS]
+    assert told["FRAMES"]["value"].tolist() == [FRAMES]
+    assert [told[axis]["value"] for axis in ("X_SCREEN", "Y_SCREEN")] == [["+X"], ["+Z"]]
+    points = file["data"]["points"]
+    assert points.shape == (4, 25, FRAMES)
+    expected = 1000 * body.keypoints(["nose", "right_heel"], person.poses, person.betas, person.trans)
+    measured = np.flatnonzero(person.valid)
+    assert np.abs(points[:3, [0, 24]][..., measured] - expected[measured].transpose(2, 1, 0)).max() < 1e-2
+    assert np.isnan(points[:3][..., ~person.valid]).all()
+    residuals = file["data"]["meta_points"]["residuals"]
+    assert (residuals[..., ~person.valid] == -1).all()
+    assert (residuals[..., measured] == 0).all()
+    motion_files.c3d(tmp_path / "p2.c3d", person, body)
+    assert (tmp_path / "p2.c3d").read_bytes() == whole
+
+
 def test_openpose_3d_says_which_frames_were_filled(tmp_path: Path, person: Person, body: BodyModel) -> None:
     motion_files.openpose_3d(tmp_path / "p2.json", person, body)
     frames = json.loads((tmp_path / "p2.json").read_text())
@@ -189,7 +215,8 @@ def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel
 
 def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, body: BodyModel) -> None:
     written = motion(tmp_path, person, body)
-    assert sorted(p.name for p in written) == ["p2.amass.npz", "p2.bvh", "p2.glb", "p2.openpose3d.json", "p2.trc"]
+    endings = ["amass.npz", "bvh", "c3d", "glb", "openpose3d.json", "trc"]
+    assert sorted(p.name for p in written) == [f"p2.{ending}" for ending in endings]
     assert all(p.stat().st_size > 1000 for p in written)
     other = Person(**{**vars(person), "body": "smpl_neutral"})
     with pytest.raises(UserError, match="p2 was fitted with the body model smpl_neutral"):

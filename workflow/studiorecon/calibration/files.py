@@ -100,6 +100,8 @@ def lenses_of(
     left_out = [c.name for c in reading.cameras if c.name not in matched.values()]
     if left_out:
         notes.append(f"the calibration also has {', '.join(left_out)}, without footage")
+    for name, raw in zip(cameras, chosen):
+        check_camera(name, raw, source)
     poses = [meant(c.camera_from_world, settings.poses) for c in chosen]
     if settings.poses != "as_read":
         notes.append(f"the poses were read as {settings.poses}, as the setting calibration.poses says")
@@ -124,7 +126,6 @@ def lenses_of(
     notes += [n for n in (unit_note, up_note) if n] + moves
     lenses = []
     for name, raw, pose in zip(cameras, chosen, poses):
-        check_camera(name, raw, source)
         lens = Lens(
             name, raw.wh, raw.intrinsics, raw.model, raw.distortion, pose, calibration_from_video(pixel_maps.get(name))
         )

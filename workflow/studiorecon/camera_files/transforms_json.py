@@ -78,6 +78,8 @@ def _camera(lens: dict[str, Any], source_from_file: np.ndarray, where: str) -> t
         raise UserError(f"{where} has no {error.args[0]}") from None
     if pose.shape not in ((4, 4), (3, 4)):
         raise UserError(f"{where}: its transform_matrix is {pose.shape}, expected (4, 4)")
+    if not np.isfinite(pose).all():
+        raise UserError(f"{where}: its transform_matrix holds numbers that are not finite; calibrate this camera again")
     fy, cx, cy = float(lens.get("fl_y", fx)), float(lens.get("cx", width / 2)), float(lens.get("cy", height / 2))
     fisheye = str(lens.get("camera_model", "OPENCV")).upper() == "OPENCV_FISHEYE"
     # distortion_params, where a file has them, are nerfstudio's own order k1 k2 k3 k4 p1 p2.

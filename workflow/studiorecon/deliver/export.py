@@ -60,8 +60,8 @@ _PERSONS = (
     "24-joint order, trans = pelvis, which frames\n"
     "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, "
     "metres), .trc (OpenSim markers, y up,\n"
-    "                  metres), .openpose3d.json (BODY_25, z up) and .glb (coloured mesh, skeleton "
-    "and animation, y up) are for other programs\n"
+    "                  metres), .c3d (the same markers, z up, millimetres), .openpose3d.json (BODY_25, z up) and .glb "
+    "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's motion in the files of other tools: AMASS npz, BVH, TRC and OpenPose's 3D JSON.
+"""A person's motion in the files of other tools: AMASS npz, BVH, TRC, C3D and OpenPose's 3D JSON.
 
 BVH, TRC and glTF viewers have y up, this project has z up: their files hold the world turned by −90 degrees about x,
 and say so.
@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
-from studiorecon.scene.files import write_npz, write_text
+from studiorecon.scene.files import complete, write_npz, write_text
 from studiorecon.scene.people import Person
 
 # Carries the z-up world to a y-up one: (x, y, z) → (x, z, −y).
@@ -107,6 +107,33 @@ def trc(path: Path, person: Person, body: BodyModel) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
+def c3d(path: Path, person: Person, body: BodyModel) -> None:
+    """C3D of biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, millimetres, z up as in
+    laboratories, frames from 1.
+
+    A frame that was not measured has no points: not a number, with the residual -1 that means so. Points come from
+    pictures and have no residual of their own: 0.
+    """
+    import ezc3d  # a fifth of a second, which only this format needs
+
+    points_m = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
+    points = np.ones((4, len(_BODY_25), len(points_m)))
+    points[:3] = np.moveaxis(1000 * points_m, -1, 0).swapaxes(1, 2)
+    points[:3, :, ~person.valid] = np.nan
+    residuals = np.where(person.valid, 0.0, -1.0) * np.ones((1, len(_BODY_25), 1))
+    file = ezc3d.c3d()
+    file["header"]["points"]["first_frame"] = 0
+    file["parameters"]["POINT"]["RATE"]["value"] = [person.fps]
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    file["parameters"]["POINT"]["LABELS"]["value"] = [openpose_name(name) for name in _BODY_25]
+    file.add_parameter("POINT", "X_SCREEN", ["+X"])
+    file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
+    file["data"]["points"] = points
+    file["data"]["meta_points"]["residuals"] = residuals
+    with complete(path) as partial:
+        file.write(str(partial))
+
+
 def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
     """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled,
     0).
@@ -127,6 +154,7 @@ WRITERS: dict[str, Callable[[Path, Person, BodyModel], None]] = {
     "amass.npz": amass,
     "bvh": bvh,
     "trc": trc,
+    "c3d": c3d,
     "openpose3d.json": openpose_3d,
 }
 

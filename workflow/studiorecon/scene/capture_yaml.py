@@ -9,7 +9,7 @@ from typing import Any
 
 from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_yaml
-from studiorecon.scene.values import listed, mapping, name, number, numbers, shown, whole
+from studiorecon.scene.values import listed, mapping, number, numbers, path, shown, whole
 
 _KEYS = {
     "frames", "starts", "held_out", "train", "calibration", "keypoints", "keypoint_layout", "keypoint_first_frame",
@@ -66,7 +66,7 @@ def names_under(description: dict[str, Any], key: str, footage: Mapping[str, Pat
 
 def path_under(description: dict[str, Any], key: str) -> str | None:
     """The file or folder named under ``key``, or None where there is none."""
-    return None if description.get(key) is None else name(description[key], f"capture.yaml: {key}")
+    return None if description.get(key) is None else path(description[key], f"capture.yaml: {key}")
 
 
 def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
@@ -75,7 +75,7 @@ def paths_under(description: dict[str, Any], key: str) -> list[str] | None:
     if given is None:
         return None
     several = given if isinstance(given, str) else listed(given, f"capture.yaml: {key}", "[intri.yml, extri.yml]")
-    found = [several] if isinstance(several, str) else [name(each, f"capture.yaml: {key}") for each in several]
+    found = [several] if isinstance(several, str) else [path(each, f"capture.yaml: {key}") for each in several]
     if not found:
         raise UserError(f"capture.yaml: {key} names no file; name one, or take the line out")
     return found

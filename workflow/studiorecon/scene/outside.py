@@ -14,6 +14,7 @@ import io
 import json
 import math
 import tokenize
+import warnings
 import xml.etree.ElementTree as ElementTree
 import zipfile
 import zlib
@@ -254,7 +255,10 @@ def _array(stream: Any, held: int, where: str, remedy: str = _COPY) -> np.ndarra
     try:
         version = np.lib.format.read_magic(stream)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read(stream)
+        with warnings.catch_warnings():
+            # Of Python 2, or damaged: what it says about headers is nothing that a user can change.
+            warnings.simplefilter("ignore", UserWarning)
+            shape, fortran, dtype = read(stream)
         if dtype.hasobject:
             raise UserError(f"{where} holds Python objects, which could run a program; save plain numbers")
         # The header may promise anything: what is not there is not reserved.

@@ -17,6 +17,7 @@ from studiorecon.errors import UserError
 
 MOST_SHOWN = 60
 """Of a value that is refused so many characters are shown."""
+_LONGEST_NAME = 255
 
 
 def shown(value: Any) -> str:
@@ -25,6 +26,7 @@ def shown(value: Any) -> str:
         text = repr(value) if not isinstance(value, (dict, list, tuple)) or len(value) < 20 else type(value).__name__
     except (RecursionError, ValueError):
         text = type(value).__name__
+    text = " ".join(text.split())
     return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 1] + "…"
 
 
@@ -51,6 +53,14 @@ def name(value: Any, where: str) -> str:
     if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
         raise UserError(f"{where} is {shown(value)}; it must be text")
     return str(value)
+
+
+def path(value: Any, where: str) -> str:
+    """``value`` as a path, whose parts are no longer than systems allow."""
+    found = name(value, where)
+    if max(map(len, found.split("/"))) > _LONGEST_NAME or "\0" in found:
+        raise UserError(f"{where} is {shown(found)}; no file can be called so")
+    return found
 
 
 def number(value: Any, where: str, low: float, high: float, what: str) -> float:
