@@ -14,6 +14,7 @@ from studiorecon.calibration import doctor
 from studiorecon.calibration.checks import clocks
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks import page as doctor_page
+from studiorecon.calibration.checks.advice import verdict
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera
@@ -66,6 +67,15 @@ def test_a_good_capture_needs_nothing(options):
 )
 def test_every_wrong_convention_is_named_with_its_setting(options, change, words):
     assert words in " ".join(examined([change(c) for c in ring()], options)["advice"])
+
+
+@pytest.mark.parametrize(("met", "name"), [(0.0, "good"), (0.9, "cannot tell")])
+def test_another_reading_rivals_only_if_its_rays_meet(options, met, name):
+    """The demo's: rays of inverted poses pass close to each other (0.57, 0.65 as read), and no three of them meet."""
+    report = examined(ring(), options)
+    rival = next(row for row in report["hypotheses"] if row["hypothesis"] == "poses are world-from-camera")
+    rival |= {"score": 0.9 * report["hypotheses"][0]["score"], "met": met}
+    assert verdict(report, 100.0)[0] == name
 
 
 def test_one_inverted_camera_shows_in_its_margin(options):

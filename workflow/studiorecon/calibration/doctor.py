@@ -73,7 +73,7 @@ def examined(
     frames = min(int(a["frames"]) for a in about)
     chosen, people = evenly_spread(frames, _FRAMES), any(len(d.frame) for d in detections)
     few = chosen[:: max(1, len(chosen) // 6)]
-    table, margins = verdicts(cameras, detections, few, settings.gate_m)
+    table, margins = verdicts(cameras, detections, few, settings.gate_m, settings.limits)
     seen, _ = observe(detections, cameras, chosen, settings.gate_m)
     median: float | None = None
     each: list[float | None] = [None] * len(cameras)

@@ -51,11 +51,14 @@ LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "
 
 
 def verdicts(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
 ) -> tuple[list[dict[str, Any]], list[float | None]]:
-    """Every reading with its score and remedy, and per camera how many times more it adds as read than under the best
-    other reading.
+    """Every reading with its score, remedy and ``met`` (the share of people's joints at which its rays meet, of three
+    cameras where there are three), and per camera how many times more it adds as read than under the best other
+    reading.
 
+    On a ring of cameras rays of a wrong reading may pass close to each other as often as those of the right one; they
+    do not meet. (The demo: scores 0.65 and 0.57, joints of which three cameras agree 82 % and none.)
     What a camera adds is the agreement of everybody less that of the others alone. For its margin only its own pose is
     read otherwise; at most 20, None when it adds nothing under any reading.
     """
@@ -67,10 +70,10 @@ def verdicts(
     table: list[dict[str, Any]] = []
     for name, change in changes.items():
         read = [_read(c, change) for c in cameras]
-        score = _score(read, detections, frames, gate_m)
+        score, met = _score_and_met(read, detections, frames, gate_m, limits)
         if name.startswith("lengths") and not (score > 0 and _human_size(read, detections, frames, gate_m)):
             score = 0.0
-        table.append({"hypothesis": name, "score": score, "remedy": REMEDIES[name]})
+        table.append({"hypothesis": name, "score": score, "met": met, "remedy": REMEDIES[name]})
     margins: list[float | None] = []
     full = _affinity(cameras, detections, frames, gate_m)
     for v in range(len(cameras)):
@@ -146,6 +149,17 @@ def refuse_swapped(
 def _score(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:
     seen, graph = observe(detections, cameras, frames, gate_m)
     return seen.affinity / max(len(graph.view), 1)
+
+
+def _score_and_met(
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+) -> tuple[float, float]:
+    seen, graph = observe(detections, cameras, frames, gate_m)
+    score = seen.affinity / max(len(graph.view), 1)
+    if not len(seen.frame):
+        return score, 0.0
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    return score, float((found.verified if len(cameras) > 2 else found.valid).mean())
 
 
 def _affinity(cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float) -> float:

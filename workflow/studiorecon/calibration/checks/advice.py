@@ -155,12 +155,15 @@ def _unclear(report: dict[str, Any]) -> list[str]:
                 "more frames of people who walk about"
             )
     # A mild lens in the other model bends people by less than the gate: those readings are compared by pixels, above.
-    rows = {row["hypothesis"]: row["score"] for row in report["hypotheses"] if "median_px" not in row}
-    as_read = rows.pop("as read")
+    rows = {row["hypothesis"]: row for row in report["hypotheses"] if "median_px" not in row}
+    best = rows.pop("as read")
+    as_read = best["score"]
     close = [
-        f"{name} ({score:.2f})"
-        for name, score in rows.items()
-        if score > 0 and CLEAR_MARGIN * score > as_read >= score / CLEAR_MARGIN
+        f"{name} ({row['score']:.2f})"
+        for name, row in rows.items()
+        if row["score"] > 0
+        and CLEAR_MARGIN * row["score"] > as_read >= row["score"] / CLEAR_MARGIN
+        and CLEAR_MARGIN * row.get("met", best["met"]) >= best["met"]
     ]
     if close:
         found.append(
