@@ -22,7 +22,7 @@ EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.
 FINISHED_STUDIO = {
     f"tests/workflow/test_{name}.py"
-    for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed")
+    for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed", "notebooks", "killed")
 }
 
 

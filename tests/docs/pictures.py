@@ -19,7 +19,7 @@ from tests.made.browser import Browser, software_gl
 SIZE = (1120, 700)
 # Page and what it is scrolled to; the player's address says where one stands.
 PAGES = {
-    "doctor": ("calibration/doctor.html", "document.querySelector('img').style.width = '100%'; document.querySelector('img').scrollIntoView()"),
+    "doctor": ("calibration/doctor.html", "document.querySelector('img').scrollIntoView()"),
     "people": ("people/review.html", "scrollTo(0, 250)"),
     "report": ("report/index.html", ""),
 }

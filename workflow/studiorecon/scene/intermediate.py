@@ -29,8 +29,10 @@ def read_arrays(
     Raises UserError that names the file and the array: missing, damaged, or with a number that is not finite where none
     may be (not in ``gaps``).
     """
-    with as_written(path):
+    try:
         found = outside.read_npz(path, names=names, but=but, remedy=_CURE)
+    except KeyError as error:
+        raise UserError(_missing(path, error)) from None
     for name, array in found.items():
         if array.dtype.kind == "f" and name not in gaps and (bad := int((~np.isfinite(array)).sum())):
             raise UserError(f"{path} is damaged: {bad} of {array.size} numbers of {name} are not finite; {_CURE}")
@@ -56,12 +58,14 @@ def as_written(path: Path) -> Iterator[None]:
     except UserError:
         raise
     except KeyError as error:
-        raise UserError(
-            f"{path} has no {error.args[0]!r}: it is damaged, or of another version of this program; {_CURE}"
-        ) from None
+        raise UserError(_missing(path, error)) from None
     except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
         reason = outside.first_line(error)
         raise UserError(f"{path} is damaged, or of another version of this program ({reason}); {_CURE}") from None
+
+
+def _missing(path: Path, error: KeyError) -> str:
+    return f"{path} has no {error.args[0]!r}: it is damaged, or of another version of this program; {_CURE}"
 
 
 def _gap(value: Any, allowed: Container[str]) -> str | None:
