@@ -91,7 +91,9 @@ async function start() {
   makePanel(player);
   listen(player);
   player.begin();
-  at("poster").hidden = true;
+  // Until the first order is there, nothing is drawn but darkness.
+  const uncover = () => (player.sorted() ? (at("poster").hidden = true) : requestAnimationFrame(uncover));
+  uncover();
   at("bytes").remove();
   if (at("stage").clientWidth < 640) at("panel").querySelector("details").open = false;
   say("", 0);

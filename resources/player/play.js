@@ -167,6 +167,7 @@ function makePlayer(scene, bytes, painter) {
     play: () => { state.playing = !state.playing && end() > 0; changed(); },
     step: (by) => { state.playing = false; seek(Math.round(place()) + by); },
     drawn: () => drawn,
+    sorted: () => sorted,
     begin() { settle(); readLink(player); requestAnimationFrame(tick); },
   };
   return player;

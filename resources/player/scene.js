@@ -51,12 +51,9 @@ function readScene(told, bytes) {
   for (const set of told.sets) {
     set.first = first;
     first += Math.ceil(set.count / ROW) * ROW;
-    set.means = numbers(bytes, set.means);
+    for (const name of ["means", "scales", "opacities", "colours", "provenance"]) set[name] = numbers(bytes, set[name]);
     set.quaternions = quaternions(bytes, set.quaternions);
-    set.scales = numbers(bytes, set.scales).map(Math.exp);
-    set.opacities = numbers(bytes, set.opacities);
-    set.colours = numbers(bytes, set.colours);
-    set.provenance = numbers(bytes, set.provenance);
+    set.scales = set.scales.map(Math.exp);
     set.bands = (set.degree + 1) ** 2 - 1;
     set.reach = set.harmonics ? set.harmonics.high[0] : 0;
     // As they are stored, 0 to 255: the shader spreads them.

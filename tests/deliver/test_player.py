@@ -100,7 +100,7 @@ def test_opened_from_disk_it_asks_nobody_and_logs_nothing(browser: Browser, page
     assert addresses_outside(browser.asked) == []
     assert not unexpected(browser)
     assert browser.run("document.getElementById('told').textContent") == ""
-    assert browser.run("document.getElementById('poster').hidden")
+    browser.wait("document.getElementById('poster').hidden")
 
 
 def test_served_it_asks_the_same_machine_only(browser: Browser, page: Path) -> None:
@@ -256,7 +256,14 @@ def test_a_film_is_flown_along(browser: Browser, page: Path) -> None:
     assert browser.run("player.state.frame") == step.frame
 
 
-@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
+def test_the_poster_stands_until_something_is_drawn(browser: Browser, page: Path) -> None:
+    """An address that stands still is drawn once, before anything is sorted: the poster covers that."""
+    opened(browser, page, "camera=cam0&frame=1")
+    browser.wait("document.getElementById('poster').hidden")
+    assert browser.run("player.sorted()") > 0
+
+
+@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1), (1, 9000)])
 def test_scenes_of_all_sizes_open(browser: Browser, tmp_path: Path, people: int, frames: int) -> None:
     scene = scene_of(people, frames, things=False, step_m=0.5, degree=0)
     opened(browser, write_page(tmp_path / "player.html", scene), "")
