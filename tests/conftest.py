@@ -22,8 +22,18 @@ EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.
 FINISHED_STUDIO = {
     f"tests/workflow/test_{name}.py"
-    for name in ("bare", "every_setting", "reruns", "identities", "shadows", "precomputed", "notebooks", "killed")
-}
+    for name in (
+        "bare",
+        "every_setting",
+        "reruns",
+        "identities",
+        "shadows",
+        "precomputed",
+        "notebooks",
+        "killed",
+        "hostile_names",
+    )
+}  # fmt: skip
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -14,6 +14,9 @@ WRONG: list[Any] = [
     None, "text", "", True, -1, 10**400, 1e308, float("nan"), float("inf"), [], {}, [[]], [None], {"x": {}}, ["a", [1]],
     "$(touch x)", "../..", [1e308] * 6, [[1, 2], [3]],
 ]  # fmt: skip
+NAMES = [
+    "$(touch x)", "`touch x`", "a&b", "..", ".", "/etc", "-rf", "a\nb", "a;b", "a{b}", "", "a" * 101, "a  b",
+]  # fmt: skip
 ENCODINGS: dict[str, Any] = {
     "empty": lambda data: b"",
     "half": lambda data: data[: len(data) // 2],

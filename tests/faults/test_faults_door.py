@@ -217,9 +217,7 @@ def test_numbered_pictures_come_in_the_order_of_their_numbers_and_gaps_are_named
     assert gaps_named(found[:12]) == ""
 
 
-@pytest.mark.parametrize(
-    "name", ["$(touch x)", "`touch x`", "a&b", "..", ".", "/etc", "-rf", "a\nb", "a;b", "a{b}", "", "a" * 101, "a  b"]
-)
+@pytest.mark.parametrize("name", damage.NAMES)
 def test_hostile_names_are_refused(name: str) -> None:
     with pytest.raises(UserError, match="cannot be used"):
         checked_name(name, "the scene", "rename it")

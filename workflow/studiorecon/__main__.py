@@ -28,6 +28,8 @@ from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import fail, logged
 from studiorecon.step_settings import section_of
 
+_MOST_PIXELS = 2**28
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run one step; the exit status is 0 when it finished, 1 when it refused or failed."""
@@ -69,6 +71,8 @@ def _keep_to_the_threads_given() -> None:
     # numpy's linear algebra waits in busy loops as well: on the small matrices here its threads cost time and win none
     # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Pictures of more pixels than any camera's are damaged or made to fill the memory: a few bytes can announce them.
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MOST_PIXELS))
 
 
 def _keep_byte_code() -> None:

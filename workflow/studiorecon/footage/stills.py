@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,18 +17,34 @@ from studiorecon.scene.outside import read_bytes
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
+_PNG = b"\x89PNG\r\n\x1a\n"
+
 
 def decoded(path: Path, flags: int, cure: str = "replace it") -> np.ndarray:
     """The picture of a file as OpenCV has it (BGR); raises UserError, which ends in ``cure``, when it is missing or
     none."""
-    data = np.frombuffer(read_bytes(path), np.uint8)
+    data = read_bytes(path)
     try:
-        picture = cv2.imdecode(data, flags) if len(data) else None
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _whole(data) else None
     except cv2.error:  # more pixels than it will make room for
         picture = None
     if picture is None:
         raise UserError(f"{path} is not a readable picture; {cure}")
     return picture
+
+
+def _whole(data: bytes) -> bool:
+    """Whether there is anything, and of a PNG every part that it announces: the decoder makes room for what a damaged
+    one promises, gigabytes of it, before it looks."""
+    if not data.startswith(_PNG):
+        return len(data) > 0
+    at = len(_PNG)
+    while at + 8 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if kind == b"IEND":
+            break
+    return at <= len(data)
 
 
 def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
