@@ -197,7 +197,7 @@ def test_requests_survive_the_disk_and_broken_files_are_named(
     again = read_request(tmp_path / "00.npz")
     assert set(again) == set(request_of_room)
     (tmp_path / "01.npz").write_bytes(b"PK no")
-    with pytest.raises(UserError, match=r"01\.npz is not a readable request"):
+    with pytest.raises(UserError, match=r"01\.npz is not a readable .npz .*delete it"):
         read_request(tmp_path / "01.npz")
 
 

@@ -5,3 +5,9 @@ landmarks, masks and a track.
 ``windows`` says where in a picture somebody is looked for, ``blazepose`` runs the two networks there, ``following``
 goes through a camera's frames.
 """
+
+import os
+
+# From 1.32 on ONNX Runtime tells Microsoft of its use, and keeps a file in the user's cache, unless this is set before
+# it is loaded. Nothing here leaves the machine.
+os.environ["ORT_DISABLE_TELEMETRY"] = "1"

@@ -11,13 +11,15 @@ import os
 
 OFFLINE = {"HF_HUB_OFFLINE": "1", "TRANSFORMERS_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
 """Variables that hub clients read when they are imported."""
+SILENT = {"ORT_DISABLE_TELEMETRY": "1", "HF_HUB_DISABLE_TELEMETRY": "1", "DO_NOT_TRACK": "1"}
+"""With them libraries tell nobody that they are used; ONNX Runtime 1.32 does unless it is told not to."""
 ARRAYS_ONLY = {"TORCH_FORCE_WEIGHTS_ONLY_LOAD": "1"}
 """With it ``torch.load`` makes tensors and plain containers of a file, and refuses whatever else it asks for."""
 
 
 def confine() -> None:
     """Tell this process, and those it starts, to fetch nothing and to unpickle nothing but arrays."""
-    os.environ.update(OFFLINE | ARRAYS_ONLY)
+    os.environ.update(OFFLINE | SILENT | ARRAYS_ONLY)
 
 
 def may_fetch() -> None:
