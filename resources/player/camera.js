@@ -14,10 +14,6 @@ function looking(eye, target) {
   return [...right, ...cross(forward, right), ...forward];
 }
 
-function viewOf(wh, focal, principal, turn, eye) {
-  return { wh, focal, principal, rotation: turn, eye, offset: turned(turn, ...eye).map((value) => -value) };
-}
-
 // The part of a canvas that a picture of size `own` fills, as large as it fits: left, top, and how many times larger.
 function fitted(wh, own) {
   const times = Math.min(wh[0] / own[0], wh[1] / own[1]);
@@ -26,8 +22,9 @@ function fitted(wh, own) {
 
 // A camera of size `own` on a canvas: its whole picture, and what lies around it.
 function onCanvas(wh, own, focal, principal, turn, eye) {
-  const [left, top, times] = fitted(wh, own);
-  return viewOf(wh, focal.map((f) => f * times), [principal[0] * times + left, principal[1] * times + top], turn, eye);
+  const [left, top, times] = fitted(wh, own), offset = turned(turn, ...eye).map((value) => -value);
+  const middle = [principal[0] * times + left, principal[1] * times + top];
+  return { wh, focal: focal.map((f) => f * times), principal: middle, rotation: turn, eye, offset };
 }
 
 function makeEye(scene) {

@@ -11,10 +11,8 @@ function listen(player) {
     const was = fingers.get(event.pointerId);
     if (!was) return;
     const high = stage.clientHeight, [dx, dy] = [event.clientX - was.clientX, event.clientY - was.clientY];
-    const pan = (share) => {
-      const metres = (-share * Math.hypot(...minus(eye.eye, eye.target))) / high;
-      eye.fly(dx * metres, dy * metres, 0);
-    };
+    const metres = () => Math.hypot(...minus(eye.eye, eye.target)) / high;
+    const pan = (share) => eye.fly(-share * dx * metres(), -share * dy * metres(), 0);
     const other = [...fingers.values()].find((one) => one.pointerId !== event.pointerId);
     if (other) {
       const gap = (one) => Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY) || 1;
@@ -79,8 +77,7 @@ function listen(player) {
 
 async function start() {
   const films = "this is a picture of it, and the films beside this page show it";
-  const old = typeof DecompressionStream === "undefined";
-  if (old) return say(`This browser is too old to unpack the scene; ${films}.`, 0);
+  if (!window.DecompressionStream) return say(`This browser is too old to unpack the scene; ${films}.`, 0);
   const bytes = await bytesOf(at("bytes").textContent), scene = readScene(JSON.parse(at("scene").textContent), bytes);
   const painter = makePainter(at("picture"), scene);
   if (!painter) return say(`This browser has no WebGL2, so nobody can move through the scene here; ${films}.`, 0);

@@ -43,11 +43,8 @@ function readLink({ scene, eye, state, last, changed }) {
 function addKey({ scene, eye, state, keys }) {
   const before = keys.at(-1), { frame } = state, waits = Math.max(Math.round(scene.fps), 1);
   const picture = before ? before.picture + (Math.round(Math.abs(frame - before.frame)) || waits) : 0;
-  if (eye.mode === "camera") {
-    const camera = scene.cameras[eye.camera];
-    keys.push({ picture, camera: camera.name, frame, zoom: eye.wide(camera) / eye.usual });
-    return;
-  }
+  const camera = eye.mode === "camera" && scene.cameras[eye.camera];
+  if (camera) return keys.push({ picture, camera: camera.name, frame, zoom: eye.wide(camera) / eye.usual });
   eye.letGo();
   keys.push({ picture, eye: [...eye.eye], target: eye.person || [...eye.target], frame, zoom: eye.zoom });
 }

@@ -16,10 +16,7 @@ function makePanel(player) {
     parent.append(made);
     return made;
   }
-  function section(title) {
-    add(panel, "h2", title);
-    return add(panel, "div");
-  }
+  const section = (title) => add(panel, "h2", title) && add(panel, "div");
   function button(parent, text, does, pressed) {
     const made = add(parent, "button", text, { onclick: () => { does(); changed(); } });
     if (pressed) refresh.push(() => made.setAttribute("aria-pressed", pressed()));

@@ -20,10 +20,8 @@ function makePlayer(scene, bytes, painter) {
   let scale = 1, before = 0, slow = 0, moved = NaN, noted = 0;
   const changed = () => changes++;
 
-  function size() {
-    const sharp = Math.min(devicePixelRatio || 1, 2);
-    return [stage.clientWidth, stage.clientHeight].map((side) => Math.max(Math.round(side * sharp), 2));
-  }
+  const pixels = (side) => Math.max(Math.round(side * Math.min(devicePixelRatio || 1, 2)), 2);
+  const size = () => [stage.clientWidth, stage.clientHeight].map(pixels);
 
   // Everything to the moment that is seen; who follows somebody goes along.
   function settle() {

@@ -29,6 +29,12 @@ function numbers(bytes, { at, count, columns, bits, low, high }) {
   return found;
 }
 
+// Whatever of a description's entries is packed, as numbers.
+function unpack(bytes, described) {
+  for (const [name, value] of Object.entries(described || {}))
+    if (value && value.bits !== undefined) described[name] = numbers(bytes, value);
+}
+
 // Unit quaternions (w, x, y, z): two bits say which number is the largest, ten each what the others are.
 function quaternions(bytes, described) {
   const packed = numbers(bytes, described), found = new Float32Array(packed.length * 4);
@@ -51,34 +57,21 @@ function readScene(told, bytes) {
   for (const set of told.sets) {
     set.first = first;
     first += Math.ceil(set.count / ROW) * ROW;
-    for (const name of ["means", "scales", "opacities", "colours", "provenance"]) set[name] = numbers(bytes, set[name]);
     set.quaternions = quaternions(bytes, set.quaternions);
-    set.scales = set.scales.map(Math.exp);
     set.bands = (set.degree + 1) ** 2 - 1;
     set.reach = set.harmonics ? set.harmonics.high[0] : 0;
     // As they are stored, 0 to 255: the shader spreads them.
     set.harmonics = set.harmonics && numbers(bytes, { ...set.harmonics, low: undefined });
+    for (const packed of [set, set.motion, set.changes, set.shade]) unpack(bytes, packed);
+    set.scales = set.scales.map(Math.exp);
     set.shown = true;
     if (set.motion) {
-      const { rest, parents, turns, places, valid, present } = set.motion;
       set.firstBone = bone;
-      bone += parents.length;
-      set.motion = {
-        parents, rest: numbers(bytes, rest), turns: numbers(bytes, turns), places: numbers(bytes, places),
-        valid: numbers(bytes, valid), present: present && numbers(bytes, present),
-      };
-      set.bones = numbers(bytes, set.bones);
-      set.shares = numbers(bytes, set.shares);
-      set.joints = new Float32Array(parents.length * 3);
-    }
-    for (const kind of ["changes", "shade"]) {
-      for (const [name, value] of Object.entries(set[kind] || {})) {
-        if (value.bits !== undefined) set[kind][name] = numbers(bytes, value);
-      }
+      bone += set.motion.parents.length;
+      set.joints = new Float32Array(set.motion.parents.length * 3);
     }
   }
-  for (const camera of told.cameras) if (camera.exposure) camera.exposure = numbers(bytes, camera.exposure);
-  for (const film of told.films) film.steps = numbers(bytes, film.steps);
+  for (const packed of [...told.cameras, ...told.films]) unpack(bytes, packed);
   return { ...told, size: first, bones: new Float32Array(Math.max(bone, 1) * 12) };
 }
 
@@ -107,14 +100,8 @@ function rotation(q) {
   ];
 }
 
-function times(a, b) {
-  const c = new Array(9);
-  for (let i = 0; i < 9; i++) {
-    const row = i - (i % 3), column = i % 3;
-    c[i] = a[row] * b[column] + a[row + 1] * b[column + 3] + a[row + 2] * b[column + 6];
-  }
-  return c;
-}
+// The product of two row-major matrices, column by column.
+const times = (a, b) => transposed([0, 1, 2].flatMap((k) => turned(a, b[k], b[k + 3], b[k + 6])));
 
 function turned(r, x, y, z) {
   return [r[0] * x + r[1] * y + r[2] * z, r[3] * x + r[4] * y + r[5] * z, r[6] * x + r[7] * y + r[8] * z];

@@ -24,7 +24,7 @@ from studiorecon.schema import mistakes
 from studiorecon.viewer import Viewer
 
 from tests.made.browser import BROWSER, NO_BROWSER, Browser, addresses_outside, pixels, software_gl
-from tests.made.player import drawn, scene_of, shade_for, write_page
+from tests.made.player import PARTS, drawn, scene_of, shade_for, write_page
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
 FRAMES = 7
@@ -263,13 +263,35 @@ def test_the_poster_stands_until_something_is_drawn(browser: Browser, page: Path
     assert browser.run("player.sorted()") > 0
 
 
-@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1), (1, 9000)])
+@pytest.mark.parametrize(("people", "frames"), [(0, 3), (7, 2), (1, 1)])
 def test_scenes_of_all_sizes_open(browser: Browser, tmp_path: Path, people: int, frames: int) -> None:
     scene = scene_of(people, frames, things=False, step_m=0.5, degree=0)
     opened(browser, write_page(tmp_path / "player.html", scene), "")
     ours = to_bytes(drawn(scene, scene.cameras[0], frames - 1.0))
     assert psnr(seen(browser, mode="camera", camera=0, frame=frames - 1.0, playing=False), ours) > 38
     assert not unexpected(browser)
+
+
+def test_five_minutes_open_and_end_where_they_end(browser: Browser, tmp_path: Path) -> None:
+    """9,000 frames at 30 per second: the slider reaches the last, and its picture is the one of that frame."""
+    frames = 9000
+    short = scene_of(people=2, frames=4, things=False, step_m=0.5, degree=0)
+    again = np.arange(frames) % 4
+    people = [
+        replace(one, network=None, poses=one.poses[again], trans=one.trans[again], valid=one.valid[again])
+        for one in short.people
+    ]
+    scene = replace(short, capture=replace(short.capture, frames=frames), people=people)
+    opened(browser, write_page(tmp_path / "player.html", scene), "")
+    assert browser.run("document.getElementById('slider').max") == "8999"
+    ours = to_bytes(drawn(scene, scene.cameras[0], frames - 1.0))
+    assert psnr(seen(browser, mode="camera", camera=0, frame=frames - 1.0, playing=False), ours) > 36
+    assert not unexpected(browser)
+
+
+def test_the_player_is_at_most_a_thousand_lines() -> None:
+    lines = [line.strip() for part in PARTS if part.suffix == ".js" for line in part.read_text("utf-8").splitlines()]
+    assert sum(bool(line) and not line.startswith("//") for line in lines) <= 1000
 
 
 def test_without_webgl2_there_is_a_picture_and_a_sentence(tmp_path: Path, page: Path) -> None:
