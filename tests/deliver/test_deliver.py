@@ -57,6 +57,7 @@ def options(folder: Path, people: int) -> dict:
         "films": [folder / "enhance/orbit.mp4"],
         "detections": [],
         "identities": [],
+        "blender": Path(__file__).resolve().parents[2] / "resources/blender.py",
         "contents": folder / "deliver/manifest.json",
     }
 

@@ -13,6 +13,7 @@ rule deliver_export:
         detections=files.detections,
         identities=files.identities,
         films=collect("results/{scene}/enhance/{shot}.mp4", shot=PLAN.films, allow_missing=True),
+        blender=files.bundled("resources/blender.py"),
     output:
         contents="results/{scene}/deliver/manifest.json",
     log:

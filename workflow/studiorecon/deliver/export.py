@@ -33,10 +33,11 @@ background.ply    the static room: 3D Gaussians, binary PLY in the layout of the
 {still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
 {keypoints}films/            H.264 films, enhanced: {films}
 player.html       the scene to move through, in a browser, without a network
+blender.py        opens scene.glb in Blender with the cameras' films behind it: blender --python blender.py
 scene.glb         room (KHR_gaussian_splatting), people, things and cameras for three.js, PlayCanvas, Blender; y up
 room.glb          only on request (snakemake room_mesh): the room as a coloured mesh, y up, in metres
 scene.usdc        only on request (snakemake scene_usd): room, people, things and cameras as a stage for usdview, z up
-manifest.json     size and SHA-256 of every other file here
+manifest.json     size and SHA-256 of every other file here, frame rate, and the cameras as blender.py reads them
 
 World: right-handed, metres, z up, floor near z = 0. Camera axes as in OpenCV and COLMAP: x right, y down, z forward;
 pixel centres at +0.5 (EasyMocap's and Pose2Sim's files have them at 0, as those tools do; nerfstudio's axes are
@@ -146,6 +147,7 @@ def run(
     films: list[Path],
     detections: list[Path],
     identities: list[Path],
+    blender: Path,
     contents: Written,
 ) -> None:
     """Fill the folder of ``contents`` (its manifest.json), and remove what an earlier export left there and this one
@@ -187,6 +189,7 @@ def run(
     other += motions
     copies = {film: folder / "films" / film.name for film in films}
     copies |= {fit: folder / "bodies" / fit.name for fit in fits}
+    copies[blender] = folder / blender.name
     copy_files(copies)
     layouts = sorted({d.layout for d in seen})
     text = readme(scene, names, [f.stem for f in films], frame, capture.frames, capture.fps, layouts)
@@ -200,9 +203,18 @@ def run(
         if p.is_file() and str(p.relative_to(folder)) not in delivered and not p.name.endswith(OF_OTHER_STEPS)
     ]:
         stale.unlink()
-    write_json(
-        contents, {"scene": scene, "still_frame": frame, "files": {name: digest(folder / name) for name in delivered}}
-    )
+    filmed = [
+        {
+            "name": camera.name,
+            "wh": camera.wh,
+            "focal_px": camera.focal_px,
+            "principal_px": camera.principal_px,
+            "film": f"../capture/{camera.name}.mkv",
+        }
+        for camera in cameras
+    ]
+    told = {"scene": scene, "still_frame": frame, "fps": capture.fps, "frames": capture.frames, "cameras": filmed}
+    write_json(contents, told | {"files": {name: digest(folder / name) for name in delivered}})
     say(
         f"{len(delivered)} files are in {folder}, "
         f"{sum(p.stat().st_size for p in folder.rglob('*') if p.is_file()) / 1e6:.1f} MB"

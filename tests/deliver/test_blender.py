@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scene in Blender, by its own Python: cameras see a point at the pixel where ours do, bodies stand where they
+stood, films lie behind what is seen.
+
+``uv run --with bpy --group test pytest tests/deliver/test_blender.py`` (Blender as a package, 350 MB).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon import settings as settings_module
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.deliver import export, scene_glb
+from studiorecon.deliver.finished import read_finished
+from studiorecon.footage.video import write_lossless
+
+from tests.deliver.test_deliver import options
+from tests.made.scene import FPS, FRAMES, render_options, write_scene
+
+SCRIPT = Path(__file__).resolve().parents[2] / "resources/blender.py"
+LOOK = """
+import json, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import blender, bpy, mathutils
+from bpy_extras.object_utils import world_to_camera_view
+cameras, scene = blender.open_scene(Path(sys.argv[1])), bpy.context.scene
+told = {"fps": scene.render.fps / scene.render.fps_base, "last": scene.frame_end, "pixels": {}, "films": {}}
+scene.frame_set(int(sys.argv[2]))
+entries = json.loads(Path(sys.argv[1], "manifest.json").read_text())["cameras"]
+for (name, camera), entry in zip(cameras.items(), entries):
+    blender.look_through(scene, entry)
+    x, y, _ = world_to_camera_view(scene, camera, mathutils.Vector(json.loads(sys.argv[3])))
+    told["pixels"][name] = [x * entry["wh"][0], (1 - y) * entry["wh"][1]]
+    told["films"][name] = [behind.clip.frame_duration for behind in camera.data.background_images]
+told["heads"] = [list(o.matrix_world @ b.head) for o in bpy.data.objects if o.type == "ARMATURE" for b in o.pose.bones]
+print("TOLD" + json.dumps(told))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("bpy") is None, reason="Blender as a package is not here (uv run --with bpy)")
+def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path, default_settings: Callable) -> None:
+    write_scene(tmp_path, root, people=2, filmed=False)
+    chosen = options(tmp_path, 2)
+    settings = settings_module.load(export.Settings, default_settings("deliver", still_frame=2), "deliver")
+    export.run(settings, **chosen)
+    folder = chosen["contents"].parent
+    names = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
+    render = render_options(tmp_path, "orbit", 2)
+    given = {name: render[name] for name in names}
+    scene_glb.run("made", **given, objects=[], glb=folder / "scene.glb")
+    cameras = read_model(chosen["model"].parent)
+    for camera in cameras:
+        frames = [np.zeros((camera.hw[0], camera.hw[1], 3), np.uint8)] * FRAMES
+        write_lossless(tmp_path / "capture" / f"{camera.name}.mkv", frames, FPS)
+    assert (folder / "blender.py").read_bytes() == SCRIPT.read_bytes()
+    shutil.rmtree(folder / "__pycache__", ignore_errors=True)
+    point_m, frame = [0.2, -0.1, 1.1], FRAMES - 1
+    done = subprocess.run(
+        [sys.executable, "-c", LOOK, str(folder), str(frame), json.dumps(point_m)],
+        text=True, capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    told = json.loads(done.stdout.partition("TOLD")[2].splitlines()[0])
+    assert told["fps"] == pytest.approx(FPS)
+    assert told["last"] == FRAMES - 1
+    for camera in cameras:
+        assert told["pixels"][camera.name] == pytest.approx(camera.project(np.array([point_m]))[0][0], abs=0.05)
+        assert told["films"][camera.name] == [FRAMES]
+    scene = read_finished("made", **given)
+    heads = np.array(told["heads"])
+    for person in scene.people:
+        assert np.linalg.norm(heads - person.trans[frame], axis=-1).min() < 1e-3
