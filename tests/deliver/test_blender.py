@@ -23,7 +23,7 @@ from studiorecon.deliver import export, scene_glb
 from studiorecon.deliver.finished import read_finished
 from studiorecon.footage.video import write_lossless
 
-from tests.deliver.test_deliver import options
+from tests.made.delivered import options
 from tests.made.scene import FPS, FRAMES, render_options, write_scene
 
 SCRIPT = Path(__file__).resolve().parents[2] / "resources/blender.py"

@@ -11,55 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.model import BodyModel
-from studiorecon.body.person_files import write_person
 from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver import camera_files, export, keypoint_files
 from studiorecon.errors import UserError
-from studiorecon.footage.video import write_watchable
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.files import read_json
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.people import Detections, Person, write_detections, write_identities
+from studiorecon.scene.people import Detections, write_detections, write_identities
 
-from tests.made.scene import FPS, FRAMES, render_options, ring, write_scene
+from tests.made.delivered import options
+from tests.made.scene import FRAMES, ring, write_scene
 
 
 @pytest.fixture
 def settings(default_settings: Callable) -> export.Settings:
     return settings_module.load(export.Settings, default_settings("deliver", still_frame=2), "deliver")
-
-
-def options(folder: Path, people: int) -> dict:
-    identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
-    fits = [folder / f"people/p{i}.npz" for i in range(people)]
-    for fit in fits:
-        person = Person(
-            fit.stem,
-            identity,
-            FPS,
-            np.zeros((FRAMES, 72)),
-            np.zeros((FRAMES, 3)),
-            np.zeros(10),
-            np.zeros((FRAMES, 24, 3)),
-            np.ones(FRAMES, bool),
-            np.zeros((FRAMES, 24)),
-            True,
-        )
-        write_person(fit, person)
-    write_watchable(folder / "enhance/orbit.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, FPS)
-    render = render_options(folder, "orbit", people)
-    return {
-        **{name: render[name] for name in ("manifest", "model", "background", "gaussians", "avatars", "body")},
-        "scene": "made",
-        "fits": fits,
-        "films": [folder / "enhance/orbit.mp4"],
-        "detections": [],
-        "identities": [],
-        "blender": Path(__file__).resolve().parents[2] / "resources/blender.py",
-        "contents": folder / "deliver/manifest.json",
-    }
 
 
 def test_everything_delivered_can_be_read_and_matches_its_digest(

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the export of a made scene takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import write_person
+from studiorecon.footage.video import write_watchable
+from studiorecon.scene.people import Person
+
+from tests.made.scene import FPS, FRAMES, render_options
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def options(folder: Path, people: int) -> dict:
+    """The options of ``deliver.export`` for a scene written by ``write_scene``; people who stand still, and a black film."""
+    identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
+    fits = [folder / f"people/p{i}.npz" for i in range(people)]
+    for fit in fits:
+        person = Person(
+            fit.stem,
+            identity,
+            FPS,
+            np.zeros((FRAMES, 72)),
+            np.zeros((FRAMES, 3)),
+            np.zeros(10),
+            np.zeros((FRAMES, 24, 3)),
+            np.ones(FRAMES, bool),
+            np.zeros((FRAMES, 24)),
+            True,
+        )
+        write_person(fit, person)
+    write_watchable(folder / "enhance/orbit.mp4", [np.zeros((32, 32, 3), np.uint8)] * 2, FPS)
+    render = render_options(folder, "orbit", people)
+    return {
+        **{name: render[name] for name in ("manifest", "model", "background", "gaussians", "avatars", "body")},
+        "scene": "made",
+        "fits": fits,
+        "films": [folder / "enhance/orbit.mp4"],
+        "detections": [],
+        "identities": [],
+        "blender": ROOT / "resources/blender.py",
+        "contents": folder / "deliver/manifest.json",
+    }
