@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def options(folder: Path, people: int) -> dict:
-    """The options of ``deliver.export`` for a scene written by ``write_scene``; people who stand still, and a black film."""
+    """The options of ``deliver.export`` for a scene of ``write_scene``: people who stand still, and a black film."""
     identity = BodyModel.load(render_options(folder, "orbit", people)["body"]).identity
     fits = [folder / f"people/p{i}.npz" for i in range(people)]
     for fit in fits:
