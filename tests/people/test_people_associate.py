@@ -372,6 +372,19 @@ def test_keypoint_files_without_anybody_say_so(tmp_path, people_settings, capsys
     assert "frames each of c0, c1, c2, c3 were looked at" in told
 
 
+def test_people_in_two_frames_only_are_nobody_and_it_is_said(tmp_path, people_settings, two_people, capsys):
+    found = [
+        replace(d, frame=d.frame[few], track=d.track[few], keypoints=d.keypoints[few])
+        for d in detect(ring(), two_people, 1.0, np.random.default_rng(0))
+        for few in [d.frame < 2]
+    ]
+    people, _ = run_association(tmp_path, ring(), found, people_settings(associate.Settings))
+    assert people == []
+    told = capsys.readouterr().out
+    assert "warning: nobody of this scene was found: 16 detections" in told
+    assert "bring a longer clip" in told
+
+
 def test_people_without_keypoints_stand_below_those_with_and_above_the_rejected(tmp_path):
     first, everybody = tmp_path / "with_keypoints.tsv", tmp_path / "people.tsv"
     rows = [("p0", 40, "a,b", 0.87, "keypoints"), ("p1", 40, "a,b", float("nan"), "keypoints")]

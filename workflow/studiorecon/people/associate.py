@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -86,6 +87,14 @@ def run(
             f"{', '.join(d.camera for d in given)} were looked at; if "
             "somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
+        )
+    elif detections and not rows and not missed:
+        # Who was left out with a name is told below.
+        reasons = Counter(verdict.reason for verdict in verdicts.values())
+        warn(
+            f"nobody of this scene was found: {sum(len(d.frame) for d in given)} detections in {len(verdicts)} "
+            f"tracks of {', '.join(d.camera for d in given)} belong to no person, most because {reasons.most_common(1)[0][0]}; "
+            "bring a longer clip, or keypoints of all its frames"
         )
     write_people(people, rows, [one.row() for one in missed])
     write_identities(identities, table)
