@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -100,3 +103,46 @@ def test_films_that_are_encoded_side_by_side_have_the_bytes_of_one_encoded_alone
             for frame in frames:
                 put(frame, frame)
         assert all(path.read_bytes() == alone for path in paths)
+
+
+def test_a_file_that_fails_as_it_is_closed_ends_the_films_beside_it(tmp_path: Path) -> None:
+    """As on a full disk: the last frame is taken, and only then the encoder fails."""
+
+    def closes_badly(frames: Iterator[np.ndarray]) -> None:
+        for _ in frames:
+            pass
+        raise OSError(28, "No space left on device")
+
+    def written(frames: Iterator[np.ndarray]) -> None:
+        write_lossless(tmp_path / "film.mkv", frames, 10.0)
+
+    def film() -> None:
+        with writing([closes_badly, written]) as put:
+            for _ in range(20):
+                put(np.zeros((16, 16, 3), np.uint8), np.zeros((16, 16, 3), np.uint8))
+
+    with pytest.raises(OSError, match="No space left"):
+        film()
+
+
+def test_what_the_disk_refuses_names_the_film_and_not_its_half_written_file(tmp_path: Path) -> None:
+    script = """if True:
+        import resource, sys
+        import numpy as np
+        from pathlib import Path
+        from studiorecon.footage.exr import write_depth
+        from studiorecon.footage.video import write_lossless
+        noise = np.random.default_rng(0)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+        for make in (
+            lambda: write_lossless(Path("film.mkv"), noise.integers(0, 256, (40, 64, 64, 3), dtype=np.uint8), 10.0),
+            lambda: write_depth(Path("depth.exr"), *noise.random((2, 256, 256))),
+        ):
+            try:
+                make()
+            except OSError as error:
+                print(error.errno, error.filename)
+        print(sorted(path.name for path in Path().iterdir()))
+    """
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, text=True, capture_output=True)
+    assert done.stdout.split() == ["27", "film.mkv", "27", "depth.exr", "[]"], done.stderr

@@ -37,7 +37,7 @@ FOUNDATIONS = [
     "rig",
 ]
 FOUNDATIONS += ["splatting"]
-GROUND = {"arrays", "configuration", "errors", "gpu", "libraries", "progress"}
+GROUND = {"arrays", "configuration", "errors", "gpu", "libraries", "machine", "progress"}
 CARD = {"Snakefile", "workflow", "envs", "config", "resources", "tests", "docs", "README.md"}
 DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore", ".github", "CITATION.cff"}
 MODULES = sorted(p for p in PACKAGE.rglob("*.py"))

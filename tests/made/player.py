@@ -14,9 +14,10 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes
-from studiorecon.deliver.player import jpeg, page_of, poster_of
+from studiorecon.deliver.player import QUALITY, page_of, poster_of
 from studiorecon.deliver.player_data import Shade, described
 from studiorecon.geometry import rotations
+from studiorecon.images.encoded import jpeg
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest
 from studiorecon.scene.factors import NONE, Factors
@@ -122,7 +123,7 @@ def write_page(path: Path, scene: FinishedScene, exposure: Factors = NONE, shade
     """The scene's player as a file."""
     held = Bytes()
     told, sentences = described(scene, held, exposure, shade)
-    poster = jpeg(poster_of(scene))
+    poster = jpeg(poster_of(scene), QUALITY)
     write_text(path, page_of(scene.name, told | {"told": sentences}, held, poster, PARTS))
     return path
 

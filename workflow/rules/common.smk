@@ -3,6 +3,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 
 import yaml
@@ -15,6 +16,7 @@ from studiorecon.models.catalogue.selection import modules_of
 from studiorecon.plan import told
 from studiorecon.plan.command import command
 from studiorecon.plan.dataset import beside
+from studiorecon.plan.dates import refuse_future
 from studiorecon.plan.decisions import one_of
 from studiorecon.plan.files import Files
 from studiorecon.plan.make import make_plan
@@ -35,7 +37,9 @@ def check_settings():
 def decided():
     """The plan of this configuration; what cannot be run is refused in a sentence."""
     try:
-        return make_plan(config, HOME)
+        plan = make_plan(config, HOME)
+        refuse_future(plan.dataset.folder, Path("results") / plan.scene, time.time())
+        return plan
     except UserError as refusal:
         raise WorkflowError(str(refusal)) from None
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import sys
 import time
 from collections import Counter
@@ -21,6 +22,7 @@ from tqdm import tqdm
 
 _SECONDS = Path("benchmarks/seconds.json")
 _EVERY_S = 1.0  # between two pages
+_KILLED = re.compile(r"-m studiorecon ([a-z]+\.[a-z_]+) .*died with <Signals\.SIGKILL", re.DOTALL)
 
 
 class LogHandler(LogHandlerBase):
@@ -58,6 +60,7 @@ class LogHandler(LogHandlerBase):
         try:
             self._follow(record)
             self._show(record)
+            self._explain(record)
         except Exception:  # as every handler of the standard library: what cannot be logged does not stop a run
             self.handleError(record)
 
@@ -102,6 +105,15 @@ class LogHandler(LogHandlerBase):
         self._bar.total, self._bar.n = self._run.total, sum(self._run.done.values())
         names = ", ".join(f"{job.rule} {job.of}".strip() for job in self._run.running.values())
         self._bar.set_description_str(f"{self._run.left_in_words(time.monotonic())}; {names}" if names else "")
+
+    def _explain(self, record: logging.LogRecord) -> None:
+        # A step that the system kills says nothing itself.
+        if record.levelno >= logging.ERROR and (killed := _KILLED.search(record.getMessage())):
+            tqdm.write(
+                f"{killed.group(1)}: the system killed it, as it does when memory runs out; run fewer jobs at once "
+                "(--cores 1), or make pictures smaller (capture.width); what is finished is kept",
+                file=sys.stderr,
+            )
 
     def _write_page(self, on: bool) -> None:
         # Not before a run is on: Snakemake imports its plugins at every start.

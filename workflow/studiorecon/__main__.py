@@ -24,6 +24,7 @@ from pathlib import Path
 from studiorecon import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.libraries import remedy, unloaded
+from studiorecon.machine import refused, short_of_memory
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import fail, logged
 from studiorecon.step_settings import section_of
@@ -34,6 +35,16 @@ _MOST_PIXELS = 2**28
 def main(argv: list[str] | None = None) -> int:
     """Run one step; the exit status is 0 when it finished, 1 when it refused or failed."""
     argv = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(argv)
+    except Exception as error:  # before the step runs, or in its log
+        if (sentence := refused(error)) is None:
+            raise
+        print(f"{' '.join(argv[:1])}: {sentence}", file=sys.stderr, flush=True)
+        return 1
+
+
+def _main(argv: list[str]) -> int:
     if not argv or argv[0] in ("-h", "--help") or "." not in argv[0]:
         print(__doc__)
         return 0 if argv and argv[0] in ("-h", "--help") else 2
@@ -45,6 +56,8 @@ def main(argv: list[str] | None = None) -> int:
         module = importlib.import_module(f"studiorecon.{step}")
         run = module.run
     except (ImportError, OSError, AttributeError) as error:
+        if refused(error) is not None:
+            raise
         if unloaded(error) is not None:
             return _cannot_load(step, error, argv)
         if not isinstance(error, AttributeError) and not f"studiorecon.{step}".startswith(
@@ -92,13 +105,18 @@ def _run(module: types.ModuleType, step: str, options: dict) -> int:
         module.run(**options)
     except UserError as refusal:
         fail(f"{step}: {refusal}")
-        return 1
     except Exception as error:
-        fail(
-            f"{step}: {_sentence(error)}" if unloaded(error) is not None else f"{traceback.format_exc()}{_fault(step)}"
-        )
-        return 1
-    return 0
+        if (sentence := refused(error)) is not None:
+            fail(f"{step}: {sentence}")
+        elif unloaded(error) is not None:
+            fail(f"{step}: {_sentence(error)}")
+        else:
+            fail(f"{traceback.format_exc()}{_fault(step)}")
+    else:
+        return 0
+    if (note := short_of_memory()) is not None:
+        fail(f"{step}: {note}")
+    return 1
 
 
 def _fault(step: str) -> str:

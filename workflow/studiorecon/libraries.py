@@ -31,8 +31,13 @@ def unloaded(error: BaseException) -> str | None:
     if isinstance(error, ImportError) and error.name:
         library = error.name.partition(".")[0]
         return library if library != OWN.name else None
-    frames = [frame.filename for frame in traceback.extract_tb(error.__traceback__)]
-    importing = any(name.startswith("<frozen importlib") for name in frames)
+    stack = traceback.extract_tb(error.__traceback__)
+    frames = [frame.filename for frame in stack]
+    # The importer's own frames are mostly cut out of the stack.
+    importing = any(
+        f.filename.startswith("<frozen importlib") or (f.name == "<module>" and "site-packages" in f.filename)
+        for f in stack
+    )
     if not isinstance(error, ImportError) and not (isinstance(error, OSError) and error.errno is None and importing):
         return None
     ours = max((k for k, name in enumerate(frames) if Path(name).is_relative_to(OWN)), default=-1)

@@ -38,6 +38,15 @@ def _shown(step: str) -> logging.Handler:
     return handler
 
 
+class _Kept(logging.FileHandler):
+    """A step's log; what cannot be written to it, on a full disk, is said once and only shown from then on."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        if self.level <= logging.CRITICAL:
+            self.setLevel(logging.CRITICAL + 1)
+            print(f"the log {self.baseFilename} cannot be written ({sys.exc_info()[1]})", file=sys.stderr, flush=True)
+
+
 LOGGER.setLevel(logging.DEBUG)
 LOGGER.propagate = False
 LOGGER.handlers = [_shown("studiorecon")]
@@ -49,7 +58,7 @@ def logged(step: str, log: Path | None) -> Iterator[None]:
     before, LOGGER.handlers = LOGGER.handlers, [_shown(step)]
     if log is not None:
         log.parent.mkdir(parents=True, exist_ok=True)
-        LOGGER.addHandler(logging.FileHandler(log, "w", encoding="utf-8"))
+        LOGGER.addHandler(_Kept(log, "w", encoding="utf-8"))
     try:
         yield
     finally:

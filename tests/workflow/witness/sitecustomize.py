@@ -32,7 +32,7 @@ def leave():
         mapped = {line.split(maxsplit=5)[5].strip() for line in maps if len(line.split(maxsplit=5)) == 6}
     objects = sorted(path for path in mapped if re.search(r"\.so(\.|$)", path))
     with open(os.path.join(folder, f"{os.getpid()}.json"), "w", encoding="utf-8") as file:
-        json.dump({"command": sys.argv[:2], "objects": objects, "reached": reached}, file)
+        json.dump({"command": sys.argv, "objects": objects, "reached": reached}, file)
 
 
 folder = os.environ.get("STUDIORECON_WITNESS", "")

@@ -26,6 +26,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.source import glimpses, open_source
 from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.images.encoded import png
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
@@ -317,9 +318,9 @@ def run(
     shown = {"after_px_per_camera": [result["px_per_camera"][c] for c in cameras]}
     straight = [straightened(p, lenses[c], camera) for p, c, camera in zip(pictures, cameras, pinholes)]
     sheet = contact_sheet(pinholes, [], straight, points, shown, [marks(d, result["shown_frame"]) for d in detections])
-    png = cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1].tobytes()
+    pictured = png(sheet)
     write_json(report, result)
-    write_text(doctor, page(scene, result, png))
+    write_text(doctor, page(scene, result, pictured))
     for sentence in told["sentences"]:
         say(sentence)
     say(f"verdict: {result['verdict']}")

@@ -18,6 +18,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.bundle import LensPrior, moved
+from studiorecon.images.encoded import write_png
 from studiorecon.progress import say, warn
 from studiorecon.rig.bundle import (
     Agreement,
@@ -38,7 +39,7 @@ from studiorecon.rig.sheet import contact_sheet
 from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
-from studiorecon.scene.files import complete, read_json, write_json
+from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 from studiorecon.signature import Written
 
@@ -323,7 +324,6 @@ def run(
 ) -> None:
     """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet``
     (PNG)."""
-    import cv2
 
     found = read_manifest(manifest)
     given = read_json(calibration)
@@ -349,5 +349,4 @@ def run(
             "calibration": {k: given.get(k) for k in ("source", "format", "notes")},
         },
     )
-    with complete(sheet) as partial:
-        cv2.imwrite(str(partial), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    write_png(sheet, picture)

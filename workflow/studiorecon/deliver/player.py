@@ -20,6 +20,7 @@ from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.deliver.packing import Bytes
 from studiorecon.deliver.player_data import NEAR_M, described, shade_of
 from studiorecon.footage.video import Codec, read_frame, read_frames, to_bytes, write_film
+from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import complete, write_text
@@ -42,6 +43,8 @@ _FILM = Codec(
     {"movflags": "+faststart"},
 )
 _POSTER_WIDTH = 960
+QUALITY = 82
+"""Of the pictures in the page, as JPEG files."""
 _ALWAYS = ("colours are those of the render before enhancement: the films beside this page have what enhancement adds",)
 
 
@@ -60,7 +63,7 @@ def filmed(
             return []
     for camera, video in zip(cameras, videos, strict=True):
         camera["photos"] = [
-            {"frame": int(frame), **held.file(jpeg(narrowed(read_frame(video, int(frame)))))}
+            {"frame": int(frame), **held.file(jpeg(narrowed(read_frame(video, int(frame))), QUALITY))}
             for frame in evenly_spread(frames, PHOTOS)
         ]
     return [
@@ -80,13 +83,6 @@ def narrowed(picture: np.ndarray, width: int = FILM_WIDTH) -> np.ndarray:
     if size == (picture.shape[1], picture.shape[0]):
         return picture
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-
-
-def jpeg(picture: np.ndarray, quality: int = 82) -> bytes:
-    """(H, W, 3) uint8 as a JPEG file."""
-    return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[
-        1
-    ].tobytes()
 
 
 def poster_of(scene: FinishedScene) -> np.ndarray:
@@ -150,7 +146,7 @@ def run(
             "nobody throws a shadow here: the survey did not find that shadows move, or what light throws them"
         )
     sentences += filmed(held, told["cameras"], videos, finished.capture.frames, finished.capture.fps)
-    picture = jpeg(poster_of(finished))
+    picture = jpeg(poster_of(finished), QUALITY)
     with complete(poster) as partial:
         partial.write_bytes(picture)
     write_text(page, page_of(f"{scene}: 4D scene", told | {"told": [*sentences, *_ALWAYS]}, held, picture, parts))

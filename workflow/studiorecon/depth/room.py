@@ -19,12 +19,13 @@ from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout.furniture import furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, write_primitives
-from studiorecon.depth.layout.sheet import sheet, write_sheet
+from studiorecon.depth.layout.sheet import sheet
 from studiorecon.depth.layout.visibility import seen_through, walked
 from studiorecon.depth.shared import FirstLook
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures, surface_gains
 from studiorecon.errors import UserError
+from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.intermediate import read_arrays
@@ -248,7 +249,7 @@ def run(
     )
     write_room(shell, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
     write_primitives(solids, furniture)
-    write_sheet(picture, sheet(pictures, fitted, furniture, depths))
+    write_png(picture, sheet(pictures, fitted, furniture, depths))
     write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
 
 

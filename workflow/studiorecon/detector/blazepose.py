@@ -19,6 +19,7 @@ import onnxruntime
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
+from studiorecon.machine import starved
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -149,6 +150,8 @@ def open_network(path: Path, shape: tuple[int, ...]) -> onnxruntime.InferenceSes
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
+        if starved(error):
+            raise
         raise UserError(f"{path} cannot be read as an ONNX network ({error}); copy it again") from None
     if (given := tuple(session.get_inputs()[0].shape)) != shape:
         raise UserError(f"{path} takes an array of {given} where BlazePose takes {shape}; it is another network")

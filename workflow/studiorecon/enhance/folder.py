@@ -26,9 +26,9 @@ from studiorecon.enhance.shared import Enhancing, Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
+from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import complete
 from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep
 
@@ -126,7 +126,7 @@ def run(
     depths = (unknown_depth for _ in range(wanted))
     outputs = enhanced(steps[first : first + wanted], parts, depths, reference, enhancer, injection, search, before)
     for index, picture in enumerate(progress(outputs, f"pictures of {pictures.name}", total=wanted), first):
-        _write(output / f"{index:06d}.png", picture)
+        write_png(output / f"{index:06d}.png", picture)
     say(f"{wanted} pictures of {pictures} are in {output}; {overlap} outputs before them were gone on from")
 
 
@@ -139,11 +139,3 @@ def _earlier(output: Path, first: int, count: int) -> Iterator[np.ndarray]:
                 f"make the pictures from {index} on first"
             )
         yield np.ascontiguousarray(decoded(file, cv2.IMREAD_COLOR, "make it again")[..., ::-1])
-
-
-def _write(path: Path, picture: np.ndarray) -> None:
-    done, data = cv2.imencode(".png", picture[..., ::-1])
-    if not done:
-        raise UserError(f"{path} could not be encoded as PNG")
-    with complete(path) as partial:
-        partial.write_bytes(data.tobytes())

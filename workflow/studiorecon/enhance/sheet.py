@@ -19,11 +19,11 @@ from studiorecon.enhance.recursion import Blend, blend, for_path, history_of
 from studiorecon.enhance.shared import Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames_from, to_bytes
+from studiorecon.images.encoded import write_png
 from studiorecon.images.flow import one_thread
 from studiorecon.progress import say
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.effects import INJECTION
-from studiorecon.scene.files import complete
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Place, Written
 
@@ -112,8 +112,5 @@ def run(
         injection = for_path(steadied, steps)
         history = history_of(list(zip(raw[:-1], made[:-1])), injection, search)
         mixed = blend(raw[-1], history, injection, search, pool)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(sheet(raw[-1], mixed, made[-1])[..., ::-1]))
-    assert done
-    with complete(image) as partial:
-        partial.write_bytes(data.tobytes())
+    write_png(image, sheet(raw[-1], mixed, made[-1]))
     say(f"{image} shows how picture {picture} of {shot} was made, with {len(mixed.flows)} earlier outputs injected")

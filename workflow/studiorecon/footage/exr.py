@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,16 +19,13 @@ from studiorecon.scene.files import complete
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+_SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+
 
 def write_depth(path: Path, depth_m: Num[np.ndarray, "H W"], confidence: Num[np.ndarray, "H W"]) -> None:
     """Write (H, W) float32 depth and confidence. Raises ValueError for maps of two sizes."""
     require("confidence", confidence, ("H", "W"), require("depth_m", depth_m, ("H", "W")))
-    import OpenEXR
-
-    channels = {"Z": np.ascontiguousarray(depth_m, np.float32), "A": np.ascontiguousarray(confidence, np.float32)}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with complete(path) as partial, OpenEXR.File(header, channels) as file:
-        file.write(str(partial))
+    _write(path, {"Z": np.asarray(depth_m, np.float32), "A": np.asarray(confidence, np.float32)})
 
 
 def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
@@ -37,6 +36,10 @@ def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
         sizes = require(name, channel, ("H", "W"), sizes)
         if channel.dtype not in (np.float16, np.float32):
             raise ValueError(f"channel {name} is {channel.dtype}, expected float16 or float32")
+    _write(path, channels)
+
+
+def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -44,7 +47,13 @@ def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
         complete(path) as partial,
         OpenEXR.File(header, {n: np.ascontiguousarray(c) for n, c in channels.items()}) as file,
     ):
-        file.write(str(partial))
+        try:
+            file.write(str(partial))
+        except RuntimeError as error:  # the binding keeps the system's words and loses its number
+            for number in _SYSTEM:
+                if os.strerror(number) in str(error):
+                    raise OSError(number, os.strerror(number), str(path)) from None
+            raise
 
 
 def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -27,19 +27,23 @@ def writing(writers: Sequence[Writer]) -> Iterator[Callable[..., None]]:
     """
     queues: list[queue.Queue] = [queue.Queue(maxsize=_WAITING) for _ in writers]
     failures: list[BaseException] = []
+    ended: set[int] = set()
 
     def frames_of(waiting: queue.Queue) -> Iterator[np.ndarray]:
         while (frame := waiting.get()) is not None:
             if isinstance(frame, BaseException):
                 raise frame
             yield frame
+        ended.add(id(waiting))
 
     def work(writer: Writer, waiting: queue.Queue) -> None:
         try:
             writer(frames_of(waiting))
         except BaseException as error:  # handed to the caller's thread below
             failures.append(error)
-            while waiting.get() is not None:  # keep draining, or the maker would block for ever
+            # Keep draining, or the maker would block for ever. After the last frame, as a file is closed on a full
+            # disk, nothing more comes.
+            while id(waiting) not in ended and waiting.get() is not None:
                 pass
 
     threads = [threading.Thread(target=work, args=pair, daemon=True) for pair in zip(writers, queues)]

@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, read_frames
+from studiorecon.images.encoded import write_png
 from studiorecon.models.catalogue.selection import CANONICAL
 from studiorecon.models.loading import load
 from studiorecon.progress import say
@@ -66,5 +67,5 @@ def run(
     say(f"{person}: the best photo is frame {frame} of {videos[index].stem}")
     made = network.avatar(picture, mask)
     say(f"{person}: {made.count} Gaussians in the rest pose, {np.ptp(made.means_m[:, 1]):.2f} m high")
-    photo.write_bytes(cv2.imencode(".png", np.where(mask[..., None], picture, 255)[..., ::-1])[1].tobytes())
+    write_png(photo, np.where(mask[..., None], picture, np.uint8(255)))
     write_ply(gaussians, made)

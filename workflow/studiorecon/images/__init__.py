@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures as arrays: read between pixels, compared, moved, and taken apart.
 
-In come (H, W[, 3]) arrays; out come arrays and figures. No files but those of plates.
+In come (H, W[, 3]) arrays; out come arrays and figures. No files but plates and PNG.
 
 * ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
 * ``edges``: what is straight in a picture;
+* ``encoded``: pictures as PNG and JPEG;
 * ``plate``, ``difference``, ``exposure``, ``colours``: what stays put, what differs from it, and how cameras agree;
 * ``flow``, ``transfer`` (inner loops: ``lookup``): where pixels go, and what renders miss carried to other views;
 * ``metrics`` (inner loops: ``similarity``, ``temporal``), ``flip``, ``perceptual``: how close a picture is to the true

@@ -7,12 +7,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numba
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.scene.files import complete
+from studiorecon.images.encoded import write_png
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
@@ -136,7 +135,4 @@ def write_plate(path: Path, rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.nda
     """
     require("measured", measured, ("H", "W"), require("rgb", rgb, ("H", "W", 3)))
     alpha = np.where(measured, np.uint8(255), np.uint8(0))
-    stored = np.concatenate([np.where(measured[..., None], rgb, np.uint8(0))[..., ::-1], alpha[..., None]], axis=-1)
-    encoded = cv2.imencode(".png", np.ascontiguousarray(stored))[1]
-    with complete(path) as partial:
-        partial.write_bytes(encoded.tobytes())
+    write_png(path, np.concatenate([np.where(measured[..., None], rgb, np.uint8(0)), alpha[..., None]], axis=-1))

@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.footage.video import read_frames
+from studiorecon.images.encoded import jpeg
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.pages import skeleton
 from studiorecon.people.association.evidence import sampled_frames
@@ -171,8 +172,7 @@ def pictures_of(
             for n in by_frame.get(t, []):
                 one, colour = wanted[n]
                 cut = cut_out(picture, found.keypoints[one.index], LAYOUTS[found.layout].edges, colour, height_px)
-                jpeg = cv2.imencode(".jpg", cut[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
-                out[n] = "data:image/jpeg;base64," + base64.b64encode(jpeg.tobytes()).decode()
+                out[n] = "data:image/jpeg;base64," + base64.b64encode(jpeg(cut, 80)).decode()
     return out
 
 

@@ -7,7 +7,8 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``dataset``: the user's dataset (found by ``discovery``), or the synthetic studio that is filmed first;
 * ``sight``: in whose pictures people are looked for, and by what;
 * ``networks``: the upstream networks that are asked for, their images and GPUs;
-* ``decisions``: the ``Plan`` that these make up; ``refusals``: what cannot be run; ``make``: all of it together;
+* ``decisions``: the ``Plan`` that these make up; ``refusals``, ``dates``: what cannot be run; ``make``: all of
+  it together;
 * ``budget``: the preset that ``budget_min`` buys, by ``workload`` (how much is asked of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``told``: which settings a step is told, with what ``survey.force`` decides;

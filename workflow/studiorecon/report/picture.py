@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from studiorecon.footage.video import read_frame, read_stack
+from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
@@ -40,5 +41,5 @@ def run(videos: list[Path], film: Path, picture: Path, frame: int = 0, views: in
     chosen = [frames[i] for i in (np.arange(views) * len(frames)) // views + len(frames) // (2 * views)]
     made = overview([read_frame(video, frame) for video in videos], chosen)
     with complete(picture) as partial:
-        partial.write_bytes(cv2.imencode(".jpg", made[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
+        partial.write_bytes(jpeg(made, 85))
     say(f"{len(videos)} photos and {len(chosen)} views are in {picture}")

@@ -40,12 +40,16 @@ def one_each(cameras: Sequence[object], **files: Sequence[object]) -> None:
 @contextmanager
 def complete(path: Path) -> Iterator[Path]:
     """A temporary path in the same folder with the same suffix; renamed to ``path`` when the block ends without an
-    error."""
+    error. What the system refuses meanwhile names ``path`` (a write to an open file does not by itself)."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
     try:
         yield partial
         os.replace(partial, path)
+    except OSError as error:
+        if error.errno is not None and error.filename in (None, str(partial)):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
     finally:
         partial.unlink(missing_ok=True)
 

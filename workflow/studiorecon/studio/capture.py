@@ -23,6 +23,7 @@ from studiorecon.body.person_files import write_person
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless, write_watchable
+from studiorecon.images.encoded import write_png
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
@@ -38,7 +39,7 @@ from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, developed, sensor_of
 from studiorecon.studio.tracing import Tracer
-from studiorecon.studio.truth import TruthFrames, write_picture
+from studiorecon.studio.truth import TruthFrames
 
 FACTS = "truth.json"
 _MARK = ".synthetic-studio"
@@ -94,7 +95,8 @@ def _clear(dataset: Path, truth: Path) -> None:
             "--dataset and --truth folders of their own"
         )
     for folder in (dataset, truth):
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder.exists():
+            shutil.rmtree(folder)
         folder.mkdir(parents=True)
     write_text(dataset / _MARK, "made by studio.capture, which may replace everything here\n")
 
@@ -154,12 +156,10 @@ def _next(troupe: Actors, frame: int) -> list[Mesh] | None:
 
 def _write_static(job: FilmJob, scene: Backdrop, truth: TruthFrames, sensor: Sensor) -> None:
     name = job.lens.name
-    write_picture(job.truth / "plates" / f"{name}.png", developed(scene.picture(), Sensor.perfect(), 0))
+    write_png(job.truth / "plates" / f"{name}.png", developed(scene.picture(), Sensor.perfect(), 0))
     write_depth(job.truth / "depth" / f"{name}.exr", truth.room_depth_m, np.ones_like(truth.room_depth_m))
     if job.description.plates and name in job.description.training:
-        write_picture(
-            job.dataset / "plates" / f"{name}.png", developed(scene.picture(), sensor, job.description.frames)
-        )
+        write_png(job.dataset / "plates" / f"{name}.png", developed(scene.picture(), sensor, job.description.frames))
 
 
 def _write_calibration(described: Description, lenses: list[Lens], dataset: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.footage.video import write_lossless
 from studiorecon.scene.camera import Lens
-from studiorecon.scene.files import complete, write_npz
+from studiorecon.scene.files import write_npz
 from studiorecon.studio.description import TruthOptions
 from studiorecon.studio.film import centre_m, projected
 from studiorecon.studio.meshes import Mesh
@@ -77,14 +77,3 @@ class TruthFrames:
             write_lossless(folder / "depth_frames" / f"{name}.mkv", self.depths, fps)
         if self.flows:
             write_npz(folder / "flow" / f"{name}.npz", {"flow": np.stack(self.flows)})
-
-
-def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write (H, W, 3) uint8 RGB as PNG."""
-    import cv2
-
-    with complete(path) as partial:
-        done, data = cv2.imencode(".png", picture[..., ::-1])
-        if not done:
-            raise OSError(f"{path} could not be encoded")
-        partial.write_bytes(data.tobytes())

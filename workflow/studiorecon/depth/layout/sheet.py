@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +12,6 @@ from studiorecon.depth.layout.primitives import Primitive
 from studiorecon.depth.stereo.pictures import Picture
 from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.files import complete
 from studiorecon.scene.room import RoomBox
 
 _WIDTH = 640
@@ -104,12 +102,6 @@ def sheet(
     if len(shown) % 2:
         shown.append(np.full_like(shown[0], _PAPER))
     return np.concatenate([np.concatenate(pair, axis=1) for pair in zip(shown[::2], shown[1::2])])
-
-
-def write_sheet(path: Path, picture: np.ndarray) -> None:
-    """Write (H, W, 3) uint8 RGB as PNG."""
-    with complete(path) as partial:
-        partial.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())
 
 
 def _colour(k: int) -> tuple[int, int, int]:

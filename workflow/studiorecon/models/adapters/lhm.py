@@ -165,20 +165,14 @@ class Lhm:
         """See ``models.protocols.CanonicalAvatar``."""
         import tempfile
 
+        from studiorecon.images.encoded import write_png
         from studiorecon.scene.gaussians_ply import read_ply
 
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            write_picture(folder / "person.png", preprocess(photo, mask))
+            write_png(folder / "person.png", preprocess(photo, mask))
             command = command_for(folder / "person.png", folder / "out")
             return postprocess(read_ply(made(command, self._checkout, folder / "out")))
-
-
-def write_picture(path: Path, picture: np.ndarray) -> None:
-    """A PNG, by whichever library the image has."""
-    import cv2
-
-    cv2.imwrite(str(path), picture[..., ::-1])
 
 
 def command_for(picture: Path, out: Path) -> list[str]:

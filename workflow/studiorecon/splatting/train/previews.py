@@ -7,13 +7,12 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from studiorecon.footage.video import to_bytes
+from studiorecon.images.encoded import write_png
 from studiorecon.images.metrics import psnr
 from studiorecon.progress import say
-from studiorecon.scene.files import complete
 
 
 class Feedback:
@@ -73,5 +72,4 @@ class Feedback:
         if self._previews is not None:
             percent = round(100 * done / (self._last - self._first))
             sheet = np.concatenate([to_bytes(np.nan_to_num(wanted)), to_bytes(np.nan_to_num(shown))], axis=1)
-            with complete(self._previews / f"preview_{percent:03d}.png") as partial:
-                cv2.imwrite(str(partial), sheet[..., ::-1])
+            write_png(self._previews / f"preview_{percent:03d}.png", sheet)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the machine refuses a step, in a sentence: disks that are full, closed or failing, memory, open files."""
+
+from __future__ import annotations
+
+import errno
+import re
+import resource
+from pathlib import Path
+
+_KEPT = "what is finished is kept"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+_FAILING = (errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.ENODEV, errno.ENOTCONN)
+_OPEN = (errno.EMFILE, errno.ENFILE)
+# A thread that cannot be started is "try again".
+_NO_MEMORY = (errno.ENOMEM, errno.EAGAIN)
+_STARVED = (
+    "failed to map segment",
+    "annot allocate memory",
+    "start new thread",
+    "bad_alloc",
+    "Failed to allocate memory",
+    "Available memory of",
+    "process pool was terminated abruptly",
+)
+# OpenCV's code for an allocation that failed.
+_NO_MEMORY_CV = -4
+# Of what is allowed: at its very end nobody can tell how much the failing library had asked for.
+_MOST = 0.8
+
+
+def starved(error: BaseException) -> bool:
+    """Whether ``error`` is what too little memory looks like: to Python and numpy, OpenCV, decoders that start no
+    thread, ONNX Runtime, the system's loader of libraries, and whoever waits for a process that the system killed."""
+    if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MEMORY):
+        return True
+    if type(error).__module__ == "cv2":
+        return getattr(error, "code", None) == _NO_MEMORY_CV
+    # Some libraries say in their own words which shared object they miss, and the system's come before that.
+    told = f"{error} {error.__context__}"
+    return any(words in told for words in _STARVED)
+
+
+def refused(error: BaseException) -> str | None:
+    """What the machine refused and what would help, where ``error`` says that it did; None for any other error."""
+    if starved(error):
+        return (
+            f"there is not enough memory ({_first_line(error) or 'it did not say for what'}); run fewer jobs at once "
+            f"(--cores 1), or make pictures smaller (capture.width); {_KEPT}"
+        )
+    number = error.errno if isinstance(error, OSError) else None
+    where = f"{error.filename}: " if isinstance(error, OSError) and error.filename else ""
+    why = f"{where}{getattr(error, 'strerror', None) or _first_line(error)}"
+    if number in _FULL:
+        return f"the disk is full ({why}); make room and run again: {_KEPT}"
+    if number in _CLOSED:
+        return (
+            f"this may not be read or written ({why}); give the user who runs it the right to, and run again: {_KEPT}"
+        )
+    if number in _FAILING:
+        return f"the disk or its network does not answer ({why}); when it does, run again: {_KEPT}"
+    if number in _OPEN:
+        return f"too many files are open ({why}); allow more (ulimit -n 4096), and run again: {_KEPT}"
+    if isinstance(error, EOFError | ValueError) and _cuts_byte_code(error):
+        return (
+            "Python's compiled files were cut short, which a full disk does; make room, delete every __pycache__ of "
+            f"the environment and the folder .snakemake/bytecode, and run again: {_KEPT}"
+        )
+    return None
+
+
+def short_of_memory() -> str | None:
+    """What to add to whatever went wrong in a process that has used up most of the memory its user allows it (ulimit
+    -v): libraries that find none left say all kinds of things. None on most machines, which allow any amount."""
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    try:
+        found = re.search(r"^VmPeak:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"), re.M)
+    except OSError:  # no Linux
+        return None
+    if allowed == resource.RLIM_INFINITY or found is None or int(found.group(1)) * 1024 < _MOST * allowed:
+        return None
+    return f"{allowed / 1e6:.0f} MB of memory are allowed here (ulimit -v) and it came to their end, which may be why"
+
+
+def _cuts_byte_code(error: BaseException) -> bool:
+    at = error.__traceback__
+    while at is not None and at.tb_next is not None:
+        at = at.tb_next
+    return at is not None and at.tb_frame.f_code.co_filename == "<frozen importlib._bootstrap_external>"
+
+
+def _first_line(error: BaseException) -> str:
+    return next(iter(str(error).splitlines()), "")
