@@ -60,8 +60,19 @@ def test_another_machine_s_lock_stays(tmp_path: Path) -> None:
     assert locks.is_dir()
 
 
+def test_dry_runs_elsewhere_do_not_make_another_machine_s_lock_ours(tmp_path: Path) -> None:
+    locks = locked(tmp_path, "another-machine")
+    (tmp_path / ".snakemake/log/2026.snakemake.log").rename(
+        tmp_path / ".snakemake/log/2026-11-24T003722.592663.snakemake.log"
+    )
+    later = tmp_path / ".snakemake/log/2100-01-01T000000.000001.snakemake.log"
+    later.write_text(f"SNAKEMAKE\n  Host: {platform.node()}\n")
+    assert clear_left_lock(tmp_path) == ""
+    assert locks.exists()
+
+
 def started(house: House) -> subprocess.Popen:
-    command = [sys.executable, "-m", "studiorecon.command", "run", house.dataset, "--cores", "2"]
+    command = house.command("--cores", "2")
     with open(house.folder / "run.txt", "a") as log:
         return subprocess.Popen(
             command, cwd=house.folder, env=house.environment(), stdout=log, stderr=log, start_new_session=True

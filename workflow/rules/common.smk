@@ -12,6 +12,7 @@ from snakemake.logging import logger
 
 from studiorecon import code as package_code
 from studiorecon.errors import UserError
+from studiorecon.left_lock import clear_left_lock
 from studiorecon.models.catalogue.selection import modules_of
 from studiorecon.plan import told
 from studiorecon.plan.command import command
@@ -61,6 +62,13 @@ def bought_by_budget():
     return choice.as_json()
 
 
+def take_left_lock():
+    """A killed run leaves its lock, which Snakemake would ask for --unlock to take away."""
+    if workflow.is_main_process and not workflow.dryrun and (said := clear_left_lock(Path())):
+        logger.info(said)
+
+
+take_left_lock()
 check_settings()
 BUDGET = bought_by_budget()
 PLAN = decided()

@@ -20,7 +20,6 @@ from typing import Any
 from studiorecon.__main__ import main as step_main
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
-from studiorecon.left_lock import clear_left_lock
 from studiorecon.viewer import Viewer
 
 _DEMO = "resources/studio/demo.yaml"
@@ -263,8 +262,6 @@ def _snakemake(target: str, dataset: str, options: argparse.Namespace, page: str
     budget = getattr(options, "budget", None)
     command = snakemake_command(target, dataset, options.cores, getattr(options, "preset", None), options.rest)
     command += [] if budget is None else [f"budget_min={budget:g}"]
-    if said := clear_left_lock(Path()):
-        print(said)
     # Rules call `python`: the one that this command runs under, also where its environment is not activated.
     path = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
     with subprocess.Popen(command, env={**os.environ, "PATH": path}) as process:

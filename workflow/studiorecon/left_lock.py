@@ -8,6 +8,7 @@ import platform
 import re
 import shutil
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import psutil
@@ -23,9 +24,10 @@ def clear_left_lock(folder: Path) -> str:
     another machine's runs nothing here can look, so their locks stay (Snakemake's own message says what to do).
     """
     locks = folder / ".snakemake" / "locks"
-    if not locks.is_dir() or not any(locks.iterdir()):
+    since_s = [path.stat().st_mtime for path in locks.iterdir()] if locks.is_dir() else []
+    if not since_s:
         return ""
-    if _host_of_the_last_run(folder) not in (platform.node(), None) or any(_living(folder)):
+    if _host_of_the_run(folder, min(since_s)) not in (platform.node(), None) or any(_living(folder)):
         return ""
     shutil.rmtree(locks)
     return f"the run before this one in {folder.resolve()} was killed: its lock was taken away"
@@ -47,11 +49,20 @@ def _living(folder: Path) -> Iterator[int]:
             yield process.pid
 
 
-def _host_of_the_last_run(folder: Path) -> str | None:
-    """The machine that the newest log of the engine names."""
-    logs = sorted((folder / ".snakemake" / "log").glob("*.log"), key=lambda path: path.stat().st_mtime)
-    for path in reversed(logs):
+def _host_of_the_run(folder: Path, since_s: float) -> str | None:
+    """The machine that the engine's log of the run names that took the lock: the last that began before it did. Dry
+    runs, here or elsewhere, write logs as well and take none."""
+    logs = [(_begun_s(path), path) for path in (folder / ".snakemake" / "log").glob("*.log")]
+    for _, path in sorted((pair for pair in logs if pair[0] <= since_s + 1), reverse=True):
         with open(path, encoding="utf-8", errors="replace") as file:
             if found := re.search(r"^ *Host: (\S+)", file.read(4000), re.MULTILINE):
                 return found.group(1)
     return None
+
+
+def _begun_s(log: Path) -> float:
+    """When a log was begun, which is its name; else when it was last written."""
+    try:
+        return datetime.strptime(log.name.partition(".snakemake")[0], "%Y-%m-%dT%H%M%S.%f").timestamp()
+    except ValueError:
+        return log.stat().st_mtime
