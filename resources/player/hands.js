@@ -81,16 +81,17 @@ async function start() {
   const bytes = await bytesOf(at("bytes").textContent), scene = readScene(JSON.parse(at("scene").textContent), bytes);
   const painter = makePainter(at("picture"), scene);
   if (!painter) return say(`This browser has no WebGL2, so nobody can move through the scene here; ${films}.`, 0);
-  at("picture").addEventListener("webglcontextlost", () =>
-    say("The graphics card gave up (too little memory?): reload this page, or look at the films beside it.", 0));
+  at("picture").addEventListener("webglcontextlost", () => {
+    [at("picture").hidden, at("poster").hidden] = [true, false];
+    say("The graphics card gave up (too little memory?): reload this page, or look at the films beside it.", 0);
+  });
   for (const id of ["picture", "panel", "time"]) at(id).hidden = false;
   const player = (window.player = makePlayer(scene, bytes, painter));
   makePanel(player);
   listen(player);
   player.begin();
   // Until the first order is there, nothing is drawn but darkness.
-  const uncover = () => (player.sorted() ? (at("poster").hidden = true) : requestAnimationFrame(uncover));
-  uncover();
+  requestAnimationFrame(function on() { (at("poster").hidden = player.sorted() > 0) || requestAnimationFrame(on); });
   at("bytes").remove();
   if (at("stage").clientWidth < 640) at("panel").querySelector("details").open = false;
   say("", 0);

@@ -303,6 +303,18 @@ def test_without_webgl2_there_is_a_picture_and_a_sentence(tmp_path: Path, page: 
         assert browser.run("document.getElementById('panel').hidden")
 
 
+def test_a_graphics_card_that_gives_up_leaves_the_picture_and_a_sentence(browser: Browser, page: Path) -> None:
+    """As where memory is short: the browser takes the card away, whatever was drawn is gone."""
+    opened(browser, page)
+    browser.wait("document.getElementById('poster').hidden")
+    browser.run(
+        "document.getElementById('picture').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext(), 0"
+    )
+    browser.wait("document.getElementById('told').textContent.startsWith('The graphics card gave up')")
+    assert browser.run("document.getElementById('poster').hidden") is False
+    assert browser.run("document.getElementById('picture').hidden") is True
+
+
 def test_who_wants_no_motion_starts_at_rest(browser: Browser, page: Path) -> None:
     calm = [{"name": "prefers-reduced-motion", "value": "reduce"}]
     browser.call("Emulation.setEmulatedMedia", features=calm)
