@@ -32,6 +32,8 @@ FINISHED_STUDIO = {
         "notebooks",
         "killed",
         "hostile_names",
+        "hardships",
+        "lost_worker",
     )
 }  # fmt: skip
 

@@ -6,7 +6,8 @@
 * right: the reader gives what the whole file holds, or what a harmless change leaves of it;
 * refused: one sentence that names what is the user's;
 * traceback: any other exception, a sentence of several lines among them: a fault of the project;
-* slow: more than ten seconds over one file.
+* slow: more than ten seconds over one file;
+* heavy: more than 100 MB of memory over one file, all of which are smaller than 1 MB here, where Linux tells.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import sys
 import tempfile
 import time
@@ -30,8 +32,8 @@ from tests.faults import damage, test_faults_brought, test_faults_door
 from tests.faults.readers import Reader, survives
 
 CLASSES = ("editors", "another file", "bytes", "structure", "names")
-VERDICTS = ("right", "refused", "traceback", "slow")
-_SLOW_S = 10.0
+VERDICTS = ("right", "refused", "traceback", "slow", "heavy")
+_SLOW_S, _HEAVY_MB = 10.0, 100.0
 _READERS = test_faults_door.READERS | test_faults_brought.READERS
 
 
@@ -49,7 +51,7 @@ def variants(reader: Reader, count: int, rng: np.random.Generator) -> Iterator[t
 def verdict(reader: Reader, path: Path, content: bytes) -> str:
     """One of ``VERDICTS``."""
     path.write_bytes(content)
-    begun = time.monotonic()
+    begun, held_mb = time.monotonic(), most_held_mb(anew=True)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
             said = survives(reader, path)
@@ -57,7 +59,19 @@ def verdict(reader: Reader, path: Path, content: bytes) -> str:
         return "traceback"
     if time.monotonic() - begun > _SLOW_S:
         return "slow"
+    if most_held_mb() - held_mb > _HEAVY_MB:
+        return "heavy"
     return "right" if said == "right" else "refused"
+
+
+def most_held_mb(anew: bool = False) -> float:
+    """The most memory that this process has held, decoders' and all; ``anew``: from now on."""
+    if not Path("/proc/self/clear_refs").exists():
+        return 0.0
+    if anew:
+        Path("/proc/self/clear_refs").write_text("5")
+    status = Path("/proc/self/status").read_text()
+    return int(re.findall(r"^VmHWM:\s+(\d+) kB", status, re.MULTILINE)[0]) / 1024
 
 
 def found(count: int, seed: int = 0) -> Counter[tuple[str, str]]:
@@ -88,4 +102,4 @@ if __name__ == "__main__":
     ended = found(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
     print(f"{sum(ended.values())} variants of {len(_READERS)} kinds of files, and names")
     print(table(ended))
-    sys.exit(any(ended[kind, end] for kind in CLASSES for end in ("traceback", "slow")))
+    sys.exit(any(ended[kind, end] for kind in CLASSES for end in ("traceback", "slow", "heavy")))

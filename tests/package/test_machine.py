@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.machine import refused, starved
+from studiorecon.machine import refused, starved, without_thread
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,11 @@ def test_memory_that_is_missing_is_known_from_whoever_asked_for_it() -> None:
     for words in ("can't start new thread", "x.so: failed to map segment from shared object", "std::bad_alloc"):
         assert starved(RuntimeError(words))
         assert "there is not enough memory" in str(refused(ImportError(words)))
+
+
+def test_a_damaged_film_that_asks_for_any_amount_is_not_the_machine_s_fault() -> None:
+    assert without_thread(BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"))
+    assert not without_thread(OSError(errno.ENOMEM, "Cannot allocate memory"))
 
 
 @pytest.mark.parametrize(

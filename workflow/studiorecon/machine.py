@@ -30,6 +30,12 @@ _NO_MEMORY_CV = -4
 _MOST = 0.8
 
 
+def without_thread(error: BaseException) -> bool:
+    """Whether a decoder got no thread, where memory or processes are limited. That it got no memory may be the file's
+    doing: a damaged one asks for any amount."""
+    return isinstance(error, OSError) and error.errno == errno.EAGAIN
+
+
 def starved(error: BaseException) -> bool:
     """Whether ``error`` is what too little memory looks like: to Python and numpy, OpenCV, decoders that start no
     thread, ONNX Runtime, the system's loader of libraries, and whoever waits for a process that the system killed."""

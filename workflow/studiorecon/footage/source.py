@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
-from studiorecon.machine import starved
+from studiorecon.machine import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
 
@@ -88,7 +88,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
                 "the footage is interlaced: moving edges are combed; a progressive recording is better",
             ) * first.interlaced_frame
     except (av.FFmpegError, IndexError) as error:
-        if starved(error):
+        if without_thread(error):
             raise
         raise UserError(
             f"{path} cannot be read as a video "
@@ -189,7 +189,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[np.ndarray]:
             stream.thread_type = "AUTO"
             found = [_frame_at(container, stream, index, source.fps) for index in wanted]
     except (av.FFmpegError, IndexError) as error:
-        if starved(error):
+        if without_thread(error):
             raise
         raise UserError(f"{source.path} cannot be read as a video ({error}); copy it again") from None
     frames = [frame for frame in found if frame is not None]
@@ -238,7 +238,7 @@ def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
                     )
                 yield frame
     except av.FFmpegError as error:
-        if starved(error):
+        if without_thread(error):
             raise
         raise UserError(
             f"{source.path} cannot be read after frame {number} ({error.strerror or error}); "

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.machine import starved
+from studiorecon.machine import without_thread
 from studiorecon.scene.files import complete
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
                 if number >= start:
                     yield pixels(frame)
     except (av.FFmpegError, IndexError) as error:
-        if starved(error):
+        if without_thread(error):
             raise
         raise UserError(
             f"{path} cannot be read after frame {number} ({error}); it may be truncated: copy it again"
@@ -184,7 +184,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
                 yield pixels(frame)
                 expected += 1
     except (av.FFmpegError, IndexError) as error:
-        if starved(error):
+        if without_thread(error):
             raise
         raise UserError(
             f"{path} cannot be read at frame {expected} ({error}); it may be truncated: make it again"
