@@ -121,6 +121,7 @@ OPENCAP = {
 
 
 VIDEOS = tuple((f"videos/{c}.mp4", b"") for c in "abc")
+MEDIAPIPE = [{"pose_landmarks": [[{"x": 0.5, "y": 0.25, "z": 0.0, "visibility": 0.9}] * 33]}, {"pose_landmarks": []}]
 READERS = {
     "openpose": Reader("k/f_000.json", json.dumps(OPENPOSE).encode(), lambda p: keypoints_right(p.parent), OPENPOSE),
     "easymocap keypoints": Reader(
@@ -128,6 +129,7 @@ READERS = {
     ),
     "coco": of_json("k.json", COCO, keypoints_right),
     "mmpose": of_json("k.json", MMPOSE, keypoints_right),
+    "mediapipe": of_json("k.json", MEDIAPIPE, keypoints_right),
     "keypoint npz": Reader(
         "k.npz", npz(keypoints=np.ones((4, 2, 17, 3)), ids=np.ones((4, 2))), keypoints_right, text=False
     ),

@@ -58,7 +58,7 @@ def run(
         write_detections(sightings, found)
         write_json(size, about)
         return
-    entries, kind = read_keypoints(keypoints)
+    entries, kind = read_keypoints(keypoints, wh)
     if not entries:
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
         _write_nobody(camera, wh, pixel_map, sightings, size)

@@ -4,7 +4,7 @@
 In come files or a detector's answers; out come ``scene.people.Detections`` in undistorted pixels. In reading order:
 
 * ``layouts``: names and orders, SMPL's joints among them; ``layout_choice``: which one, when nobody says;
-* ``readers``, ``deeplabcut`` (files), ``reading`` (undistorted, followed), ``tracking`` (one camera), ``steadying`` (a
-  network's tremble), ``retiming`` (the common clock);
+* ``readers``, ``deeplabcut``, ``mediapipe`` (files), ``reading`` (undistorted, followed), ``tracking`` (one camera),
+  ``steadying`` (a network's tremble), ``retiming`` (the common clock);
 * ``correspondence``: which tracks of different cameras show the same person.
 """

@@ -14,6 +14,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.keypoints.deeplabcut import read_deeplabcut
+from studiorecon.keypoints.mediapipe import is_mediapipe, read_mediapipe
 from studiorecon.scene.outside import read_json, read_npz
 from studiorecon.scene.values import listed, numbers, shown, whole
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 # What lies under keypoints/ for a camera → who writes it.
 FORMATS = {
     "`<camera>/*.json` or `<camera>_json/*.json`, one a picture": "OpenPose, EasyMocap, MMPose, MediaPipe by Pose2Sim",
-    "`<camera>.json`": "AlphaPose and COCO results, MMPose",
+    "`<camera>.json`": "AlphaPose and COCO results, MMPose, MediaPipe's own results",
     "`<camera>.csv` or `<camera>DLC_….csv`, one animal or several": "DeepLabCut, MediaPipe by Pose2Sim",
     "`<camera>.npz`: `keypoints` (frames, people, points, 3)": "anything else",
 }
@@ -49,8 +50,9 @@ class KeypointEntry:
     identity: int
 
 
-def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
-    """All detections of one camera, and the format's name; ``path`` is one of ``FORMATS``.
+def read_keypoints(path: Path, picture_wh: tuple[int, int] = (0, 0)) -> tuple[list[KeypointEntry], str]:
+    """All detections of one camera, and the format's name; ``path`` is one of ``FORMATS``; ``picture_wh``: size of the
+    pictures that were looked at, of which MediaPipe tells shares.
 
     Raises UserError naming the file, and the frame where there is one, when it is of no known format or holds anything
     but it, when its detections do not all have the same number of keypoints, and for more than
@@ -61,7 +63,7 @@ def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
     elif path.suffix == ".npz":
         entries, kind = _neutral(path), "npz"
     elif path.suffix == ".json":
-        entries, kind = _results(path)
+        entries, kind = _results(path, picture_wh)
     elif path.suffix == ".csv":
         entries = [KeypointEntry(int(t), points, int(who)) for t, who, points in zip(*read_deeplabcut(path))]
         kind = "DeepLabCut"
@@ -72,8 +74,8 @@ def read_keypoints(path: Path) -> tuple[list[KeypointEntry], str]:
         )
     else:
         raise UserError(
-            f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an AlphaPose or MMPose .json, "
-            "DeepLabCut's .csv, or an .npz"
+            f"{path} is no keypoint file; bring a folder of OpenPose JSON files, an AlphaPose, MMPose or "
+            "MediaPipe .json, DeepLabCut's .csv, or an .npz"
         )
     counts = sorted({len(e.keypoints) for e in entries})
     if len(counts) > 1:
@@ -134,7 +136,7 @@ def _folder(path: Path) -> tuple[list[KeypointEntry], str]:
     return entries, "/".join(sorted(kinds))
 
 
-def _results(path: Path) -> tuple[list[KeypointEntry], str]:
+def _results(path: Path, picture_wh: tuple[int, int]) -> tuple[list[KeypointEntry], str]:
     content = read_json(path)
     if isinstance(content, dict) and "instance_info" in content:
         entries = []
@@ -145,7 +147,13 @@ def _results(path: Path) -> tuple[list[KeypointEntry], str]:
         return entries, "MMPose"
     if isinstance(content, list) and all(isinstance(e, dict) and "image_id" in e and "keypoints" in e for e in content):
         return list(_coco_results(content, path)), "AlphaPose/COCO"
-    raise UserError(f"{path} is neither a list of COCO results (AlphaPose) nor an MMPose file with instance_info")
+    if is_mediapipe(content):
+        read = read_mediapipe(content, picture_wh, path)
+        return [KeypointEntry(frame, points, -1) for frame, points in read], "MediaPipe"
+    raise UserError(
+        f"{path} is neither a list of COCO results (AlphaPose) nor an MMPose file with instance_info nor a list of "
+        "MediaPipe's results"
+    )
 
 
 def _coco_results(content: list[dict[str, Any]], path: Path) -> Iterator[KeypointEntry]:

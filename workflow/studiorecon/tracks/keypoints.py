@@ -48,7 +48,7 @@ def run(
         _tell(result, whole.note, used)
         write_detections(detections, result)
         return
-    entries, kind = read_keypoints(keypoints)
+    entries, kind = read_keypoints(keypoints, used.source_wh)
     if not entries:
         say(f"{keypoints} ({kind}) holds no person: camera {camera} sees nobody")
         chosen = "body_25" if layout == "auto" else layout
