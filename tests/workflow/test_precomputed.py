@@ -23,7 +23,7 @@ from studiorecon.scene.people import Person, read_people
 
 from tests.workflow.conftest import QUICK, ROOT, House
 
-FOLDERS = {"people": "bodies", "masks": "masks", "depth": "depth", "views": "views", "enhance": "films"}
+FOLDERS = {"detect": "bodies", "masks": "masks", "depth": "depth", "views": "views", "enhance": "films"}
 
 
 def rows_of(camera: Camera, people: list[Person], body: BodyModel) -> dict[str, np.ndarray]:
@@ -54,7 +54,7 @@ def brought(finished: House, tmp_path_factory: pytest.TempPathFactory) -> tuple[
     for path in elsewhere.values():
         path.mkdir()
     for camera in cameras:
-        np.savez(elsewhere["people"] / f"{camera.name}.npz", **rows_of(camera, people, body))
+        np.savez(elsewhere["detect"] / f"{camera.name}.npz", **rows_of(camera, people, body))
         shutil.copy(done / f"masks/{camera.name}.mkv", elsewhere["masks"])
         # Networks do not know metres.
         np.save(elsewhere["depth"] / f"{camera.name}.npy", 0.37 * read_depth(done / f"depth/{camera.name}.exr")[0])

@@ -15,7 +15,7 @@ TABLE = """name\tparameter\tpreset\tsettings
 base\t\t\tdepth.solids=0 ; \
 background.training.iterations=60 ; humans.iterations=40 ; humans.gaussians=1000 ; render.shots.orbit.frames=2
 plain\tenhancement\t\tenhance.enhancer=none
-refused\tlimits\t\tpeople.fit.max_beta=0.0001
+refused\tlimits\t\tcalibration.scale=100000
 room\tbackground steps\t\tbackground.training.iterations=120
 """
 
@@ -39,7 +39,7 @@ def test_runs_share_jobs_and_a_failed_one_is_a_record(tmp_path: Path) -> None:
     folder = house.folder / "results/tiny/sweep/few"
     base, plain, refused, room = read_records(folder / "records.jsonl")[1]
     assert [r.verdict for r in (base, plain, refused, room)] == [OK, OK, FAILED, OK]
-    assert "people_fit" in refused.sentence
+    assert "calibration_files" in refused.sentence
     assert base.seconds["ran"] == base.seconds["from_nothing"]
     assert {stage for stage, spent in plain.ran_stages.items() if spent} == {"enhance"}
     assert {stage for stage, spent in room.ran_stages.items() if spent} == {"background", "render", "enhance"}

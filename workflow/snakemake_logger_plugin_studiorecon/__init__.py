@@ -22,7 +22,8 @@ from tqdm import tqdm
 
 _SECONDS = Path("benchmarks/seconds.json")
 _EVERY_S = 1.0  # between two pages
-_KILLED = re.compile(r"-m studiorecon ([a-z]+\.[a-z_]+) .*died with <Signals\.SIGKILL", re.DOTALL)
+_KILLED = re.compile(r"-m studiorecon ([a-z]+\.[a-z_]+) .*died with <Signals\.SIG(KILL|SEGV|ABRT|BUS)", re.DOTALL)
+_HOW = {"KILL": "the system killed it, as it does", "BUS": "the system stopped it, as it does on a full disk or"}
 
 
 class LogHandler(LogHandlerBase):
@@ -110,8 +111,9 @@ class LogHandler(LogHandlerBase):
         # A step that the system kills says nothing itself.
         if record.levelno >= logging.ERROR and (killed := _KILLED.search(record.getMessage())):
             tqdm.write(
-                f"{killed.group(1)}: the system killed it, as it does when memory runs out; run fewer jobs at once "
-                "(--cores 1), or make pictures smaller (capture.width); what is finished is kept",
+                f"{killed.group(1)}: {_HOW.get(killed.group(2), 'a library gave up in the middle, as some do')} when "
+                "memory runs out; run fewer jobs at once (--cores 1), or make pictures smaller (capture.width); what "
+                "is finished is kept",
                 file=sys.stderr,
             )
 

@@ -19,6 +19,9 @@ _AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100
 _SHARPEST = 0.25
 # Pixels along one edge err together.
 _TOGETHER = 8
+# Cameras whose differences can be told from their errors; a normal distribution's standard deviation by its median
+# deviation.
+_MANY, _NORMAL = 6, 1.4826
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
@@ -42,7 +45,9 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
         return Measured(None, None, "fewer than two cameras see enough sharp edges to compare their focus")
     usual = float(np.median(blur[known]))
     worst = max(known, key=lambda k: blur[k] - error[k])
-    extra = _beyond(blur[worst], error[worst], usual)
+    # Of many cameras one looks at softer things than the others: it must stand out from how they differ anyhow.
+    spread = _NORMAL * float(np.median(np.abs(blur[known] - usual))) if len(known) >= _MANY else 0.0
+    extra = _beyond(blur[worst], float(np.hypot(error[worst], 2 * spread)), usual)
     reason = (
         f"{views[worst].camera.name}'s sharpest edges are {blur[worst]:.1f} px wide (at {AT_WIDTH:.0f}), the median "
         f"camera's {usual:.1f}; focus it or clean its lens before the next take"
