@@ -39,7 +39,7 @@ def test_runs_share_jobs_and_a_failed_one_is_a_record(tmp_path: Path) -> None:
     folder = house.folder / "results/tiny/sweep/few"
     base, plain, refused, room = read_records(folder / "records.jsonl")[1]
     assert [r.verdict for r in (base, plain, refused, room)] == [OK, OK, FAILED, OK]
-    assert "calibration_files" in refused.sentence
+    assert "cameras_refine" in refused.sentence
     assert base.seconds["ran"] == base.seconds["from_nothing"]
     assert {stage for stage, spent in plain.ran_stages.items() if spent} == {"enhance"}
     assert {stage for stage, spent in room.ran_stages.items() if spent} == {"background", "render", "enhance"}

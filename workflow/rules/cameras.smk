@@ -37,7 +37,7 @@ rule cameras_held_out:
         manifest="results/{scene}/capture/manifest.json",
         clocks="results/{scene}/clocks/clocks.json",
         model=MODEL,
-        given=[f"results/{{scene}}/cameras/heldout/given/{name}.txt" for name in ("images", "cameras")],
+        given_model=[f"results/{{scene}}/cameras/heldout/given/{name}.txt" for name in ("images", "cameras")],
         detections=files.first_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.held_out, allow_missing=True),
         networks=files.detector,

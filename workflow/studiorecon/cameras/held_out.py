@@ -137,7 +137,7 @@ def run(
     manifest: Path,
     clocks: Path,
     model: Path,
-    given: Path,
+    given_model: Path,
     detections: list[Path],
     videos: list[Path],
     networks: list[Path],
@@ -146,10 +146,10 @@ def run(
 ) -> None:
     """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: what was found of every camera).
 
-    ``given``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
+    ``given_model``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
     training cameras, ``model``. ``networks`` as in ``detect.people``.
     """
-    cameras, training = read_model(given.parent), read_model(model.parent)
+    cameras, training = read_model(given_model.parent), read_model(model.parent)
     common, frames = read_clocks(clocks), read_manifest(manifest).frames
     seen = [usable(read_detections(path))[0] for path in detections]
     found: list[dict[str, Any]] = []
