@@ -9,6 +9,7 @@ import subprocess
 import sys
 from base64 import urlsafe_b64encode
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -135,6 +136,15 @@ def test_keys_follow_settings_of_what_lies_above_and_no_others() -> None:
     assert changed(capture={"width": 2}) == set(jobs)
     assert changed(device="cuda") == set(jobs)
     assert changed(scene="other", sweep="x.tsv") == set()
+
+
+def test_who_waits_for_kernels_shares_none_of_their_stage_s_settings() -> None:
+    compiled = replace(job("logs/made/background/kernels.log", ()), rule="background_kernels")
+    person = job("logs/made/humans/train/p0.log", compiled.outputs)
+    jobs = {made.log: made for made in (compiled, person)}
+    config = BASE_CONFIG | {"humans": {"n": 1}}
+    assert keys(jobs, config) == keys(jobs, config | {"background": {"n": 2}})
+    assert keys(jobs, config)[person.log] != keys(jobs, config | {"humans": {"n": 2}})[person.log]
 
 
 def test_shared_files_keep_their_times_and_a_remade_one_leaves_the_other_end_alone(base: Path, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ from studiorecon.report.sections.cost import read_benchmark
 METADATA = Path(".snakemake/metadata")
 # Settings that say where things are or which sweep this is, not how they are made.
 _NOT_SETTINGS = ("scene", "sweep", "sweep_minutes")
+# What they compile is the same under all settings of their stage; who waits for it shares none of its settings.
+_COMPILING = ("background_kernels", "depth_kernels")
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,10 @@ def keys(jobs: Mapping[str, Job], configuration: Mapping[str, Any]) -> dict[str,
 
     def above(job: Job) -> frozenset[str]:
         if job.log not in sections:
-            sections[job.log] = frozenset({job.stage})  # a cycle cannot be, but must not hang
+            own = frozenset() if job.rule in _COMPILING else frozenset({job.stage})
+            sections[job.log] = own  # a cycle cannot be, but must not hang
             parents = {p.log: p for path in job.inputs if (p := _maker(makers, path)) is not None}
-            sections[job.log] = frozenset({job.stage}).union(*(above(parent) for parent in parents.values()))
+            sections[job.log] = own.union(*(above(parent) for parent in parents.values()))
         return sections[job.log]
 
     common = {k: v for k, v in configuration.items() if not isinstance(v, Mapping) and k not in _NOT_SETTINGS}
