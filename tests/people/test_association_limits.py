@@ -14,8 +14,9 @@ from studiorecon.keypoints.correspondence import groups_of
 from studiorecon.keypoints.tracking import match
 from studiorecon.people.associate import Settings
 from studiorecon.people.association.acceptance import judge
-from studiorecon.people.association.affinity import affinities, pose_distances, window_distances
+from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.grouping import group_tracks, track_margins
+from studiorecon.people.association.postures import joint_differences_rad
 from studiorecon.people.association.track_pairs import TrackPairs, margins
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -167,16 +168,16 @@ def test_the_side_a_person_is_seen_from_is_no_difference_of_pose(options, degree
         seen.append(local)
     naive = np.linalg.norm(log(seen[0][0] @ seen[1][0].T))
     assert naive == pytest.approx(np.radians(degrees), abs=1e-6)
-    assert pose_distances(seen[0][None, 1:], seen[1][None, 1:])[0, 0] == pytest.approx(0, abs=1e-7)
+    assert joint_differences_rad(seen[0][1:], seen[1][1:]) == pytest.approx(0, abs=1e-7)
     limits = replace(options.association, affinity="pose")
-    alike = pose_distances(seen[0][None, 1:], seen[1][None, 1:])
+    alike = joint_differences_rad(seen[0][None, None, 1:], seen[1][None, None, 1:])
     assert affinities(np.full((1, 1), np.nan), alike, GATE_M, limits)[0, 0] == pytest.approx(1, abs=1e-6)
 
 
 def test_a07_a_joint_past_half_a_turn_is_near_itself():
     first, second = exp(np.array([[[np.pi - 0.01, 0, 0]]])), exp(np.array([[[np.pi + 0.01, 0, 0]]]))
     assert np.linalg.norm(log(first) - log(second)) == pytest.approx(6.26, abs=0.01)  # the naive form
-    assert pose_distances(first, second)[0, 0] == pytest.approx(0.02, abs=1e-6)
+    assert joint_differences_rad(first, second)[0] == pytest.approx(0.02, abs=1e-6)
 
 
 def test_a08_a_little_noise_on_all_joints_keeps_a_graded_affinity(
@@ -186,7 +187,7 @@ def test_a08_a_little_noise_on_all_joints_keeps_a_graded_affinity(
     limits = replace(options.association, affinity="pose")
     body = exp(rng.normal(0, 0.5, (1, 23, 3)))
     noisy = [body @ exp(rng.normal(0, sigma, (1, 23, 3))) for sigma in (0.05, 0.1, 0.2, 0.4)]
-    distance = np.array([pose_distances(body, other)[0, 0] for other in noisy])
+    distance = np.array([joint_differences_rad(body, other)[0] for other in noisy])
     assert 0.1 < distance[1] < 0.3
     values = affinities(np.full(4, np.nan), distance, GATE_M, limits)
     assert (np.diff(values) < -0.05).all()

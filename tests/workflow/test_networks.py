@@ -35,6 +35,19 @@ def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: P
     assert not {"tracks_keypoints", "views_synthesize"} & set(plan)
 
 
+def test_an_enhancer_that_is_a_network_repairs_views_of_the_half_trained_room(house: House, dataset: Path) -> None:
+    def planned(enhancer: str, views: int) -> dict[str, int]:
+        sections = {"enhance": {"enhancer": enhancer}, "background": {"refinement": {"views": views}}}
+        return on(house, dataset).plan("--configfile", house.overlay(**sections))
+
+    assert {"background_half": 1, "background_refined": 1, "background_train": 1}.items() <= planned(
+        "difix", 12
+    ).items()
+    for plan in (planned("difix", 0), planned("residual", 12)):
+        assert plan["background_train"] == 1
+        assert not {"background_half", "background_refined"} & set(plan)
+
+
 def test_the_papers_networks_are_one_preset() -> None:
     preset = yaml.safe_load((ROOT / "config/presets/networks.yaml").read_text())
     assert [name for _, name in selected(preset)] == [

@@ -56,6 +56,21 @@ def test_videos_and_a_calibration_are_enough(house: House, dataset: Path) -> Non
     assert "detect_people" not in on(house, dataset).plan(), "keypoint files come first"
 
 
+def test_a_network_of_one_s_own_is_an_input_of_whoever_looks_at_people(house: House, dataset: Path) -> None:
+    network = dataset / "mine.onnx"
+    network.write_bytes(b"")
+    (dataset / "keypoints").rename(dataset / "hidden")
+    there = on(house, dataset)
+    wanted = ("--configfile", there.overlay(detect={"network": str(network), "network_layout": "halpe26"}))
+    found = [f"results/{dataset.name}/detect/found/{camera}.npz" for camera in ("left", "right")]
+    told = there.snakemake("--dry-run", "--printshellcmds", "--cores", "1", *found, *wanted).stdout
+    network.unlink()
+    refused = there.snakemake("--dry-run", *wanted, check=False)
+    (dataset / "hidden").rename(dataset / "keypoints")
+    assert told.count(f"--second {network}") == told.count("--layout halpe26") == 2
+    assert f"detect.network names {network}, which does not exist" in refused.stdout
+
+
 def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset: Path) -> None:
     (dataset / "keypoints/back").rename(dataset / "hidden")
     plan = on(house, dataset).plan()

@@ -41,6 +41,7 @@ rule cameras_held_out:
         detections=files.first_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.held_out, allow_missing=True),
         networks=files.detector,
+        second=files.second_network,
     output:
         heldout_model="results/{scene}/cameras/heldout/images.txt",
         heldout_intrinsics="results/{scene}/cameras/heldout/cameras.txt",
@@ -57,5 +58,6 @@ rule cameras_held_out:
     params:
         settings=settings("cameras.held_out"),
         code=code("cameras.held_out"),
+        layout=config["detect"]["network_layout"],
     shell:
         command("cameras.held_out")

@@ -8,6 +8,7 @@ if PLAN.sight.measured or not PLAN.sight.bodies:
             source=files.footage,
             clocks=branch(PLAN.sight.part_used, then="results/{scene}/clocks/clocks.json"),
             networks=files.detector,
+            second=files.second_network,
         output:
             found="results/{scene}/detect/found/{camera}.npz",
         log:
@@ -21,6 +22,7 @@ if PLAN.sight.measured or not PLAN.sight.bodies:
             mem_mb=2000,
         params:
             code=code("detect.people"),
+            layout=config["detect"]["network_layout"],
             picture_fps=config["capture"]["picture_fps"],
         shell:
             command("detect.people")

@@ -89,6 +89,7 @@ if PLAN.sight.detected:
         input:
             source=files.footage,
             networks=files.detector,
+            second=files.second_network,
             model=MODEL,
             manifest="results/{scene}/capture/manifest.json",
             clocks="results/{scene}/clocks/clocks.json",
@@ -115,6 +116,7 @@ if PLAN.sight.detected:
         params:
             settings=settings("people.second_look"),
             code=code("people.second_look"),
+            layout=config["detect"]["network_layout"],
             picture_fps=config["capture"]["picture_fps"],
         shell:
             command("people.second_look")

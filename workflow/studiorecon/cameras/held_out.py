@@ -22,6 +22,7 @@ from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
 from studiorecon.detector.following import believed, look_again
+from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.triangulation import triangulate
@@ -106,7 +107,7 @@ def looked_at(
             seen = (look_again(network, picture, first.next_region) or first) if first is not None else None
             if seen is None:
                 continue
-            keypoints = believed(seen.keypoints, camera.wh, worth)[_STABLE]
+            keypoints = believed(seen, camera.wh, worth)[_STABLE]
             for k in np.flatnonzero((keypoints[:, 2] > 0) & np.isfinite(points).all(-1)):
                 rows.append((points[k], keypoints[k, :2], keypoints[k, 2], frame, group, k))
     columns = list(zip(*rows)) if rows else [()] * 6
@@ -141,13 +142,16 @@ def run(
     detections: list[Path],
     videos: list[Path],
     networks: list[Path],
+    second: list[Path],
+    layout: str,
     heldout_model: Written,
     poses: Written,
 ) -> None:
     """Write the COLMAP model ``heldout_model`` (its images.txt) and ``poses`` (JSON: what was found of every camera).
 
     ``given_model``: images.txt of the held-out cameras as calibrated; ``videos``: theirs; ``detections``: those of the
-    training cameras, ``model``. ``networks`` as in ``detect.people``.
+    training cameras, ``model``. ``networks``, ``second`` and
+    ``layout`` as in ``detect.people``.
     """
     cameras, training = read_model(given_model.parent), read_model(model.parent)
     common, frames = read_clocks(clocks), read_manifest(manifest).frames
@@ -156,7 +160,7 @@ def run(
     used: list[Camera] = []
     film = {path.stem: path for path in videos}
     look = settings.refine and bool(film) and any(len(d.frame) for d in seen)
-    network = BlazePose(networks[0], networks[1]) if look else None
+    network = BlazePose(networks[0], networks[1], second_network(second, layout)) if look else None
     chosen = evenly_spread(frames, _LOOKS)
     bodies = bodies_in(chosen, training, seen, settings) if look else None
     for camera in progress(cameras, "held-out cameras"):

@@ -26,7 +26,6 @@ WITHOUT: Mapping[str, str] = {
     "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
     "depth.sweep_width": "the planes are the metric reference that a network's depth is put to",
     "survey.gap_deg": "survey.force decides whether there are views",
-    "humans.gaussians": "Gaussians lie evenly over the surface, as many as SMPL has vertices, not on them",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
 }
 """Why a setting of which the paper speaks has no value that is its word."""

@@ -4,9 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from studiorecon.configuration.setting import setting
+from studiorecon.keypoints.layouts import LAYOUTS
+
+if TYPE_CHECKING:
+    NetworkLayout = str
+else:
+    NetworkLayout = Literal[("auto", *LAYOUTS)]
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,14 @@ class Detect:
         "blazepose_heavy",
         "What looks for people in the pictures; blazepose is three times as fast, and its landmarks a quarter further "
         "off.",
+    )
+    network: str = setting(
+        "",
+        "ONNX file of a network of your own that looks at one person at a time (RTMPose, ViTPose, HRNet): it says "
+        "where the points are of whom the detector finds.",
+    )
+    network_layout: NetworkLayout = setting(
+        "auto", "What the points of detect.network are; auto = as their number says."
     )
     precomputed: str = setting(
         "",

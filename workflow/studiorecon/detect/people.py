@@ -7,6 +7,7 @@ from pathlib import Path
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
 from studiorecon.detector.following import believed, people_in
+from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.source import decode, open_source, stills
@@ -22,12 +23,20 @@ _USUAL = 25
 
 
 def run(
-    camera: str, source: Path, clocks: list[Path], picture_fps: float, networks: list[Path], found: Written
+    camera: str,
+    source: Path,
+    clocks: list[Path],
+    picture_fps: float,
+    networks: list[Path],
+    second: list[Path],
+    layout: str,
+    found: Written,
 ) -> None:
     """Write who is in the frames of ``source`` to ``found`` (npz): in all, or in those that ``clocks`` (a file, or
     none) chooses.
 
-    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility.
+    ``networks``: the detector's file, the landmarks', and the table of the confidence by their visibility;
+    ``second``: the user's own network, or none, and ``layout``: of its points.
     """
     detection, landmarks, table = networks
     try:
@@ -45,7 +54,8 @@ def run(
         raise UserError(f"{source} has {start + total} frames; people are followed through at least two")
     sampling = sorted({start + round(k * (total - 1) / max(_USUAL - 1, 1)) for k in range(_USUAL)}) if total else []
     glances = [small(picture) for picture in stills(footage, sampling)]
-    network = BlazePose(detection, landmarks)
+    own = second_network(second, layout)
+    network = BlazePose(detection, landmarks, own)
     worth = read_json(table)
     pictures = progress(decode(footage, start, count), f"frames of {camera}", total or None)
     rows, frames = [], 0
@@ -55,9 +65,10 @@ def run(
         frames += 1
         for person in seen:
             affine = person.region.crop_from_picture(MASK_PX)
-            keypoints = believed(person.keypoints, footage.wh, worth)
+            keypoints = believed(person, footage.wh, worth)
             rows.append((frame, keypoints, person.presence, person.points_m, person.mask, affine))
-    looked = f"{landmarks.stem} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
+    with_what = f"{landmarks.stem} and {own.note} ({own.layout})" if own else landmarks.stem
+    looked = f"{with_what} at {footage.wh[0]}×{footage.wh[1]}, {frames} frames at {footage.fps:g} per second"
     write_raw_detections(found, RawDetections.of(camera, LAYOUT, LANDMARKS, rows, (start, frames), looked))
     if rows:
         say(f"camera {camera}: {len(rows)} people in {len({row[0] for row in rows})} of {frames} frames ({looked})")

@@ -2,8 +2,8 @@
 """The embedded detector of people: BlazePose on full pictures. In come a camera's frames; out come people with 33
 landmarks, masks and a track.
 
-``windows`` says where in a picture somebody is looked for, ``blazepose`` runs the two networks there, ``following``
-goes through a camera's frames.
+``windows`` says where in a picture somebody is looked for, ``pictures`` cuts that out, ``blazepose`` runs the two
+networks there, ``top_down`` a network of the user's own behind them, ``following`` goes through a camera's frames.
 """
 
 import os

@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from studiorecon.arrays import require
+from studiorecon.detector.pictures import Region, opened, sampled
+from studiorecon.detector.top_down import TopDown
 from studiorecon.errors import UserError
-from studiorecon.machine import starved
+from studiorecon.keypoints.layouts import LAYOUTS
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -27,47 +28,16 @@ if TYPE_CHECKING:
 LAYOUT = "blazepose33"
 LANDMARKS = 33
 _WINDOW_PX, _CROP_PX, _HEAT_PX = 224, 256, 64
+PRESENT = 0.5
+"""How sure the landmark network must be that somebody is in a region."""
 MASK_PX = 128
 """Edge of the masks that are kept: the network's own 256 hold no more than that."""
 # Cells across the window and anchors per cell, in the order of the detector's 2,254 rows.
 _CELLS = ((28, 2), (14, 2), (7, 6))
-# A region's side, in diameters of the circle around the body that the networks find.
-_REGION_SCALE = 1.25
 # Two points beside the 33 say where the body is: the middle of the hips, and a point on the circle around it.
 _HIPS, _CIRCLE = 33, 34
 _HEAT_REACH = 3
 _HEAT_SURE = 0.5
-
-
-@dataclass(frozen=True)
-class Region:
-    """A turned square of the picture that holds somebody.
-
-    Attributes:
-        centre: (2,) middle of the hips, pixels.
-        side: edge, pixels.
-        turn_rad: how far the body's up is turned clockwise from the picture's.
-    """
-
-    centre: Num[np.ndarray, " 2"]
-    side: float
-    turn_rad: float
-
-    @staticmethod
-    def around(hips: np.ndarray, circle: np.ndarray) -> Region:
-        """The region of a body from the middle of its hips (2,) and the point (2,) of the circle around it that is
-        upwards."""
-        towards = circle - hips
-        return Region(
-            hips, 2 * _REGION_SCALE * float(np.linalg.norm(towards)), float(np.arctan2(towards[0], -towards[1]))
-        )
-
-    def crop_from_picture(self, edge: int) -> Num[np.ndarray, "2 3"]:
-        """(2, 3) affine map of picture pixels to those of an upright crop of ``edge`` pixels, centres at +0.5 on both
-        sides."""
-        scale, c, s = edge / self.side, np.cos(self.turn_rad), np.sin(self.turn_rad)
-        linear = scale * np.array([[c, s], [-s, c]])
-        return np.column_stack([linear, edge / 2 - linear @ self.centre])
 
 
 @dataclass(frozen=True)
@@ -82,6 +52,8 @@ class Landmarks:
         mask: (MASK_PX, MASK_PX) uint8, 255 = surely this person, over the upright crop of ``region``.
         region: what was looked at.
         next_region: where to look in the next picture.
+        better: (33, 3) the same by a network of the user's own, with its scores; NaN where it has no such point, and
+            None where there is no such network.
     """
 
     keypoints: Num[np.ndarray, "33 3"]
@@ -90,17 +62,24 @@ class Landmarks:
     mask: np.ndarray
     region: Region
     next_region: Region
+    better: Num[np.ndarray, "33 3"] | None = None
 
 
 class BlazePose:
     """The two networks, on one core: cameras are looked at side by side, and the same picture gives the same
     numbers."""
 
-    def __init__(self, detection: Path, landmarks: Path) -> None:
-        """Raises UserError when a file is missing or not what it should be."""
+    def __init__(self, detection: Path, landmarks: Path, second: TopDown | None = None) -> None:
+        """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
         self._detection = open_network(detection, (1, _WINDOW_PX, _WINDOW_PX, 3))
         self._landmarks = open_network(landmarks, (1, _CROP_PX, _CROP_PX, 3))
         self._anchors = anchors()
+        self._second = second
+        own = LAYOUTS[LAYOUT].keypoints
+        theirs = LAYOUTS[second.layout].keypoints if second else ()
+        self._shared = [(own.index(name), theirs.index(name)) for name in theirs if name in own]
+        if second and not self._shared:
+            raise UserError(f"detect.network gives {second.layout}, of which BlazePose knows none; take another one")
 
     def detect(
         self, picture: np.ndarray, corner: Num[np.ndarray, " 2"], side: float, least: float
@@ -129,6 +108,7 @@ class BlazePose:
         upright = guess.reshape(39, 3)[:LANDMARKS].astype(np.float64)
         turned = upright @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         small = cv2.resize(_sigmoid(mask[..., 0]), (MASK_PX, MASK_PX), interpolation=cv2.INTER_AREA)
+        better = self._better(picture, pixels[:LANDMARKS]) if presence[0] >= PRESENT else None
         return Landmarks(
             np.column_stack([pixels[:LANDMARKS], _sigmoid(points[:LANDMARKS, 3])]),
             float(presence[0]),
@@ -136,23 +116,24 @@ class BlazePose:
             np.rint(small * 255).astype(np.uint8),
             region,
             Region.around(pixels[_HIPS], pixels[_CIRCLE]),
+            better,
         )
+
+    def _better(self, picture: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
+        """(33, 3) what the second network says of somebody with landmarks at ``pixels``."""
+        if self._second is None:
+            return None
+        said = self._second.look(picture, pixels)
+        out = np.full((LANDMARKS, 3), np.nan)
+        for own, theirs in self._shared:
+            out[own] = said[theirs]
+        return out
 
 
 def open_network(path: Path, shape: tuple[int, ...]) -> onnxruntime.InferenceSession:
     """A network that takes one array of ``shape``; raises UserError naming the file when it is missing or another
     one."""
-    if not path.is_file():
-        raise UserError(f"network {path} is missing; take it from a fresh copy of resources/detector")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
-        if starved(error):
-            raise
-        raise UserError(f"{path} cannot be read as an ONNX network ({error}); copy it again") from None
+    session = opened(path, "take it from a fresh copy of resources/detector")
     if (given := tuple(session.get_inputs()[0].shape)) != shape:
         raise UserError(f"{path} takes an array of {given} where BlazePose takes {shape}; it is another network")
     return session
@@ -171,29 +152,6 @@ def anchors() -> Num[np.ndarray, "2254 2"]:
         middles = np.stack([(columns + 0.5) / across, (rows + 0.5) / across], axis=-1).reshape(-1, 2)
         found.append(np.repeat(middles, per_cell, axis=0))
     return np.concatenate(found)
-
-
-def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> np.ndarray:
-    """(edge, edge, 3) uint8 upright crop of a region, black beyond the picture; averaged where it shrinks."""
-    require("picture", picture, ("H", "W", 3))
-    affine = region.crop_from_picture(edge)
-    # Whole-number shrinking by averages first, of the region's own surroundings only: the picture may be 4K.
-    shrink = max(1, int(region.side / edge))
-    if shrink > 1:
-        height, width = picture.shape[:2]
-        reach = region.side * 0.75 + shrink
-        low = np.maximum(np.floor(region.centre - reach), 0).astype(int) // shrink * shrink
-        high = np.minimum(np.ceil(region.centre + reach), [width, height]).astype(int)
-        if (high - low < shrink).any():
-            return np.zeros((edge, edge, 3), np.uint8)
-        count = (high - low) // shrink
-        part = picture[low[1] : low[1] + count[1] * shrink, low[0] : low[0] + count[0] * shrink]
-        picture = cv2.resize(part, (int(count[0]), int(count[1])), interpolation=cv2.INTER_AREA)
-        affine = np.column_stack([affine[:, :2] * shrink, affine[:, :2] @ low + affine[:, 2]])
-    # OpenCV counts pixels from the first one's centre.
-    centred = affine.copy()
-    centred[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
-    return cv2.warpAffine(picture, centred, (edge, edge), flags=cv2.INTER_LINEAR)
 
 
 def refined(points: np.ndarray, heat: np.ndarray) -> Num[np.ndarray, "K 2"]:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from studiorecon.detector.blazepose import LANDMARKS, BlazePose, Landmarks, Region
+from studiorecon.detector.blazepose import LANDMARKS, PRESENT, BlazePose, Landmarks
+from studiorecon.detector.pictures import Region
 from studiorecon.detector.windows import changed, grid
 from studiorecon.keypoints.tracking import distance_shares
 
@@ -22,8 +23,8 @@ from studiorecon.keypoints.tracking import distance_shares
 _LOOK_S = 0.5
 # Pictures held between two looks, bytes: 4K at 60 per second is looked at more often.
 _HELD_BYTES = 400e6
-# How sure the detector must be of somebody, and the landmark network that somebody is in a region.
-_CANDIDATE, _PRESENT = 0.5, 0.5
+# How sure the detector must be of somebody.
+_CANDIDATE = 0.5
 # Two squares that overlap more than this (intersection over union) hold one person until landmarks say otherwise.
 _SAME_SQUARE = 0.5
 # Two skeletons of one picture nearer than this (median distance, share of the smaller one's diagonal) are one person.
@@ -80,7 +81,7 @@ def look_again(network: BlazePose, picture: np.ndarray, region: Region) -> Landm
     if not sensible(region, picture):
         return None
     seen = network.look(picture, region)
-    return seen if seen.presence >= _PRESENT and sensible(seen.next_region, picture) else None
+    return seen if seen.presence >= PRESENT and sensible(seen.next_region, picture) else None
 
 
 def newcomers(
@@ -147,9 +148,18 @@ def people_in(
     yield from results
 
 
-def believed(keypoints: np.ndarray, wh: tuple[int, int], worth: dict[str, list[float]]) -> np.ndarray:
-    """Keypoints (K, 3) whose visibility became the confidence that ``worth`` gives it; those outside the picture are
-    missing."""
+def believed(seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]) -> np.ndarray:
+    """Keypoints (K, 3) of somebody in a picture of ``wh`` pixels, with confidence; those outside the picture are
+    missing.
+
+    BlazePose's visibility becomes the confidence that ``worth`` gives it; a better network's score is one already.
+    """
+    sure = np.interp(seen.keypoints[:, 2], worth["visibility"], worth["confidence"])
+    keypoints = np.column_stack([seen.keypoints[:, :2], sure])
+    if seen.better is not None:
+        known = np.isfinite(seen.better).all(1)
+        keypoints[known] = seen.better[known]
     inside = np.all((keypoints[:, :2] >= 0) & (keypoints[:, :2] <= wh), axis=-1)
-    sure = np.interp(keypoints[:, 2], worth["visibility"], worth["confidence"])
-    return np.column_stack([np.where(inside[:, None], keypoints[:, :2], np.nan), np.where(inside, sure, 0.0)])
+    return np.column_stack(
+        [np.where(inside[:, None], keypoints[:, :2], np.nan), np.where(inside, keypoints[:, 2], 0.0)]
+    )

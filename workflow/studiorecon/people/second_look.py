@@ -20,6 +20,7 @@ from studiorecon.camera_files.calibration import lens_of
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.following import believed, look_again
+from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.source import open_source, stills
 from studiorecon.geometry.lens import video_from_working, working_from_video
@@ -121,7 +122,7 @@ class CameraPictures:
 
     def working(self, seen: Landmarks) -> np.ndarray:
         """(K, 3) working pixels and confidence of landmarks; NaN and 0 where there are none."""
-        keypoints = believed(seen.keypoints, self.footage.source_wh, self.worth)
+        keypoints = believed(seen, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0
         pixels, valid = working_from_video(
             np.where(there[:, None], keypoints[:, :2], 1.0),
@@ -193,6 +194,8 @@ def run(
     clocks: Path,
     picture_fps: float,
     networks: list[Path],
+    second: list[Path],
+    layout: str,
     model: Path,
     manifest: Path,
     calibration: Path,
@@ -207,8 +210,8 @@ def run(
     """Write ``detections`` (the camera's, improved), ``seen`` (the detector's file and what was added) and ``report``
     (JSON, how many).
 
-    ``first`` are the detections of all training cameras before, ``identities`` who is who in them; ``networks`` as in
-    people.detect.
+    ``first`` are the detections of all training cameras before, ``identities`` who is who in them; ``networks``,
+    ``second`` and ``layout`` as in detect.people.
     """
     cameras, footage, who = read_model(model.parent), read_manifest(manifest).of(camera), read_identities(identities)
     given = [read_detections(p) for p in first]
@@ -225,13 +228,14 @@ def run(
     view = CameraPictures(footage, lens, read_json(networks[2]), read_clocks(clocks))
     wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
-    looks = looked_again(BlazePose(networks[0], networks[1]), pictures, plan, people, own, view)
+    network = BlazePose(networks[0], networks[1], second_network(second, layout))
+    looks = looked_again(network, pictures, plan, people, own, view)
     owners = [who.get((camera, int(t)), "") for t in own.track]
     result = improved_by(own, plan, looks, people, owners, len(whole.frame))
     rows = [
         (
             footage.used[look.frame],
-            believed(look.seen.keypoints, footage.source_wh, view.worth),
+            believed(look.seen, footage.source_wh, view.worth),
             look.seen.presence,
             look.seen.points_m,
             look.seen.mask,

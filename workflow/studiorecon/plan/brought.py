@@ -64,6 +64,12 @@ class Brought:
         return [self.bundled(f"resources/detector/{name}") for name in self.plan.sight.detector]
 
     @cached_property
+    def second_network(self) -> list[str]:
+        """The user's own network that says where a person's points are, if there is one."""
+        named = self.config["detect"]["network"]
+        return [self.local(named)] if named else []
+
+    @cached_property
     def player(self) -> list[str]:
         """The player's page and scripts."""
         parts = sorted((self.home / "resources" / "player").iterdir())

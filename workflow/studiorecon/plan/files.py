@@ -130,6 +130,12 @@ class Files(Brought):
         """Person masks of every training camera; none when there are no people."""
         return [f"results/{wildcards.scene}/masks/{camera}.mkv" for camera in self.filmed_people(wildcards)]
 
+    def half_trained(self, wildcards: Any) -> list[str]:
+        """The room half-way and views of it that a network repaired, where one is asked: Gaussians, provenance, path,
+        film."""
+        parts = ("half.ply", "half.npz", "half.json", "refined.mkv") if self.plan.networks.refiner else ()
+        return [f"results/{wildcards.scene}/background/{name}" for name in parts]
+
     def first_pictures(self, wildcards: Any) -> list[str]:
         """Footage of the training cameras, where their first pictures are trained on in the plates' place."""
         if self.config["background"]["photos"] == "plates":

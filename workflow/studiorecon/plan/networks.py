@@ -27,6 +27,7 @@ class Networks:
         depth: a network, or "precomputed"; views: a network, "warp" or "precomputed".
         compared: the stages that compare pictures by LPIPS.
         enhance: the one whose image the enhancer runs in: enhancer and flow share a process.
+        refiner: the enhancer that repairs views of the half-trained room; "" where photos alone correct them.
         drawn_by: image of what draws Gaussians: on a GPU, and for LPIPS, it is one of its own, because torch is large.
         drawing_gpus: GPUs that drawing holds.
     """
@@ -39,6 +40,7 @@ class Networks:
     views: str
     compared: list[str]
     enhance: str
+    refiner: str
     drawn_by: str
     drawing_gpus: int
 
@@ -71,6 +73,7 @@ def networks_of(config: Mapping[str, Any], home: Path) -> Networks:
         compared=compared,
         # In the enhancer's image, whose torchvision has RAFT.
         enhance=next((name for name in enhancers if name in MODELS), ""),
+        refiner=_network(enhancers[0]) if config["background"]["refinement"]["views"] else "",
         drawn_by="vision" if on_gpu or compared else "core",
         drawing_gpus=int(on_gpu),
     )

@@ -22,6 +22,8 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
             f"people.identities names {plan.identities}, which does not exist; copy "
             f"results/{plan.scene}/people/identities.tsv there"
         )
+    if (named := config["detect"]["network"]) and not Path(named).is_file():
+        raise UserError(f"detect.network names {named}, which does not exist; name an .onnx file, or leave it empty")
     if plan.people:
         _keypoints(plan, MIN_CAMERAS)
     if plan.lifted:

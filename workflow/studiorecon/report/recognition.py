@@ -91,7 +91,7 @@ def found_in(network: BlazePose, picture: np.ndarray, worth: dict[str, list[floa
     """Keypoints (33, 3) of everybody in a picture: x, y in pixels and confidence. Photos and films are searched alike,
     and all over: who is found only where one knows to look is not found."""
     wh = picture.shape[1], picture.shape[0]
-    return [believed(one.keypoints, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
+    return [believed(one, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
 
 
 def as_truth(keypoints: np.ndarray) -> TruePerson | None:

@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.geometry.rotations import angle
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,8 @@ class AssociationLimits:
     )
     affinity: Literal["both", "position", "pose"] = setting(
         "both",
-        "What makes two detections alike; poses count where detections bring them.",
+        "What makes two detections alike: where they are, and how limbs are held, where a body or the detector's guess "
+        "says so.",
         paper="both, ablation table of association",
         letter="both",
     )
@@ -82,12 +82,6 @@ class AssociationLimits:
     torso_m: tuple[float, float] = (0.2, 0.8)
     reentry_speed_m_s: float = 1.5
     reentry_s: float = 3.0
-
-
-def pose_distances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(A, B) mean angle in radians over joints of body rotations (A, J, 3, 3) and (B, J, 3, 3), the root not among them
-    (A06-A08)."""
-    return angle(first[:, None], second[None]).mean(-1)
 
 
 def gated(distance: np.ndarray, gate: float) -> np.ndarray:

@@ -30,9 +30,9 @@ from studiorecon.people.association.affinity import (
     affinities,
     combined,
     gated,
-    pose_distances,
     window_distances,
 )
+from studiorecon.people.association.postures import joint_differences_rad, limb_differences_rad, limb_directions
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -49,6 +49,7 @@ class Sights:
         directions: (D, K, 3) unit rays of the stable keypoints, ``present`` (D, K).
         pelvis_m: (D, 3) world pelvis joint, NaN where no monocular depth is known.
         pose: (D, 23, 3, 3) body joints of the monocular body, NaN where there is none.
+        limbs: (D, 12, 3) where limbs point in the world by the detector's guess, NaN where there is none.
     """
 
     camera: Camera
@@ -58,6 +59,22 @@ class Sights:
     present: np.ndarray
     pelvis_m: np.ndarray
     pose: np.ndarray
+    limbs: np.ndarray
+
+    @property
+    def postures(self) -> bool:
+        """Whether any detection says how somebody holds their limbs."""
+        return bool(np.isfinite(self.pose).any() or np.isfinite(self.limbs).any())
+
+
+def postures_apart(first: Sights, i: np.ndarray, second: Sights, j: np.ndarray) -> np.ndarray:
+    """Angle in radians between the postures of detections ``i`` of one camera and ``j`` of another, broadcast against
+    one another: of body joints where both have bodies, else of where limbs point; NaN where neither is known."""
+    limbs = limb_differences_rad(first.limbs[i], second.limbs[j])
+    if not (np.isfinite(first.pose).any() and np.isfinite(second.pose).any()):
+        return limbs
+    joints = joint_differences_rad(first.pose[i], second.pose[j])
+    return np.where(np.isfinite(joints), joints, limbs)
 
 
 def sights(
@@ -74,13 +91,14 @@ def sights(
             "pelvis (recorded 2D keypoints do not): "
             "set it to rays, or use a detector that estimates bodies"
         )
-    if limits.affinity == "pose" and not any(_some(d.body_pose) for d in detections):
+    seen = [_sights(d, s, c) for d, s, c in zip(detections, stable, cameras)]
+    if limits.affinity == "pose" and not any(s.postures for s in seen):
         raise UserError(
-            "people.association.affinity is pose, but no detection brings a body pose "
+            "people.association.affinity is pose, but no detection says how anybody holds their limbs "
             "(recorded 2D keypoints do not): set it to both or "
-            "position, or use a detector that estimates bodies"
+            "position, or let the detector look"
         )
-    return [_sights(d, s, c) for d, s, c in zip(detections, stable, cameras)]
+    return seen
 
 
 def _sights(detections: Detections, stable: Detections, camera: Camera) -> Sights:
@@ -100,6 +118,7 @@ def _sights(detections: Detections, stable: Detections, camera: Camera) -> Sight
         present,
         world,
         np.where(known[:, None, None, None], matrices, np.nan),
+        limb_directions(detections, camera),
     )
 
 
@@ -125,7 +144,7 @@ def detection_affinities(
         )
         shared = first.present[rows] & second.present[columns]
         distance, gate_m = median_over_shared(gap, shared, _MIN_SHARED).reshape(len(i), len(j)), limits.gate_m
-    return affinities(distance, pose_distances(first.pose[i], second.pose[j]), gate_m, limits)
+    return affinities(distance, postures_apart(first, i[:, None], second, j[None]), gate_m, limits)
 
 
 @dataclass(frozen=True)
@@ -206,7 +225,7 @@ def _pelvis_distances(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
 
 
 def _pose_differences(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
-    """(M, M) median over shared frames of the mean angle between two tracks' body joints; NaN where none is known."""
+    """(M, M) median over shared frames of the angle between two tracks' postures; NaN where none is known."""
     count = len(graph.view)
     out = np.full((count, count), np.nan)
     for a in range(count):
@@ -216,7 +235,7 @@ def _pose_differences(graph: TrackGraph, seen: Sequence[Sights]) -> np.ndarray:
             one, other = (seen[graph.view[n]] for n in (a, b))
             i, j = (np.flatnonzero(s.track == graph.track[n]) for s, n in ((one, a), (other, b)))
             _, at_i, at_j = np.intersect1d(one.frame[i], other.frame[j], return_indices=True)
-            apart = rotations.angle(one.pose[i[at_i]], other.pose[j[at_j]]).mean(-1) if len(at_i) else np.zeros(0)
+            apart = postures_apart(one, i[at_i], other, j[at_j]) if len(at_i) else np.zeros(0)
             apart = apart[np.isfinite(apart)]
             if len(apart):
                 out[a, b] = out[b, a] = np.median(apart)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Square parts of pictures that somebody is looked for in, and networks opened to look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from studiorecon.arrays import require
+from studiorecon.errors import UserError
+from studiorecon.machine import starved
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+# A region's side, in diameters of the circle around the body that the networks find.
+_REGION_SCALE = 1.25
+
+
+@dataclass(frozen=True)
+class Region:
+    """A turned square of the picture that holds somebody.
+
+    Attributes:
+        centre: (2,) middle of the hips, pixels.
+        side: edge, pixels.
+        turn_rad: how far the body's up is turned clockwise from the picture's.
+    """
+
+    centre: Num[np.ndarray, " 2"]
+    side: float
+    turn_rad: float
+
+    @staticmethod
+    def around(hips: np.ndarray, circle: np.ndarray) -> Region:
+        """The region of a body from the middle of its hips (2,) and the point (2,) of the circle around it that is
+        upwards."""
+        towards = circle - hips
+        return Region(
+            hips, 2 * _REGION_SCALE * float(np.linalg.norm(towards)), float(np.arctan2(towards[0], -towards[1]))
+        )
+
+    def crop_from_picture(self, edge: int) -> Num[np.ndarray, "2 3"]:
+        """(2, 3) affine map of picture pixels to those of an upright crop of ``edge`` pixels, centres at +0.5 on both
+        sides."""
+        scale, c, s = edge / self.side, np.cos(self.turn_rad), np.sin(self.turn_rad)
+        linear = scale * np.array([[c, s], [-s, c]])
+        return np.column_stack([linear, edge / 2 - linear @ self.centre])
+
+
+def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> np.ndarray:
+    """(edge, edge, 3) uint8 upright crop of a region, black beyond the picture; averaged where it shrinks."""
+    require("picture", picture, ("H", "W", 3))
+    affine = region.crop_from_picture(edge)
+    # Whole-number shrinking by averages first, of the region's own surroundings only: the picture may be 4K.
+    shrink = max(1, int(region.side / edge))
+    if shrink > 1:
+        height, width = picture.shape[:2]
+        reach = region.side * 0.75 + shrink
+        low = np.maximum(np.floor(region.centre - reach), 0).astype(int) // shrink * shrink
+        high = np.minimum(np.ceil(region.centre + reach), [width, height]).astype(int)
+        if (high - low < shrink).any():
+            return np.zeros((edge, edge, 3), np.uint8)
+        count = (high - low) // shrink
+        part = picture[low[1] : low[1] + count[1] * shrink, low[0] : low[0] + count[0] * shrink]
+        picture = cv2.resize(part, (int(count[0]), int(count[1])), interpolation=cv2.INTER_AREA)
+        affine = np.column_stack([affine[:, :2] * shrink, affine[:, :2] @ low + affine[:, 2]])
+    # OpenCV counts pixels from the first one's centre.
+    centred = affine.copy()
+    centred[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
+    return cv2.warpAffine(picture, centred, (edge, edge), flags=cv2.INTER_LINEAR)
+
+
+def opened(path: Path, cure: str) -> onnxruntime.InferenceSession:
+    """A network on one core; raises UserError naming the file, and ``cure``, when it is missing or none."""
+    if not path.is_file():
+        raise UserError(f"network {path} is missing; {cure}")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime raises a dozen types of its own, without a common base
+        if starved(error):
+            raise
+        raise UserError(f"{path} cannot be read as an ONNX network ({error}); {cure}") from None

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How alike two postures are: of monocular bodies joint by joint, else where limbs point, by the detector's guess.
+
+The guess is metres in axes that look along the ray to the person. Turned with that ray and with the camera it says
+where limbs, shoulders and face point, left apart from right; how far away somebody is it does not say.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry import rotations
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+_SIDES = ("left", "right")
+_LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+# Points that are averaged for either end of a direction.
+_DIRECTIONS = (
+    *(((f"{side}_{a}",), (f"{side}_{b}",)) for side in _SIDES for a, b in _LIMBS),
+    (("right_shoulder",), ("left_shoulder",)),
+    (("right_hip",), ("left_hip",)),
+    (("left_hip", "right_hip"), ("left_shoulder", "right_shoulder")),
+    (("left_ear", "right_ear"), ("nose",)),
+)
+_NEEDED = {name for ends in _DIRECTIONS for end in ends for name in end}
+COUNT = len(_DIRECTIONS)
+
+
+def limb_directions(found: Detections, camera: Camera) -> Float[np.ndarray, "D 12 3"]:
+    """(D, 12, 3) unit directions of limbs in the world; NaN for detections without a guess."""
+    names = LAYOUTS[found.layout].keypoints
+    if found.points_m is None or not set(names) >= _NEEDED:
+        return np.full((len(found.frame), COUNT, 3), np.nan)
+    middles = [[found.points_m[:, [names.index(name) for name in end]].mean(1) for end in ends] for ends in _DIRECTIONS]
+    along = np.stack([to - start for start, to in middles], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    return along @ np.swapaxes(_world_from_guess(found, camera), -1, -2)
+
+
+def joint_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Mean angle between body rotations (…, J, 3, 3) and (…, J, 3, 3), broadcast, the root not among them (A06-A08)."""
+    return rotations.angle(first, second).mean(-1)
+
+
+def limb_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Mean angle between limb directions (…, 12, 3) and (…, 12, 3), broadcast; NaN where either has none."""
+    sine = np.linalg.norm(np.cross(first, second), axis=-1)
+    return np.arctan2(sine, (first * second).sum(-1)).mean(-1)
+
+
+def _world_from_guess(found: Detections, camera: Camera) -> np.ndarray:
+    """(D, 3, 3) turn of the guess's axes, which look at the person, into the world's."""
+    seen = found.keypoints[..., 2:] > 0
+    count = seen.sum(1)
+    middle = np.where(seen, found.keypoints[..., :2], 0.0).sum(1) / np.maximum(count, 1)
+    focal, principal = camera.intrinsics[[0, 1], [0, 1]], camera.intrinsics[:2, 2]
+    ray = np.column_stack([(middle - principal) / focal, np.ones(len(middle))])
+    ray[count[:, 0] == 0] = [0.0, 0.0, 1.0]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    axis = np.column_stack([-ray[:, 1], ray[:, 0], np.zeros(len(ray))])  # z × ray
+    sine = np.linalg.norm(axis, axis=1)
+    turned = axis * (np.arctan2(sine, ray[:, 2]) / np.maximum(sine, 1e-12))[:, None]
+    return camera.world_from_camera[:3, :3] @ rotations.exp(turned)
