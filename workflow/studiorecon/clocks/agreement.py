@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -111,15 +112,30 @@ def solved(
     return found
 
 
+def contradict(one: Proposal, other: Proposal) -> bool:
+    """Whether two proposals about one camera leave no offset that both allow."""
+    return abs(one.offset_s - other.offset_s) > one.half_s + other.half_s
+
+
+def contradicted(weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[Proposal | None]]) -> tuple[int, int]:
+    """In how many cameras a weaker method contradicts a stronger one, and in how many both say something that is not
+    said of the reference anyway (where a proposal is exactly 0 by definition, all agree)."""
+    both = [
+        (own, [other[c] for other in stronger if other[c] is not None])
+        for c, own in enumerate(weaker)
+        if own is not None
+    ]
+    told = [(own, others) for own, others in both if others and own.half_s > 0]
+    return sum(any(contradict(own, o) for o in others if o) for own, others in told), len(told)
+
+
 def judged(proposals: Sequence[Proposal], fps: float, seconds: float) -> ClockVerdict:
     """The narrowest proposal if all agree within their intervals; in step where it does not exclude that the camera is
     as filmed."""
     if not proposals:
         return ClockVerdict("undetermined", reason="neither sound nor people nor motion tell")
-    for i, one in enumerate(proposals):
-        for other in proposals[i + 1 :]:
-            if abs(one.offset_s - other.offset_s) > one.half_s + other.half_s:
-                return ClockVerdict("undetermined", reason="they contradict each other")
+    if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
+        return ClockVerdict("undetermined", reason="they contradict each other")
     best = min(proposals, key=lambda p: p.half_s)
     drift = best.drift_ppm if abs(best.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
     if not drift and abs(best.offset_s) <= max(best.half_s, _NEGLIGIBLE_FRAMES / fps):

@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.clocks import motion as sync
 from studiorecon.clocks import sound
-from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, judged, reference_of, solved
+from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, contradicted, judged, reference_of, solved
 from studiorecon.clocks.people_clock import people_pair
 from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, timeline_of
 from studiorecon.configuration.setting import setting
@@ -38,6 +38,8 @@ from studiorecon.signature import Written
 _TRAVEL_S = 1.5 / 343
 # Every sound track is compared with those of so many cameras; more only cost time.
 _HUBS = 3
+# Cameras in which motion must be proved wrong before it is not believed of the others.
+_PROOFS = 2
 
 
 @dataclass(frozen=True)
@@ -159,8 +161,14 @@ def found_clocks(
     if min(told) < 2:
         energies = [sync.energy_of(s) if s else np.zeros(0) for s in progress(sources, "motion")]
         pairs["motion"], why["motion"] = motion_pairs(energies, clocks, rate)
-    reference = reference_of(pairs, count)
-    proposed = {m: solved(m, found, count, reference, _TRAVEL_S if m == "sound" else 0.0) for m, found in pairs.items()}
+    reference, proposed = _proposed(pairs, count)
+    # How much moves in a picture depends on where one looks from: who walks in a circle is nearest to one camera after
+    # the other. Where people or sound prove that of most cameras, motion says nothing of the others.
+    wrong, both = contradicted(proposed.get("motion", []), [p for m, p in proposed.items() if m != "motion"])
+    if wrong >= _PROOFS and 2 * wrong > both:
+        told_wrong = f"it contradicts people or sound in {wrong} of {both} cameras, so it counts in none"
+        pairs["motion"], why["motion"] = [], dict.fromkeys(range(count), told_wrong)
+        reference, proposed = _proposed(pairs, count)
     # Where one method leads halfway and another the rest of the way.
     together = solved("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
     verdicts, findings = [], []
@@ -188,6 +196,13 @@ def found_clocks(
             }
         )
     return verdicts, findings, reference
+
+
+def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:
+    """The reference camera, and what every method says of every camera."""
+    reference = reference_of(pairs, count)
+    systematic_s = {"sound": _TRAVEL_S}
+    return reference, {m: solved(m, found, count, reference, systematic_s.get(m, 0.0)) for m, found in pairs.items()}
 
 
 def lengths_differ(clocks: Sequence[Clock], sources: Sequence[str], findings: Sequence[dict[str, Any]]) -> str:

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion is the last resort: where people or sound prove it wrong of most cameras, nothing is made of it elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from studiorecon.clocks import offsets
+from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, contradicted
+from studiorecon.clocks.timeline import Timeline
+
+FPS, SECONDS, CAMERAS = 30.0, 10.0, 9
+# Who walks round a ring of eight cameras is nearest to one after the other.
+ROUND_S = 17.8
+
+
+def circling(late_s: Mapping[int, float]) -> list[np.ndarray]:
+    """Energy (T,) of every camera's pictures of somebody who walks round them in a jerky way, seen from all around."""
+    energies = []
+    for camera in range(CAMERAS):
+        t = np.arange(round(SECONDS * FPS)) / FPS + 30 + late_s.get(camera, 0.0)
+        phase = t - camera * ROUND_S / 8
+        bumps = np.random.default_rng(7).uniform(0, ROUND_S, 60)
+        energies.append(
+            sum(np.exp(-0.5 * (((phase - b + ROUND_S / 2) % ROUND_S - ROUND_S / 2) / 0.12) ** 2) for b in bumps) + 0.5
+        )
+    return energies
+
+
+def verdicts(monkeypatch: pytest.MonkeyPatch, late_s: Mapping[int, float], told_by_people: int) -> list[ClockVerdict]:
+    """What is made of such pictures where people tell the clocks of the first ``told_by_people`` cameras."""
+    energies = iter(circling(late_s))
+    in_step = [Pair(0, c, late_s.get(c, 0.0), 0.001) for c in range(1, told_by_people)]
+    monkeypatch.setattr(offsets, "people_pair", lambda *_: (in_step, {}))
+    monkeypatch.setattr(offsets.sync, "energy_of", lambda _: next(energies))
+    monkeypatch.setattr(offsets.sound, "sound_of", lambda _: None)
+    source = type("Source", (), {"wh": (640, 360)})()
+    lines = [Timeline(FPS, round(SECONDS * FPS), 0.0)] * CAMERAS
+    names = [f"cam{c}" for c in range(CAMERAS)]
+    return offsets.found_clocks(names, [source] * CAMERAS, lines, [None] * CAMERAS, [], {})[0]  # type: ignore[list-item]
+
+
+def test_who_walks_in_a_circle_does_not_shift_the_cameras_that_see_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = verdicts(monkeypatch, {}, told_by_people=8)
+    assert all(v.offset_s == 0 for v in found)
+    assert [v.kind for v in found[1:8]] == ["in step"] * 7, "people are believed although motion contradicts them"
+    assert found[8].kind == "undetermined"
+
+
+def test_a_late_camera_is_found_by_people_whatever_motion_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = verdicts(monkeypatch, {3: 1.5}, told_by_people=8)
+    assert found[3].kind == "found"
+    assert found[3].offset_s == pytest.approx(1.5)
+
+
+def test_motion_that_is_proved_wrong_of_one_camera_only_is_not_discarded() -> None:
+    def said(*offsets_s: float | None) -> list[Proposal | None]:
+        return [None if o is None else Proposal("m", o, 0.1, 0.0, np.inf) for o in offsets_s]
+
+    assert contradicted(said(0.0, 1.0, 2.0, None), [said(0.0, 1.05, 5.0, 3.0)]) == (1, 3)
+    assert contradicted(said(4.0, 1.0, 2.0), [said(0.0, None, 5.0), said(None, 3.0, None)]) == (3, 3)
+    assert contradicted([], [said(0.0)]) == (0, 0)
