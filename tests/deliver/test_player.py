@@ -23,7 +23,16 @@ from studiorecon.scene.factors import Factors
 from studiorecon.schema import mistakes
 from studiorecon.viewer import Viewer
 
-from tests.made.browser import BROWSER, NO_BROWSER, Browser, addresses_outside, pixels, software_gl
+from tests.made.browser import (
+    BROWSER,
+    NO_BROWSER,
+    SOFTWARE_GL,
+    Browser,
+    addresses_outside,
+    memory_limited,
+    pixels,
+    software_gl,
+)
 from tests.made.player import PARTS, drawn, scene_of, shade_for, write_page
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason=NO_BROWSER)
@@ -31,6 +40,8 @@ FRAMES = 7
 # Times at which pictures are compared: a thing is nowhere at the first, and the last two lie between frames, or end.
 TIMES = (0.0, 3.5, FRAMES - 1.0)
 EVERYTHING = [None, *range(8)]
+# Where a control group of either kind tells what its processes used at most.
+PEAKS = ("memory.max_usage_in_bytes", "memory.peak")
 
 
 @pytest.fixture(scope="module")
@@ -313,6 +324,23 @@ def test_a_graphics_card_that_gives_up_leaves_the_picture_and_a_sentence(browser
     browser.wait("document.getElementById('told').textContent.startsWith('The graphics card gave up')")
     assert browser.run("document.getElementById('poster').hidden") is False
     assert browser.run("document.getElementById('picture').hidden") is True
+
+
+@pytest.mark.slow
+def test_a_browser_that_gets_2_gb_shows_a_large_scene(tmp_path: Path) -> None:
+    """200,000 Gaussians and seven people through 300 frames, drawn without a card: its memory counts too."""
+    scene = scene_of(people=7, frames=300, things=False, step_m=0.022, degree=1)
+    page = write_page(tmp_path / "player.html", scene)
+    assert len(scene.room.means_m) > 200_000
+    with memory_limited(2_000_000_000) as group, Browser(tmp_path / "profile", *SOFTWARE_GL, group=group) as browser:
+        opened(browser, page, "frame=20")
+        browser.wait("document.getElementById('poster').hidden")
+        ours = to_bytes(drawn(scene, scene.cameras[0], 20.0))
+        assert psnr(seen(browser, mode="camera", camera=0, frame=20.0, playing=False), ours) > 36
+        assert not unexpected(browser)
+        peak = [int((group / name).read_text()) for name in PEAKS if (group / name).exists()]
+        print(f"the browser took {min(peak) / 1e6:.0f} MB")
+        assert 100_000_000 < min(peak) < 2_000_000_000
 
 
 def test_who_wants_no_motion_starts_at_rest(browser: Browser, page: Path) -> None:

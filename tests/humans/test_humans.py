@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+import scipy
 from studiorecon import settings as settings_module
 from studiorecon.body.avatar.files import read_avatar
 from studiorecon.body.avatar.posing import Posing
@@ -34,7 +35,7 @@ from studiorecon.humans.crops import (
     silhouette,
 )
 from studiorecon.humans.motion import RefinedMotion
-from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
+from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface, vertex_samples
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.people import Person
@@ -204,6 +205,18 @@ def test_samples_lie_evenly_on_the_surface(body: BodyModel) -> None:
         share = areas[centres[:, half] > 0].sum() / areas.sum()
         assert np.mean(samples.points_m[:, half] > 0) == pytest.approx(share, abs=0.01)
     assert np.allclose(samples.weights.sum(axis=1), 1)
+
+
+def test_one_sample_lies_at_every_vertex_and_looks_outwards(body: BodyModel) -> None:
+    rest = body.rest_vertices(np.zeros(10))
+    samples = vertex_samples(rest, body.faces, body.weights)
+    used = np.unique(body.faces)
+    assert np.array_equal(samples.points_m, rest[used].astype(np.float64))
+    assert np.allclose(samples.weights, body.weights[used], atol=1e-6)
+    even = sample_surface(rest, body.faces, body.weights, len(used), np.random.default_rng(0))
+    assert samples.spacing_m == pytest.approx(even.spacing_m)
+    near = scipy.spatial.cKDTree(even.points_m).query(samples.points_m)[1]
+    assert np.median((samples.normals * even.normals[near]).sum(1)) > 0.95
 
 
 def test_the_gradient_by_joint_turns_matches_differences(body: BodyModel) -> None:

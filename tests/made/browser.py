@@ -9,11 +9,13 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 BROWSER = next(
     (found for name in ("chromium-headless-shell", "chromium", "google-chrome") if (found := shutil.which(name))), None
@@ -37,17 +39,24 @@ SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 class Browser:
     """One page of a browser.
 
+    Args:
+        profile: a folder of its own.
+        group: folder of a control group that it runs in.
+
     Attributes:
         logged: what the page logged or threw.
         asked: addresses it asked for.
     """
 
-    def __init__(self, profile: Path, *options: str, size: tuple[int, int] = (480, 300)) -> None:
+    def __init__(
+        self, profile: Path, *options: str, size: tuple[int, int] = (480, 300), group: Path | None = None
+    ) -> None:
         assert BROWSER is not None
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
         # The browser reads descriptor 3 and writes 4.
-        script = f'exec "$@" 3<&{to_read} 4>&{to_write}'
+        joined = f"echo $$ > {group}/cgroup.procs; " if group else ""
+        script = f'{joined}exec "$@" 3<&{to_read} 4>&{to_write}'
         command = [BROWSER, *_QUIET, *options, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"]
         command += ["--remote-debugging-pipe", "about:blank"]
         self._process = subprocess.Popen(
@@ -159,3 +168,40 @@ def software_gl(folder: Path, *options: str, size: tuple[int, int] = (480, 300))
 def addresses_outside(asked: Sequence[str]) -> list[str]:
     """Of the addresses that a page asked for those that are no part of it."""
     return [one for one in asked if not one.startswith(("file:", "blob:", "data:", "about:"))]
+
+
+@contextmanager
+def memory_limited(most_bytes: int) -> Iterator[Path]:
+    """Folder of a control group whose processes together get no more memory; skips where none can be made."""
+    name = f"studiorecon-{os.getpid()}"
+    for above, limit in (
+        (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
+        (Path("/sys/fs/cgroup"), "memory.max"),
+    ):
+        folder = above / name
+        try:
+            folder.mkdir()
+        except OSError:
+            continue
+        try:
+            if not (folder / limit).exists():
+                continue
+            (folder / limit).write_text(str(most_bytes))
+            yield folder
+            return
+        finally:
+            _without_processes(folder)
+    pytest.skip("no control group with a limit of memory can be made here (needs root)")
+
+
+def _without_processes(group: Path) -> None:
+    """Take a control group away once its processes are gone."""
+    until = time.monotonic() + 20
+    while True:
+        try:
+            group.rmdir()
+            return
+        except OSError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.1)

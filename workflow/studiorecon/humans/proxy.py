@@ -18,7 +18,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
 from studiorecon.humans.shared import Started
-from studiorecon.humans.surface import gaussians_on, sample_surface
+from studiorecon.humans.surface import gaussians_on, started
 from studiorecon.progress import say
 from studiorecon.scene.gaussians import sh_from_rgb
 from studiorecon.scene.gaussians_ply import write_ply
@@ -57,7 +57,7 @@ def run(settings: Settings, body: Path, fit: Path, gaussians: Written) -> None:
     rest = model.rest_vertices(person.betas)
     names = np.array(model.region_names)[model.region]
     faces = model.faces[names[model.faces[:, 0]] != "inside"]
-    samples = sample_surface(rest, faces, model.weights, settings.gaussians, np.random.default_rng(settings.seed))
+    samples = started(rest, faces, model.weights, settings, np.random.default_rng(settings.seed))
     parts = names[scipy.spatial.cKDTree(rest).query(samples.points_m)[1]]
     made = gaussians_on(samples, 0)
     made.sh[:, 0] = sh_from_rgb(chequered(samples.points_m, parts))

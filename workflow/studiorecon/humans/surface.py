@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from studiorecon.humans.shared import Started
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
 
@@ -42,8 +43,7 @@ def sample_surface(
     Faces that follow each other in a body mesh lie beside each other, so equal steps along the summed area leave
     neither clumps nor gaps, which independent draws would.
     """
-    corners = vertices_m[faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vertex_normals, crosses = _vertex_normals(vertices_m, faces)
     areas = np.linalg.norm(crosses, axis=1) / 2
     total = np.cumsum(areas)
     at = (np.arange(count) + rng.random(count)) / count * total[-1]
@@ -52,13 +52,43 @@ def sample_surface(
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
     mix = np.stack([1 - u - v, u, v], axis=1)
-    vertex_normals = np.zeros_like(vertices_m)
-    np.add.at(vertex_normals, faces.reshape(-1), np.repeat(crosses, 3, axis=0))
     normals = np.einsum("nk,nkc->nc", mix, vertex_normals[faces[face]])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     mixed = np.einsum("nk,nkb->nb", mix, np.asarray(weights, np.float64)[faces[face]])
-    points = np.einsum("nk,nkc->nc", mix, corners[face])
+    points = np.einsum("nk,nkc->nc", mix, vertices_m[faces[face]])
     return SurfaceSamples(points, normals, mixed / mixed.sum(axis=1, keepdims=True), float(np.sqrt(total[-1] / count)))
+
+
+def started(
+    vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, how: Started, rng: np.random.Generator
+) -> SurfaceSamples:
+    """Where a person's Gaussians start, as the settings say."""
+    if how.placed == "vertices":
+        return vertex_samples(vertices_m, faces, weights)
+    return sample_surface(vertices_m, faces, weights, how.gaussians, rng)
+
+
+def vertex_samples(vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> SurfaceSamples:
+    """One point at every vertex that a face uses (paper, appendix D), with the model's own weights."""
+    used = np.unique(faces)
+    normals, crosses = _vertex_normals(vertices_m, faces)
+    area = np.linalg.norm(crosses, axis=1).sum() / 2
+    own = np.asarray(weights, np.float64)[used]
+    return SurfaceSamples(
+        vertices_m[used].astype(np.float64),
+        normals[used] / np.maximum(np.linalg.norm(normals[used], axis=1, keepdims=True), 1e-12),
+        own / own.sum(axis=1, keepdims=True),
+        float(np.sqrt(area / len(used))),
+    )
+
+
+def _vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) normals of vertices, as long as twice the area of the faces around them, and (F, 3) those of faces."""
+    corners = vertices_m[faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices_m)
+    np.add.at(normals, faces.reshape(-1), np.repeat(crosses, 3, axis=0))
+    return normals, crosses
 
 
 def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:

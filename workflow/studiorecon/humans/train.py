@@ -32,7 +32,14 @@ from studiorecon.humans.crops import Crop, TrainingCrop, judged, looks_of, mask_
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed
 from studiorecon.humans.motion import RefinedMotion
 from studiorecon.humans.result_cache import keep, mark_of, still_stands
-from studiorecon.humans.surface import SurfaceSamples, fill_unseen, gaussians_on, mirrored, neighbours, sample_surface
+from studiorecon.humans.surface import (
+    SurfaceSamples,
+    fill_unseen,
+    gaussians_on,
+    mirrored,
+    neighbours,
+    started,
+)
 from studiorecon.humans.train_settings import Settings
 from studiorecon.humans.training import PersonInTraining
 from studiorecon.progress import say, warn
@@ -196,13 +203,8 @@ def run(
     rng = np.random.default_rng(settings.seed)
     rest = body_model.rest_vertices(fitted.betas)
     outside = np.array([name != "inside" for name in body_model.region_names])
-    samples = sample_surface(
-        rest,
-        body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]],
-        body_model.weights,
-        settings.gaussians,
-        rng,
-    )
+    faces = body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]]
+    samples = started(rest, faces, body_model.weights, settings, rng)
     bones, weights = skinning_weights(samples, rest, body_model.weights, settings)
     posing = Posing(bones, weights)
     motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents)
