@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.background import hole_filling as room
-from studiorecon.background import train
+from studiorecon.background import preparation, train
 from studiorecon.background.seeding import random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
 from studiorecon.errors import UserError
@@ -114,8 +114,8 @@ def test_seeds_lie_on_the_walls_in_the_plates_colours(cameras: list[Camera]) -> 
 
 def test_plates_are_trained_on_with_the_depth_they_were_seeded_from(cameras: list[Camera]) -> None:
     rgb, depth_m = look(cameras[0])
-    photo = train.Photo(cameras[0], rgb, np.ones(rgb.shape[:2], bool), depth_m, np.ones_like(depth_m))
-    (target,) = train.plate_targets([photo], 0.5)
+    photo = preparation.Photo(cameras[0], rgb, np.ones(rgb.shape[:2], bool), depth_m, np.ones_like(depth_m))
+    (target,) = preparation.plate_targets([photo], 0.5)
     np.testing.assert_array_equal(target.depth_m, depth_m)
 
 
@@ -188,7 +188,7 @@ def test_generated_frames_stand_aside_for_photos(
     views = [cameras[0], between[0], cameras[1]]
     pictures, supports = [np.zeros((*v.hw, 3), np.uint8) for v in views], [np.full(v.hw, 255, np.uint8) for v in views]
     steps = [PathStep(v, 0.0, "00") for v in views]
-    (kept,) = train.view_targets(steps, pictures, supports, cameras, settings())
+    (kept,) = preparation.view_targets(steps, pictures, supports, cameras, settings())
     assert np.array_equal(kept.camera.camera_from_world, between[0].camera_from_world)
 
 
@@ -208,5 +208,5 @@ def test_harmonics_go_no_further_than_the_real_cameras_do(
     asked = replace(asked, training=replace(asked.training, sh_degree=wanted))
     cameras = ring([360 * i / count for i in range(count)], "c")
     start = random_volume(cameras, 50, 0.1, 3, np.random.default_rng(0))
-    assert train.supported(asked, start, cameras).training.sh_degree == degree
+    assert preparation.supported(asked, start, cameras).training.sh_degree == degree
     assert ("cameras cannot tell more apart" in capsys.readouterr().out) == (degree < wanted)

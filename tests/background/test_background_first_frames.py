@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.background import train
+from studiorecon.background import preparation
 from studiorecon.errors import UserError
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.images.metrics import psnr
@@ -39,9 +39,9 @@ def filmed(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> d
     return found
 
 
-def photos_of(cameras: list[Camera]) -> list[train.Photo]:
+def photos_of(cameras: list[Camera]) -> list[preparation.Photo]:
     return [
-        train.Photo(c, np.zeros((*c.hw, 3), np.float32), np.zeros(c.hw, bool), look(c)[1], np.ones(c.hw))
+        preparation.Photo(c, np.zeros((*c.hw, 3), np.float32), np.zeros(c.hw, bool), look(c)[1], np.ones(c.hw))
         for c in cameras
     ]
 
@@ -50,7 +50,7 @@ def photos_of(cameras: list[Camera]) -> list[train.Photo]:
 def test_a_square_about_people_is_unknown(
     cameras: list[Camera], filmed: dict[str, list[Path]], size_px: int, reach: int
 ) -> None:
-    found = train.without_people(photos_of(cameras), **filmed, dilation_px=size_px, exposure=NONE)
+    found = preparation.without_people(photos_of(cameras), **filmed, dilation_px=size_px, exposure=NONE)
     for camera, photo in zip(cameras, found, strict=True):
         assert photo.camera is camera
         unknown = np.zeros(camera.hw, bool)
@@ -77,7 +77,7 @@ def test_without_dilation_people_are_baked_into_the_room(
 
 
 def test_nobody_is_masked_where_there_are_no_people(cameras: list[Camera], filmed: dict[str, list[Path]]) -> None:
-    found = train.without_people(photos_of(cameras), filmed["videos"], [], 21, NONE)
+    found = preparation.without_people(photos_of(cameras), filmed["videos"], [], 21, NONE)
     assert all(photo.known.all() for photo in found)
 
 
@@ -87,6 +87,6 @@ def test_a_picture_of_people_alone_and_a_missing_video_are_refused(
     everywhere = tmp_path / "all.mkv"
     write_lossless(everywhere, [np.ones(cameras[0].hw, np.uint8)], 30.0)
     with pytest.raises(UserError, match=r"cam0 shows nothing but people"):
-        train.without_people(photos_of(cameras), filmed["videos"], [everywhere] * 4, 21, NONE)
+        preparation.without_people(photos_of(cameras), filmed["videos"], [everywhere] * 4, 21, NONE)
     with pytest.raises(UserError, match=r"3 videos for 4"):
-        train.without_people(photos_of(cameras), filmed["videos"][:3], filmed["masks"], 21, NONE)
+        preparation.without_people(photos_of(cameras), filmed["videos"][:3], filmed["masks"], 21, NONE)

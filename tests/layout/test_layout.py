@@ -176,6 +176,7 @@ RUNS_IT_AGAIN = {"report_page": {"swept"}}
 # What has to be there first, or is a good moment, and is not read.
 WAITED_FOR = {
     "background_kernels": {"manifest"},
+    "background_half": {"kernels"},
     "background_train": {"kernels"},
     "humans_train": {"kernels"},
     "depth_kernels": {"manifest"},

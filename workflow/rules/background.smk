@@ -23,6 +23,87 @@ rule background_kernels:
         command("background.kernels")
 
 
+if PLAN.networks.refiner:
+
+    # Half-way a network repairs views of the room: it has an image and a GPU of its own, so the training is two jobs with the network's between.
+    rule background_half:
+        input:
+            model=MODEL,
+            plates=collect(
+                "results/{scene}/plates/{camera}.png",
+                camera=PLAN.training,
+                allow_missing=True,
+            ),
+            depth=collect(
+                "results/{scene}/depth/{camera}.exr",
+                camera=PLAN.training,
+                allow_missing=True,
+            ),
+            shell="results/{scene}/depth/room.json",
+            exposure=files.gains,
+            gloss=files.specularity,
+            path="results/{scene}/views/path.json",
+            views=files.views,
+            supports=files.view_masks,
+            videos=files.first_pictures,
+            masks=files.first_masks,
+            kernels=ancient("results/{scene}/background/kernels.txt"),
+        output:
+            half="results/{scene}/background/half.ply",
+            marks="results/{scene}/background/half.npz",
+            looks="results/{scene}/background/half.mkv",
+            looks_path="results/{scene}/background/half.json",
+        log:
+            "logs/{scene}/background/half.log",
+        benchmark:
+            "benchmarks/{scene}/background/half.tsv"
+        container:
+            image(PLAN.networks.drawn_by)
+        threads: 2
+        resources:
+            mem_mb=3000,
+            gpu=PLAN.networks.drawing_gpus,
+        params:
+            settings=settings("background.half"),
+            code=code("background.half"),
+            device=config["device"],
+            working="logs/{scene}/background/half",
+            lpips=PLAN.networks.lpips("background"),
+        shell:
+            command("background.half")
+
+    rule background_refined:
+        input:
+            looks="results/{scene}/background/half.mkv",
+            looks_path="results/{scene}/background/half.json",
+            model=MODEL,
+            plates=collect(
+                "results/{scene}/plates/{camera}.png",
+                camera=PLAN.training,
+                allow_missing=True,
+            ),
+            exposure=files.gains,
+        output:
+            refined="results/{scene}/background/refined.mkv",
+        log:
+            "logs/{scene}/background/refined.log",
+        benchmark:
+            "benchmarks/{scene}/background/refined.tsv"
+        container:
+            model_image(PLAN.networks.refiner)
+        threads: 2
+        resources:
+            mem_mb=16000,
+            gpu=gpus(PLAN.networks.refiner),
+        params:
+            code=code("background.refined"),
+            enhancer=PLAN.networks.refiner,
+            weights=PLAN.networks.weights,
+            device=config["device"],
+        shell:
+            command("background.refined")
+
+
 rule background_train:
     input:
         model=MODEL,
@@ -44,6 +125,7 @@ rule background_train:
         supports=files.view_masks,
         videos=files.first_pictures,
         masks=files.first_masks,
+        half=files.half_trained,
         kernels=ancient("results/{scene}/background/kernels.txt"),
     output:
         background="results/{scene}/background/scene.ply",

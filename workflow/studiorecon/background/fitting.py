@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The room's training over a span of its iterations, and views of the room as it is then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.background.preparation import Photo, Prepared
+from studiorecon.background.refinement import refined_targets, refinement_cameras
+from studiorecon.background.targets import draw_shares
+from studiorecon.background.train_settings import Settings
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.splatting.device import rasteriser
+from studiorecon.splatting.train.checkpoint import Checkpoint
+from studiorecon.splatting.train.perceptual import Perceptual
+from studiorecon.splatting.train.still import TrainedGaussians, train_still
+from studiorecon.splatting.train.targets import Target, scene_extent
+
+if TYPE_CHECKING:
+    from studiorecon.splatting.cpu.rasterise import Rasteriser
+    from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
+
+
+@dataclass(frozen=True)
+class Training:
+    """What stays the same over all iterations."""
+
+    settings: Settings
+    cameras: Sequence[Camera]
+    rng: np.random.Generator
+    threads: int
+    device: str
+    previews: Path
+    lpips: Path
+
+    def fit(
+        self,
+        start: Gaussians,
+        real: list[Target],
+        synthesized: list[Target],
+        checkpoint: Checkpoint,
+        span: tuple[int, int],
+    ) -> TrainedGaussians:
+        """The iterations of ``span`` on plates and views, drawn as ``views_share`` says."""
+        shares = draw_shares(len(real), len(synthesized), self.settings.views_share)
+        targets = [replace(target, share=float(share)) for target, share in zip(real + synthesized, shares)]
+        return train_still(
+            start,
+            targets,
+            self.settings.training,
+            self.rng,
+            extent_m=scene_extent(self.cameras),
+            span=span,
+            threads=self.threads,
+            label="background",
+            network=_network(self.settings, self.lpips, self.threads),
+            checkpoint=checkpoint,
+            previews=self.previews,
+            device=self.device,
+        )
+
+    def first_half(self, given: Prepared, checkpoint: Checkpoint) -> tuple[Gaussians, np.ndarray]:
+        """The room half-way, and the provenance of its Gaussians."""
+        first = self.fit(given.start, given.real, given.synthesized, checkpoint, (0, self.split))
+        return first.gaussians, given.marks[first.source]
+
+    @property
+    def split(self) -> int:
+        """Iterations before the room is looked at; 0 = it never is."""
+        refinement = self.settings.refinement
+        return round(refinement.at * self.settings.training.iterations) if refinement.views else 0
+
+    def drawing(self) -> Rasteriser | GsplatRasteriser:
+        """What draws the room as it is trained."""
+        return rasteriser(self.device, near_m=self.settings.training.near_m, threads=self.threads)
+
+    def refined(self, room_now: Gaussians, photos: Sequence[Photo]) -> list[Target]:
+        """Views of the half-trained room, enhanced by what the photos show and it misses."""
+        looks = refinement_cameras(self.cameras, self.settings.refinement)
+        known = [(p.camera, p.rgb, p.known) for p in photos]
+        drawing = self.drawing()
+        targets, counted = refined_targets(
+            looks, known, self.settings.refinement, lambda camera: drawing.forward(room_now, camera)
+        )
+        say(
+            f"refinement: {len(targets)} views of the room as it is now; the photos correct {counted:.0%} of their "
+            "pixels"
+        )
+        return targets
+
+
+def _network(settings: Settings, lpips: Path, threads: int) -> Perceptual | None:
+    """The network of the perceptual term; None when its weight is 0."""
+    if settings.training.lpips.weight == 0:
+        say("LPIPS is off (background.training.lpips.weight is 0)")
+        return None
+    from studiorecon.models.adapters.lpips import read_lpips
+
+    return read_lpips(lpips, threads, without="set background.training.lpips.weight to 0")

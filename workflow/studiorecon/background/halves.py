@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The room half-way as files, where a network enhances views of it between the halves of its training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_stack, to_bytes, to_float, write_lossless
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_npz
+from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.gaussians_ply import read_ply, write_ply
+from studiorecon.scene.intermediate import as_written, read_arrays
+from studiorecon.scene.path import PathStep, read_path, write_path
+from studiorecon.splatting.train.targets import Target
+
+# The views are looked at one by one; a film of them runs at this rate.
+_FPS = 30.0
+
+
+def write_room(half: Path, marks: Path, room: Gaussians, provenance: np.ndarray) -> None:
+    """The Gaussians (PLY) and the provenance (N,) of each (npz)."""
+    write_ply(half, room)
+    write_npz(marks, {"provenance": provenance})
+
+
+def write_looks(looks: Path, looks_path: Path, cameras: list[Camera], pictures: list[np.ndarray]) -> None:
+    """Views (H, W, 3) in [0, 1] of the room from ``cameras``, as a lossless film and its path."""
+    write_lossless(looks, (to_bytes(picture) for picture in pictures), _FPS)
+    write_path(looks_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
+
+
+def read_half(files: list[Path], weight: float) -> tuple[Gaussians, np.ndarray, list[Target]]:
+    """The room half-way, the provenance of its Gaussians, and enhanced views of it as targets whose every pixel weighs
+    ``weight`` (paper, appendix C).
+
+    ``files``: the room, its provenance, the path of the views, and the film of them. Raises UserError for files that do
+    not belong together.
+    """
+    room_file, marks_file, path_file, film = files
+    room, marks = read_ply(room_file), read_arrays(marks_file)
+    with as_written(marks_file):
+        provenance = np.asarray(marks["provenance"], np.uint8)
+    if len(provenance) != room.count:
+        raise UserError(
+            f"{marks_file} tells of {len(provenance)} Gaussians, {room_file} has {room.count}; make both again"
+        )
+    steps, _ = read_path(path_file)
+    targets = []
+    for step, picture in zip(steps, read_stack(film, 0, len(steps))):
+        if picture.shape[:2] != step.camera.hw:
+            raise UserError(f"{film} is not of the size of {path_file}; enhance the views again")
+        targets.append(Target(step.camera, to_float(picture), np.full(step.camera.hw, weight, np.float32)))
+    return room, provenance, targets

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the room's training starts from: photos without people, first Gaussians, and the targets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.background import hole_filling
+from studiorecon.background.seeding import random_volume, seeds_from_depth
+from studiorecon.background.targets import angle_between_axes, cutoff_angle, support_weight, view_weight
+from studiorecon.background.train_settings import Settings
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import read_frame, read_stack, to_float
+from studiorecon.images.regions import dilated
+from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import Factors, read_factors
+from studiorecon.scene.files import one_each
+from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.scene.path import PathStep, read_path
+from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
+from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.splatting.cpu.harmonics import degree_supported
+from studiorecon.splatting.discs import discs
+from studiorecon.splatting.train.targets import Target
+
+_FLATNESS = 0.15  # of a wall's discs
+_WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
+_FILL_OPACITY = 0.9
+_SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The files that the room is trained on; names as the steps' inputs."""
+
+    model: Path
+    plates: list[Path]
+    depth: list[Path]
+    shell: Path
+    path: Path
+    views: list[Path]
+    supports: list[Path]
+    exposure: list[Path]
+    videos: list[Path]
+    masks: list[Path]
+
+    def files(self) -> list[Path]:
+        """All of them, in an order that does not change."""
+        images = [self.model.parent / "cameras.txt", self.model, *self.plates, *self.depth, self.shell, self.path]
+        return [*images, *self.views, *self.supports, *self.exposure, *self.videos, *self.masks]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the first iteration needs.
+
+    Attributes:
+        settings: with no more harmonics than the cameras tell apart.
+        photos: of the training cameras. start: first Gaussians; marks: (N,) uint8, their provenance.
+        real, synthesized: targets.
+    """
+
+    settings: Settings
+    photos: list[Photo]
+    start: Gaussians
+    marks: np.ndarray
+    real: list[Target]
+    synthesized: list[Target]
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A training camera's clean plate: ``rgb`` (H, W, 3) float32, ``known`` (H, W) bool, ``depth_m`` and ``confidence``
+    (H, W)."""
+
+    camera: Camera
+    rgb: np.ndarray
+    known: np.ndarray
+    depth_m: np.ndarray
+    confidence: np.ndarray
+
+
+def seeds(photos: Sequence[Photo], shell: RoomBox, settings: Settings) -> tuple[Gaussians, np.ndarray]:
+    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the shell where nobody sees
+    it."""
+    degree = settings.training.sh_degree
+    sets, marks = [], []
+    for photo in photos:
+        made, at = seeds_from_depth(
+            photo.camera,
+            photo.rgb,
+            photo.known,
+            photo.depth_m,
+            settings.stride,
+            settings.seed_size,
+            settings.seed_opacity,
+            degree,
+        )
+        sure = photo.confidence[at[:, 0], at[:, 1]] > settings.measured_confidence
+        sets.append(made)
+        marks.append(np.where(sure, MEASURED, INFERRED))
+    if settings.fill:
+        faces = hole_filling.faces_of(shell)
+        step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
+        cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
+        for painted in hole_filling.paint(faces, cameras, plates, known, depths, step_m):
+            unseen = ~painted.seen
+            normals = np.tile(painted.face.normal, (int(unseen.sum()), 1))
+            width_m = step_m * _WIDTH_SHARE
+            sets.append(
+                discs(painted.points_m[unseen], normals, painted.rgb[unseen], width_m, _FLATNESS, _FILL_OPACITY, degree)
+            )
+            marks.append(np.full(len(normals), INVENTED))
+    return concatenate(sets), np.concatenate(marks).astype(np.uint8)
+
+
+def supported(settings: Settings, start: Gaussians, cameras: Sequence[Camera], varied: bool = True) -> Settings:
+    """The settings, with ``sh_cap`` with no more harmonics than the real cameras tell apart at the middle of the room.
+
+    None at all unless colours are ``varied`` with the direction of view. Synthesized views are made of the photos and
+    have no highlights of their own to add (G15).
+    """
+    middle_m = np.median(start.means_m, axis=0)
+    degree = degree_supported(np.array([camera.centre_m - middle_m for camera in cameras])) if varied else 0
+    if not settings.sh_cap or degree >= settings.training.sh_degree:
+        return settings
+    why = (
+        f"{len(cameras)} cameras cannot tell more apart"
+        if varied
+        else "the survey finds no colour that changes with the view"
+    )
+    say(f"harmonics of degree {degree} instead of {settings.training.sh_degree}: {why} (sh_cap)")
+    return replace(settings, training=replace(settings.training, sh_degree=degree))
+
+
+def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
+    """Every plate as a target, with its depth; a photo stands at distance 0 of itself, so its pixels weigh 1 +
+    ``boost`` (U15, U16)."""
+    weight = view_weight(0.0, cutoff_angle([p.camera for p in photos]), boost)
+    return [Target(p.camera, p.rgb, p.known * np.float32(weight), depth_m=p.depth_m) for p in photos]
+
+
+def view_targets(
+    steps: Sequence[PathStep],
+    pictures: Iterable[np.ndarray],
+    supports: Iterable[np.ndarray],
+    cameras: Sequence[Camera],
+    settings: Settings,
+) -> list[Target]:
+    """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
+    C).
+
+    Views that stand where a photo does are left out: the photo is there already (U16).
+    """
+    cutoff = cutoff_angle(cameras)
+    targets = []
+    for step, rgb, support in zip(steps, pictures, supports, strict=True):
+        nearest = min(angle_between_axes(step.camera, c) for c in cameras)
+        beside = min(np.linalg.norm(step.camera.centre_m - c.centre_m) for c in cameras)
+        if beside < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
+            continue
+        weight = view_weight(nearest, cutoff, settings.plate_boost)
+        targets.append(
+            Target(step.camera, to_float(rgb), support_weight(support, settings.hole_weight) * np.float32(weight))
+        )
+    return targets
+
+
+def without_people(
+    photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, exposure: Factors
+) -> list[Photo]:
+    """The first pictures in the plates' place (paper, Eq. 5): unknown where a mask has anybody, or somebody is within
+    the square of ``dilation_px``; without ``masks`` nobody is there."""
+    one_each([p.camera for p in photos], videos=list(videos))
+    if masks:
+        one_each([p.camera for p in photos], masks=list(masks))
+    seen = []
+    for view, (photo, video) in enumerate(zip(photos, videos)):
+        picture = to_float(exposure.even(photo.camera.name, read_frame(video, 0)))
+        people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
+        for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
+            if hw != photo.camera.hw:
+                raise UserError(
+                    f"{path} is {hw[1]}×{hw[0]} pixels, but camera {photo.camera.name} works at "
+                    f"{photo.camera.wh[0]}×{photo.camera.wh[1]}"
+                )
+        known = ~dilated(people, dilation_px)
+        if not known.any():
+            raise UserError(
+                f"camera {photo.camera.name} shows nothing but people at the first frame, {dilation_px} px about them "
+                "included: set background.photos to plates"
+            )
+        say(
+            f"{photo.camera.name}: {np.mean(~known):.1%} of the first picture is people and {dilation_px} px about them"
+        )
+        seen.append(replace(photo, rgb=picture, known=known))
+    return seen
+
+
+def read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], exposure: Factors) -> list[Photo]:
+    one_each(cameras, plates=plates, depth_maps=depth)
+    photos = []
+    for camera, plate_path, depth_path in zip(cameras, plates, depth):
+        rgb, known = read_plate(plate_path)
+        depth_m, confidence = read_depth(depth_path)
+        for name, hw in ((plate_path, rgb.shape[:2]), (depth_path, depth_m.shape)):
+            if hw != camera.hw:
+                raise UserError(
+                    f"{name} is {hw[1]}×{hw[0]} pixels, but camera {camera.name} works at {camera.wh[0]}×{camera.wh[1]}"
+                )
+        if not known.any():
+            raise UserError(
+                f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/"
+            )
+        photos.append(Photo(camera, exposure.even(camera.name, rgb), known, depth_m, confidence))
+    return photos
+
+
+def read_views(
+    path: Path, views: list[Path], supports: list[Path], cameras: Sequence[Camera], settings: Settings
+) -> list[Target]:
+    """All synthesized views; none when their share of the draws is 0, or there are none."""
+    if settings.views_share == 0 or not views:
+        return []
+    steps, _ = read_path(path)
+    segments = list(dict.fromkeys(step.segment for step in steps))
+    if not len(segments) == len(views) == len(supports):
+        raise UserError(
+            f"{path} has {len(segments)} segments, but there are {len(views)} view videos and "
+            f"{len(supports)} masks; make views again"
+        )
+    targets = []
+    for segment, video, mask in zip(segments, views, supports):
+        own = [step for step in steps if step.segment == segment]
+        targets += view_targets(own, read_stack(video, 0, len(own)), read_stack(mask, 0, len(own)), cameras, settings)
+    return targets
+
+
+def prepared(
+    settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
+) -> Prepared:
+    """Read everything and start; ``varied``: colours change with the direction of view."""
+    box = read_room(sources.shell)
+    factors = read_factors(sources.exposure)
+    photos = read_photos(cameras, sources.plates, sources.depth, factors)
+    if settings.photos == "first_frames":
+        photos = without_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
+    if settings.start == "depth":
+        start, marks = seeds(photos, box, settings)
+        shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
+        say(
+            f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on "
+            f"default walls, {shares[2]} where nobody sees"
+        )
+    else:
+        start = random_volume(
+            list(cameras), settings.random_count, settings.random_size_m, settings.training.sh_degree, rng
+        )
+        marks = np.full(start.count, MEASURED, np.uint8)
+        say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
+    settings = supported(settings, start, cameras, varied)
+    real = plate_targets(photos, settings.plate_boost)
+    synthesized = read_views(sources.path, sources.views, sources.supports, cameras, settings)
+    drawn = settings.views_share if synthesized else 0.0
+    say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
+    return Prepared(settings, photos, start, marks, real, synthesized)
