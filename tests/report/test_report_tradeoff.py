@@ -20,8 +20,10 @@ from studiorecon.report.sections.solvers import section as solvers_section
 from studiorecon.sweep import page as sweep_page
 from studiorecon.sweep.pareto import best_within, cheapest_reaching, front, kendall_tau
 from studiorecon.sweep.records import FAILED, OK, Record, read_records, write_records
-from studiorecon.sweep.section import as_csv, scenes_section, section
+from studiorecon.sweep.runs_csv import as_csv
+from studiorecon.sweep.section import scenes_section, section
 from studiorecon.sweep.tradeoff import (
+    across,
     budgets,
     changes,
     idle_parameters,
@@ -243,6 +245,25 @@ def test_the_page_says_what_the_csv_says_and_shows_failures(tmp_path: Path) -> N
     # Nothing that a browser would fetch.
     assert not re.search(r"(src|href)=\"(?!data:)", html)
     assert "http" not in html.replace("http-equiv", "")
+
+
+def test_an_ablation_over_scenes_is_the_mean_of_its_changes_where_both_finished() -> None:
+    def scene(base: float, less: float | None, more: float) -> list[Record]:
+        return [record("base", 60.0, base), record("less", 40.0, less), record("more", 90.0, more)]
+
+    scenes = {"a": scene(20.0, 18.0, 20.5), "b": scene(23.0, 22.5, 22.0), "c": scene(21.0, None, 21.5)}
+    less, more = across(scenes)
+    assert (less.name, less.scenes, less.psnr_span, less.seconds) == ("less", 2, (-2.0, -0.5), -20.0)
+    assert less.gains["psnr"] == pytest.approx(-1.25)
+    assert (more.scenes, more.psnr_span) == (3, (-1.0, 0.5))
+    assert more.gains["psnr"] == pytest.approx(0.0)
+    # Less warping error is better: a gain, which the page prints with the measure's own sign.
+    assert less.gains["warp_rms"] < 0
+    assert across({"a": [record("base", 60.0, None), record("less", 40.0, 18.0)]}) == [], "a base that failed"
+    shown = scenes_section(scenes)
+    assert "2 of 3" in shown
+    assert "-2.00 … -0.50" in shown
+    assert f"{-less.gains['warp_rms']:+.5f}" in shown
 
 
 def test_a_sweep_in_which_everything_failed_says_so() -> None:

@@ -65,7 +65,13 @@ class Settings:
     hole_weight: float = setting(
         0.3, "Weight of pixels of synthesized views that were inpainted.", minimum=0, maximum=1, paper="1", letter=1.0
     )
-    plate_boost: float = 2.0
+    plate_boost: float = setting(
+        2.0,
+        "What pixels of photos weigh more than those of synthesized views; views near a photo share it.",
+        minimum=0,
+        paper="λ_gt 2, appendix C",
+        letter=2.0,
+    )
     sh_cap: bool = setting(
         True,
         "Lower training.sh_degree to what the real cameras can tell apart: degree d needs (d + 1)² directions (G15).",

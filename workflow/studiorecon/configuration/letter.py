@@ -40,7 +40,6 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("splatting.train.schedule:TrainingSettings", "position_lr_end", 1.6e-6, "learning rate, appendix C"),
     ("splatting.train.schedule:TrainingSettings", "densify_every", 500, "densification, appendix C"),
     ("splatting.train.schedule:TrainingSettings", "densify_gradient", 2e-4, "gradient threshold, appendix C"),
-    ("background.train_settings:Settings", "plate_boost", 2.0, "λ_gt, appendix C"),
     ("background.refinement:Refinement", "at", 0.5, "iteration 3,500 of 7,000, appendix C"),
     ("background.refinement:Refinement", "height", 0.15, "±15 % of the scene's radius, appendix C"),
     ("background.refinement:Refinement", "weight", 0.7, "reduced loss weight, appendix C"),

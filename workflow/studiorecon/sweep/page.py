@@ -12,7 +12,8 @@ from studiorecon.report.sections.solvers import section as solvers_section
 from studiorecon.scene.files import write_text
 from studiorecon.signature import Written
 from studiorecon.sweep.records import read_records
-from studiorecon.sweep.section import as_csv, scenes_section, section
+from studiorecon.sweep.runs_csv import as_csv
+from studiorecon.sweep.section import scenes_section, section
 
 
 def run(records: list[Path], solvers: Path, page: Written, table: Written) -> None:

@@ -4,18 +4,17 @@
 from __future__ import annotations
 
 import base64
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from studiorecon.pages import html
 from studiorecon.report.sections.charts import Effect, Point, plane, stacked, tornado
-from studiorecon.report.sections.cost import STAGES
 from studiorecon.report.sections.tables import MISSING, duration, shown
 from studiorecon.sweep.records import OK, Record
+from studiorecon.sweep.runs_csv import as_csv, in_order
 from studiorecon.sweep.tradeoff import (
     MEASURES,
+    across,
     agreement,
     budgets,
     changes,
@@ -102,51 +101,30 @@ def scenes_section(scenes: Mapping[str, Sequence[Record]]) -> str:
         "PSNR, 0 when one says nothing about the other."
     )
     table = html.table(["scene", "scene", "tau", "configurations in both"], rows, numeric=(2, 3))
-    return html.heading("Does it depend on the scene?", lead) + html.row(figures, 2) + table
+    return html.heading("Does it depend on the scene?", lead) + html.row(figures, 2) + table + _across(scenes)
 
 
-def columns(records: Sequence[Record]) -> tuple[list[str], list[list[Any]]]:
-    """Header and rows of the table of all runs, as the CSV has it."""
-    stages = _in_order(stage for record in records for stage in record.stages)
-    names = measured(records)
-    header = [
-        "name",
-        "parameter",
-        "preset",
-        "verdict",
-        *names,
-        "from_nothing_s",
-        "marginal_s",
-        "ran_s",
-        "cpu_s",
-        "wall_s",
-        "load",
-        "peak_memory_mb",
-    ]
-    header += [f"{stage}_s" for stage in stages] + ["settings", "sentence"]
+def _across(scenes: Mapping[str, Sequence[Record]]) -> str:
+    found = across(scenes)
+    shown_measures = [entry for entry in MEASURES if any(entry[0] in change.gains for change in found)]
     rows = []
-    for r in records:
-        row: list[Any] = [r.name, r.parameter, r.preset, r.verdict, *(r.metrics.get(name) for name in names)]
-        row += [
-            *(r.seconds.get(name) for name in ("from_nothing", "marginal", "ran", "cpu", "wall")),
-            r.others_cores,
-            r.peak_memory_mb,
+    for change in found:
+        # Differences as the field prints them: with the measure's own sign.
+        told = [
+            f"{sign * change.gains[name]:+.{digits}f}" if name in change.gains else MISSING
+            for name, _, _, digits, sign in shown_measures
         ]
-        row += [
-            *(r.stages.get(stage) for stage in stages),
-            "; ".join(f"{k}={v}" for k, v in r.settings.items()),
-            r.sentence,
-        ]
-        rows.append(row)
-    return header, rows
-
-
-def as_csv(records: Sequence[Record]) -> str:
-    """All runs as CSV; what was not measured is empty."""
-    file = io.StringIO()
-    header, rows = columns(records)
-    csv.writer(file, lineterminator="\n").writerows([header, *rows])
-    return file.getvalue()
+        span = f"{change.psnr_span[0]:+.2f} … {change.psnr_span[1]:+.2f}"
+        rows.append([change.name, f"{change.scenes} of {len(scenes)}", *told, span, f"{change.seconds:+.0f} s"])
+    lead = (
+        "Every configuration minus the base (the first run of each scene), mean over the scenes where both finished; "
+        "in one scene: the least and the greatest change of PSNR."
+    )
+    headings = [f"{heading} {'↑' if sign > 0 else '↓'}" for _, heading, _, _, sign in shown_measures]
+    header = ["configuration", "scenes", *headings, "in one scene, dB", "time from nothing"]
+    return f'<h3>Every change, over all scenes</h3><p class="soft">{html.text(lead)}</p>' + html.table(
+        header, rows, numeric=range(1, len(header))
+    )
 
 
 def _head(table: str, records: Sequence[Record]) -> str:
@@ -242,7 +220,7 @@ def _prices(records: Sequence[Record]) -> str:
 def _stages(records: Sequence[Record]) -> str:
     picked = [records[0], *(r for r in records if r.preset), *on_front(records, "psnr")]
     rows = {
-        r.name: (r.name, {s: r.stages[s] for s in _in_order(r.stages)}, r.ran_stages) for r in picked if r.verdict == OK
+        r.name: (r.name, {s: r.stages[s] for s in in_order(r.stages)}, r.ran_stages) for r in picked if r.verdict == OK
     }
     legend = "Hatched: taken over from an earlier run of this sweep, and charged all the same."
     return f'<h3>Where the time goes</h3><p class="soft">{legend}</p>' + stacked(
@@ -331,11 +309,6 @@ def _all(records: Sequence[Record]) -> str:
         + "</details>"
         + link
     )
-
-
-def _in_order(stages: Iterable[str]) -> list[str]:
-    """Each stage once, in the order data flows."""
-    return sorted(set(stages), key=lambda stage: (STAGES.index(stage) if stage in STAGES else len(STAGES), stage))
 
 
 def _colophon(records: Sequence[Record]) -> str:

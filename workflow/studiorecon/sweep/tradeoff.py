@@ -59,6 +59,22 @@ class Change:
     measurable: bool | None
 
 
+@dataclass(frozen=True)
+class Across:
+    """One configuration beside the base over several scenes.
+
+    ``scenes`` counts those where both finished; ``gains`` per measure the mean over these scenes of the change, + is
+    better; ``psnr_span`` the least and the greatest change of PSNR in one scene, dB; ``seconds`` the mean change of the
+    time from nothing.
+    """
+
+    name: str
+    scenes: int
+    gains: Mapping[str, float]
+    psnr_span: tuple[float, float]
+    seconds: float
+
+
 def quality(record: Record, measure: str) -> float | None:
     """The measure with greater = better, None for a failed run or one that was not measured."""
     sign = next(sign for name, *_, sign in MEASURES if name == measure)
@@ -161,6 +177,24 @@ def idle_parameters(found: Sequence[Change]) -> list[str]:
     ]
 
 
+def across(scenes: Mapping[str, Sequence[Record]]) -> list[Across]:
+    """Every configuration beside its scene's base (the first record), over the scenes where both finished, in the
+    order of the first scene: a table of ablations (paper, section 4.3)."""
+    found = []
+    for name in dict.fromkeys(record.name for records in scenes.values() for record in records[1:]):
+        pairs = [(records[0], r) for records in scenes.values() for r in records[1:] if r.name == name]
+        seconds = [r.total_s - base.total_s for base, r in pairs if None not in (base.total_s, r.total_s)]  # type: ignore[operator]
+        changed = {measure: [_gain(base, r, measure) for base, r in pairs] for measure, *_ in MEASURES}
+        decibels = [value for value in changed["psnr"] if value is not None]
+        if not seconds or not decibels:
+            continue
+        gains = {measure: [value for value in values if value is not None] for measure, values in changed.items()}
+        mean = {measure: sum(v) / len(v) for measure, v in gains.items() if len(v) == len(decibels)}
+        span = min(decibels), max(decibels)
+        found.append(Across(name, len(decibels), mean, span, sum(seconds) / len(seconds)))
+    return found
+
+
 def agreement(scenes: Mapping[str, Sequence[Record]], measure: str) -> list[tuple[str, str, float | None, int]]:
     """Per pair of scenes: Kendall's tau of the order of the configurations that both ran, and how many those are."""
     values = {
@@ -174,6 +208,11 @@ def agreement(scenes: Mapping[str, Sequence[Record]], measure: str) -> list[tupl
         common = [name for name in values[a] if name in values[b]]
         result.append((a, b, kendall_tau([values[a][n] for n in common], [values[b][n] for n in common]), len(common)))
     return result
+
+
+def _gain(base: Record, record: Record, measure: str) -> float | None:
+    before, after = quality(base, measure), quality(record, measure)
+    return None if before is None or after is None else after - before
 
 
 def _plane(records: Sequence[Record], measure: str) -> tuple[list[float | None], list[float | None]]:
