@@ -37,7 +37,7 @@ def studios(frames: int, size: tuple[int, int]) -> dict[str, dict]:
     ring = {"training": 4, "held_out": 4}
     return {
         "two_in_a_ring": common | {"seed": 3, "people": 2, "cameras": ring},
-        "three_in_a_ring": common | {"seed": 11, "people": 3, "cameras": ring | {"radius_m": 3.6}},
+        "three_in_a_ring": common | {"seed": 11, "people": 3, "cameras": ring | {"radius_m": 3.3}},
         "two_before_an_arc": common
         | {"seed": 5, "people": 2, "cameras": ring | {"layout": "arc", "arc_deg": 120.0, "held_out": 3}},
     }

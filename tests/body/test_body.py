@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.body.model import BodyModel, of_size, shape_and_size, upright_global_orientation
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import BY_COUNT, JOINT_NAMES, LAYOUTS
@@ -107,6 +108,23 @@ def test_keypoint_basis_equals_the_mesh(body: BodyModel, pose: np.ndarray) -> No
     np.testing.assert_allclose(joints, body.joints(pose, betas, trans), atol=1e-12)
 
 
+def test_a_size_among_the_betas_is_the_scaled_body(body: BodyModel, pose: np.ndarray) -> None:
+    betas, trans = np.linspace(-1, 1, 10), np.ones((3, 3))
+    bent = replace(body, pose_directions=np.random.default_rng(2).normal(0, 1e-3, (body.vertex_count, 3, 207)))
+    large, sized = bent.scaled(1.3), of_size(betas, 1.3)
+    np.testing.assert_allclose(bent.vertices(pose, sized, trans), large.vertices(pose, betas, trans), atol=1e-6)
+    np.testing.assert_allclose(bent.joints(pose, sized, trans), large.joints(pose, betas, trans), atol=1e-12)
+    names = list(body.keypoint_names)[:5]
+    np.testing.assert_allclose(
+        body.keypoints(names, pose, sized, trans), large.keypoints(names, pose, betas, trans), atol=1e-12
+    )
+    shape, size = shape_and_size(sized, body.shapes)
+    np.testing.assert_allclose([*shape, size], [*betas, 1.3])
+    for wrong in (np.append(sized, 0.1), of_size(betas, 0.0)):
+        with pytest.raises(ValueError, match="betas for a shape space of 10"):
+            body.rest_joints(wrong)
+
+
 def test_upright_bodies_stand_and_face_their_heading(body: BodyModel) -> None:
     for heading in (0.0, 1.0, np.pi, -2.0):
         poses = np.zeros((1, 72))
@@ -178,8 +196,8 @@ def test_unreadable_bodies_are_refused_with_the_reason(
 
 
 def test_betas_of_another_space_are_not_swallowed(body: BodyModel) -> None:
-    with pytest.raises(ValueError, match="11 betas"):
-        body.rest_joints(np.ones(11))
+    with pytest.raises(ValueError, match="12 betas"):
+        body.rest_joints(np.ones(12))
     with pytest.raises(ValueError, match=r"\(T, 72\)"):
         body.joints(np.zeros((2, 69)), np.zeros(10), np.zeros((2, 3)))
 

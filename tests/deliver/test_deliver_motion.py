@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import ezc3d
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from studiorecon.body.model import BodyModel
+from studiorecon.body.model import BodyModel, of_size
 from studiorecon.deliver import motion_files
 from studiorecon.deliver.export import motion
 from studiorecon.deliver.gltf import write_glb
@@ -143,6 +144,22 @@ def test_amass_trans_is_smpls(tmp_path: Path, person: Person, body: BodyModel) -
     with np.load(tmp_path / "p2.npz", allow_pickle=False) as data:
         assert data["trans"] + body.rest_joints(data["betas"])[0] == pytest.approx(person.joints[:, 0])
         assert float(data["mocap_framerate"]) == FPS
+
+
+def test_a_person_with_a_size_of_their_own_brings_shape_and_scale(
+    tmp_path: Path, person: Person, body: BodyModel
+) -> None:
+    betas = of_size(person.betas, 0.6)
+    child = replace(person, betas=betas, joints=body.joints(person.poses, betas, person.trans))
+    motion_files.amass(tmp_path / "child.npz", child, body)
+    with np.load(tmp_path / "child.npz", allow_pickle=False) as data:
+        assert data["betas"] == pytest.approx(person.betas)
+        assert float(data["scale"]) == pytest.approx(0.6)
+        # As another program poses it: the shaped model, times the scale.
+        rest = data["scale"] * body.rest_joints(data["betas"])
+        assert data["trans"] + rest[0] == pytest.approx(child.joints[:, 0])
+        thigh = np.linalg.norm(rest[4] - rest[1])
+    assert np.linalg.norm(child.joints[:, 4] - child.joints[:, 1], axis=-1) == pytest.approx(thigh)
 
 
 def read_glb(path: Path) -> tuple[dict, list[np.ndarray]]:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.body.model import BodyModel, shape_and_size, upright_global_orientation
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
@@ -198,6 +198,59 @@ def test_world_in_feet_is_refused(body: BodyModel, made: Made, default_settings)
         feet.append(replace(camera, camera_from_world=camera_from_world))
     with pytest.raises(UserError, match="check that the calibration is in metres"):
         solve(body, replace(made, cameras=feet), detections, default_settings("people"))
+
+
+def literal(section: dict[str, Any], **changed: Any) -> dict[str, Any]:
+    """The settings with the paper's loss to the letter."""
+    letter = {"solver": "paper", "beta_weight": 10.0, "shape": "per_frame", "vertex_weight": 1.0}
+    return {**section, "fit": {**section["fit"], **letter, **changed}}
+
+
+@pytest.mark.parametrize("size", [0.62, 1.0, 1.13])
+def test_a_child_and_a_giant_have_a_size_of_their_own(
+    body: BodyModel, made: Made, default_settings, size: float
+) -> None:
+    """Eq. 3 and 4: everything about the person is ``size`` times as large; λ_β = 10 holds the shape at the mean, so
+    that without s* the paper's loss fits a mean adult."""
+    own = body.scaled(size)
+    moved = replace(made, trans=size * made.trans, joints=own.joints(made.poses, BETAS, size * made.trans))
+    detections = detect(own, moved, 2)
+    free = solve(body, moved, detections, literal(default_settings("people"), scale="bones"))
+    shape, found = shape_and_size(free.betas, body.shapes)
+    # The shape of the person, which shape coordinates explain to 5 %, stands in s* as well (S06).
+    assert found == pytest.approx(size, rel=0.06)
+    assert np.abs(shape).max() < 1.0, "λ_β holds the shape"
+    bones = np.linalg.norm(np.diff(free.joints[:, [1, 4, 7]], axis=1), axis=-1).mean(0)
+    true_bones = np.linalg.norm(np.diff(moved.joints[:, [1, 4, 7]], axis=1), axis=-1).mean(0)
+    assert bones == pytest.approx(true_bones, rel=0.05)
+    if size == 0.62:
+        # Without it, nothing of the kind can be fitted: refused, or far away.
+        try:
+            fixed = error_mm(solve(body, moved, detections, literal(default_settings("people"))), moved)
+        except UserError:
+            fixed = np.inf
+        assert fixed > 2 * error_mm(free, moved)
+
+
+def test_the_solver_of_the_default_takes_a_size_too(body: BodyModel, made: Made, default_settings) -> None:
+    section = default_settings("people")
+    own = body.scaled(0.62)
+    moved = replace(made, trans=0.62 * made.trans, joints=own.joints(made.poses, BETAS, 0.62 * made.trans))
+    person = solve(body, moved, detect(own, moved, 2), {**section, "fit": {**section["fit"], "scale": "bones"}})
+    assert error_mm(person, moved) < 12
+    # Whoever poses the body with these betas gets these joints.
+    assert body.joints(person.poses, person.betas, person.trans) == pytest.approx(person.joints)
+
+
+def test_bones_that_nobody_has_are_refused(body: BodyModel, made: Made, default_settings) -> None:
+    own = body.scaled(3.28)
+    moved = replace(made, trans=3.28 * made.trans)
+    cameras = [replace(c, camera_from_world=c.camera_from_world.copy()) for c in made.cameras]
+    for camera in cameras:
+        camera.camera_from_world[:3, 3] *= 3.28
+    moved = replace(moved, cameras=cameras)
+    with pytest.raises(UserError, match=r"p0: the bones are 3\.\d\d times as long as a mean adult's"):
+        solve(body, moved, detect(own, moved, 1), literal(default_settings("people"), scale="bones"))
 
 
 def test_run_writes_the_same_bytes_twice(

@@ -4,13 +4,16 @@
 Body axes are SMPL's (x to the body's left, y up, z forward); the world is z-up, and ``poses[:, :3]``, the rotation of
 the pelvis, carries one into the other. ``trans`` is the world position of the pelvis joint. Betas are coordinates of
 one shape space and mean nothing in another: files name the space (``identity``).
+
+Betas may hold one number more than the shape space has: a body whose template and shape directions are s times as large
+(the paper's s*, Eq. 4) has the betas (s β, s − 1), see ``of_size``. So everything that a shape does, a size does too.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,13 +95,23 @@ class BodyModel:
         """Number of shape coordinates."""
         return self.shape_directions.shape[-1]
 
+    def scaled(self, scale: float) -> BodyModel:
+        """The body with all its lengths times ``scale``, of the same shape space (paper, Eq. 4). Its betas β are the
+        unscaled body's ``of_size(β, scale)``."""
+        lengths = ("template_m", "shape_directions", "joint_template_m", "joint_directions", "pose_directions")
+        held = {name: getattr(self, name) for name in lengths}
+        return replace(self, **{name: scale * array for name, array in held.items() if array is not None})
+
     def rest_vertices(self, betas: np.ndarray) -> Num[np.ndarray, "V 3"]:
-        """(V, 3) the shaped T-pose, pelvis at its rest position. Raises ValueError for another number of betas."""
-        return self.template_m + self.shape_directions @ _betas(betas, self.shapes)
+        """(V, 3) the shaped T-pose, pelvis at its rest position. Raises ValueError for more betas than shape and
+        size."""
+        shape, size = _betas(betas, self.shapes)
+        return size * self.template_m + self.shape_directions @ shape
 
     def rest_joints(self, betas: np.ndarray) -> Num[np.ndarray, "24 3"]:
-        """(24, 3) joints of the shaped T-pose. Raises ValueError for another number of betas."""
-        return self.joint_template_m + self.joint_directions @ _betas(betas, self.shapes)
+        """(24, 3) joints of the shaped T-pose. Raises ValueError for more betas than shape and size."""
+        shape, size = _betas(betas, self.shapes)
+        return size * self.joint_template_m + self.joint_directions @ shape
 
     def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> Num[np.ndarray, "T 24 3"]:
         """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3).
@@ -131,7 +144,9 @@ class BodyModel:
         rest = self.rest_vertices(betas)[everything]
         if self.pose_directions is not None:
             bend = (rotations.exp(poses.reshape(-1, 24, 3)[:, 1:]) - np.eye(3)).reshape(len(poses), -1)
-            rest = rest + np.einsum("vxp,tp->tvx", self.pose_directions[everything], bend)
+            rest = rest + _betas(betas, self.shapes)[1] * np.einsum(
+                "vxp,tp->tvx", self.pose_directions[everything], bend
+            )
         transforms = self.joint_transforms(poses, betas, trans_m)
         return skinning.skin(rest, self.weights[everything], transforms)
 
@@ -144,7 +159,8 @@ class BodyModel:
         """
         poses, trans_m = _frames(poses, trans_m)
         share, anchors = self.keypoint_basis(names)
-        anchors = anchors @ np.append(1.0, _betas(betas, self.shapes))
+        shape, size = _betas(betas, self.shapes)
+        anchors = anchors @ np.append(size, shape)
         rest = self.rest_joints(betas)
         world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
         offsets = anchors - share[..., None] * rest
@@ -191,12 +207,26 @@ def _missing(name: str) -> int:
     raise KeyError(name)
 
 
-def _betas(betas: np.ndarray, count: int) -> np.ndarray:
-    """Shape coordinates as (B,): missing ones are 0, surplus ones must be 0."""
+def of_size(betas: np.ndarray, scale: float) -> Num[np.ndarray, " B+1"]:
+    """Betas (B + 1,) of the body with ``betas`` (B,) and all its lengths times ``scale`` (paper, Eq. 4: s* J(β))."""
+    return np.append(scale * np.asarray(betas, dtype=np.float64), scale - 1.0)
+
+
+def shape_and_size(betas: np.ndarray, shapes: int) -> tuple[Num[np.ndarray, " B"], float]:
+    """Coordinates (B,) of the shape space and the scale that ``betas`` of a body with B ``shapes`` stand for: what
+    ``of_size`` was given. Raises ValueError as ``rest_joints`` does."""
+    shape, size = _betas(betas, shapes)
+    return shape / size, size
+
+
+def _betas(betas: np.ndarray, count: int) -> tuple[np.ndarray, float]:
+    """Factors (B,) of the shape directions and of the template; missing betas are 0, surplus ones but the size must
+    be."""
     given = np.asarray(betas, dtype=np.float64).reshape(-1)
-    if np.any(given[count:] != 0):
+    if np.any(given[count + 1 :] != 0) or (len(given) > count and not given[count] > -1):
         raise ValueError(f"{len(given)} betas for a shape space of {count}")
-    return np.append(given[:count], np.zeros(max(count - len(given), 0)))
+    size = 1.0 + given[count] if len(given) > count else 1.0
+    return np.append(given[:count], np.zeros(max(count - len(given), 0))), float(size)
 
 
 def _frames(poses: np.ndarray, trans_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.model import BodyModel
+from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.scene.files import complete, write_npz, write_text
@@ -29,12 +29,15 @@ def amass(path: Path, person: Person, body: BodyModel) -> None:
     """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ +
     trans.
 
-    The project's own files have the pelvis itself as ``trans``; programs that load AMASS expect this one.
+    The project's own files have the pelvis itself as ``trans``; programs that load AMASS expect this one. A person who
+    has a size beside the shape (``people.fit.scale``) brings ``scale``: multiply the shaped model with it.
     """
+    betas, scale = shape_and_size(person.betas, body.shapes)
     arrays = {
         "poses": person.poses,
         "trans": person.trans - body.rest_joints(person.betas)[0],
-        "betas": person.betas,
+        "betas": betas,
+        **({} if scale == 1.0 else {"scale": scale}),
         "mocap_framerate": person.fps,
         "gender": "neutral",
         "body": person.body,

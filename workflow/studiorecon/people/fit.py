@@ -2,8 +2,8 @@
 """One person's body over time: fit the body model to the triangulated keypoints of all cameras, fill gaps, smooth.
 
 Somebody without keypoints is fitted to silhouettes instead. Paper §fitting and appendix (smoothing). Shape is shared
-over the sequence (U39); the world is in metres, so there is no scale to estimate: the ratio of measured to
-fitted limbs is reported as a check (U36).
+over the sequence (U39); the world is in metres, so there is no scale to estimate unless ``scale`` asks for the paper's
+s* per person (Eq. 3): the ratio of measured to fitted limbs is reported as a check (U36).
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import numpy as np
 
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting import paper_solver
-from studiorecon.body.model import BodyModel
+from studiorecon.body.model import BodyModel, of_size
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations, smoothing
+from studiorecon.geometry.scale import scene_scale
 from studiorecon.keypoints.layouts import OTHER_SIDE
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.points import Points, lift, observations
@@ -39,6 +40,11 @@ _LIMBS = tuple(
     for s in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
 )
+# Between neighbouring joints: however somebody bends, they stay as long (Eq. 3, "reliable bone pairs").
+_BONES = (*_LIMBS, *((f"{s}_elbow", f"{s}_wrist") for s in ("left", "right")))
+
+# A toddler and the tallest who ever lived, over a mean adult.
+_SIZES = 0.4, 1.6
 
 # Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
 # them.
@@ -94,6 +100,13 @@ class BodyFit:
     shape: Literal["shared", "per_frame"] = setting(
         "shared", "Whether the frames share one shape.", paper="per_frame; U39", letter="per_frame"
     )
+    scale: Literal["none", "bones"] = setting(
+        "none",
+        "Whether a person's body is the model times a factor of its own, from the lengths of bones, before "
+        "shape is fitted; shape alone otherwise says how tall somebody is.",
+        paper="bones: s* per person, Eq. 3; U36",
+        letter="bones",
+    )
     unverified_sigma_m: float = 0.03
     max_frame_m: float = 0.15
     max_beta: float = 5.0
@@ -129,8 +142,10 @@ def fit_person(
     options = fitting.FitSettings(
         **{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False
     )
+    size = _size(person, points, body) if keys.scale == "bones" else 1.0
     solve = paper_solver.fit if keys.solver == "paper" else fitting.fit
-    result = solve(body, points.names, points.points_m, points.sigma_m, options, surface)
+    own_body = body if size == 1.0 else body.scaled(size)
+    result = solve(own_body, points.names, points.points_m, points.sigma_m, options, surface)
     if not result.valid.any():
         raise UserError(
             f"person {person}: no frame of 0–{frames - 1} has enough keypoints on which "
@@ -154,16 +169,42 @@ def fit_person(
             f"{frame_ranges(valid)}), which no person is; check that the calibration is in "
             "metres, the keypoint layout and the identities"
         )
-    local, bent = seated(result.rotations, result.trans_m, result.betas, points.names, points.points_m, body)
+    betas = result.betas if size == 1.0 else of_size(result.betas, size)
+    local, bent = seated(result.rotations, result.trans_m, betas, points.names, points.points_m, body)
     if (valid[:, None] & bent).any():
         say(
             f"{person}: no camera shows the legs in {(valid & bent.any(1)).sum()} frames, and "
             "they cannot hang through the floor: they are "
             "bent as somebody sits, a guess that the joints' deviations mark"
         )
-    return _person(
-        person, local, result.trans_m, result.betas, valid, result.joint_sigma_m, body, fps, settings
-    ), result
+    return _person(person, local, result.trans_m, betas, valid, result.joint_sigma_m, body, fps, settings), result
+
+
+def _size(person: str, points: Points, body: BodyModel) -> float:
+    """s* of one person: triangulated over template bones (paper, Eq. 3); 1, and said, where too few bones are seen.
+
+    Raises UserError for a size that nobody has."""
+    known = [name for name in points.names if name in body.keypoint_names]
+    rows = [points.names.index(name) for name in known]
+    bones = [(known.index(a), known.index(b)) for a, b in _BONES if a in known and b in known]
+    template_m = body.keypoints(known, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))
+    seen_m, sigma_m = points.points_m[None, :, rows], points.sigma_m[None, :, rows]
+    found = scene_scale(
+        seen_m, template_m, np.array(bones, dtype=np.int64).reshape(-1, 2), np.isfinite(seen_m).all(-1), sigma_m
+    )
+    if not found.determined:
+        say(f"{person}: the body model keeps its own size, for {found.reason}")
+        return 1.0
+    if not _SIZES[0] <= found.world_per_metre <= _SIZES[1]:
+        raise UserError(
+            f"person {person}: the bones are {found.world_per_metre:.2f} times as long as a mean adult's, which no "
+            "person's are; check that the calibration is in metres"
+        )
+    say(
+        f"{person}: bones are {found.world_per_metre:.3f} times as long as the body model's (s*, single bones "
+        f"scatter by {100 * found.spread:.0f} %)"
+    )
+    return found.world_per_metre
 
 
 def fit_standing(

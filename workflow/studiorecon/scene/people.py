@@ -76,7 +76,7 @@ class Person:
         fps: frames per second.
         poses: (T, 72) axis-angle, SMPL's 24-joint order, radians.
         trans: (T, 3) world position of the pelvis joint, metres.
-        betas: (10,) shape.
+        betas: (B,) shape, and size where there is one more than the shape space has (``body.model.of_size``).
         joints: (T, 24, 3) world joints, metres.
         valid: (T,) bool: frames in which the body was measured (others are filled, for films that must not blink).
         sigma: (T, 24) standard deviation of the joints, metres (inf where unknown).
@@ -88,7 +88,7 @@ class Person:
     fps: float
     poses: Num[np.ndarray, "T 72"]
     trans: Num[np.ndarray, "T 3"]
-    betas: Num[np.ndarray, " 10"]
+    betas: Num[np.ndarray, " B"]
     joints: Num[np.ndarray, "T 24 3"]
     valid: Bool[np.ndarray, " T"]
     sigma: Num[np.ndarray, "T 24"]

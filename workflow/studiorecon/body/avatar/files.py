@@ -47,7 +47,7 @@ class Avatar:
         provenance: (N,) uint8, see ``scene/provenance.py``: measured, or inferred from its surroundings on the body.
         poses: (T, 72) refined axis-angle poses, radians.
         trans: (T, 3) world position of the pelvis joint, metres.
-        betas: (10,) shape.
+        betas: (B,) shape, and size where there is one more than the shape space has (``body.model.of_size``).
         valid: (T,) bool: frames in which the body was measured.
         fps: frames per second.
         metric: True when lengths are metres.
@@ -63,7 +63,7 @@ class Avatar:
     provenance: Integer[np.ndarray, " N"]
     poses: Num[np.ndarray, "T 72"]
     trans: Num[np.ndarray, "T 3"]
-    betas: Num[np.ndarray, " 10"]
+    betas: Num[np.ndarray, " B"]
     valid: Bool[np.ndarray, " T"]
     fps: float
     metric: bool
