@@ -48,6 +48,8 @@ wildcard_constraints:
     segment=r"\d+",
     picture=r"\d+",
     shot="[A-Za-z0-9_-]+",
+    stranger="stranger_[A-Za-z0-9_-]+",
+    donor=r"p\d+|stranger_[A-Za-z0-9_-]+",
 
 
 # What comes out, in the order it is made. Every stage's product is named, not only the last file: a stage whose re-run failed

@@ -168,8 +168,7 @@ WRITTEN_BESIDE = {
     "studio_capture": {"videos", "calibration", "keypoints", "plates", "capture"},
 }
 FOUND_BY_THE_STEP = {
-    "render_shot": {"followed", "stand_ins"},
-    "render_layers": {"stand_ins"},
+    "render_shot": {"followed"},
     "studio_capture": {"defaults"},
 }
 RUNS_IT_AGAIN = {"report_page": {"swept"}}

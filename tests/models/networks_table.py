@@ -16,7 +16,7 @@ TRIED = {"random weights": "with random weights", "parts": "its parts alone", "n
 ELSEWHERE = {
     "body model": "`body`",
     "perceptual distance": "`report.lpips`, LPIPS terms of training",
-    "canonical avatar": "`humans/PERSON.canonical.ply`, on request",
+    "canonical avatar": "`humans/PERSON.canonical.ply`, on request, and whoever a film's `replace` names a photo of",
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
-from studiorecon.humans import canonical
+from studiorecon.humans import canonical, photo
 from studiorecon.models.adapters import lhm
 from studiorecon.models.adapters.lhm import command_for, made, postprocess, preprocess
 from studiorecon.models.loading import load
@@ -121,25 +121,24 @@ def test_the_best_photo_shows_the_person_whole_alone_and_large(tmp_path: Path, m
     paths = [tmp_path / f"cam{i}.mkv" for i in range(2)]
     for path, mask in zip(paths, labels):
         write_lossless(path, mask, 24.0)
-    assert canonical.best_photo(paths, 1) == (1, 5)
+    assert photo.best_photo(paths, 1) == (1, 5)
     with pytest.raises(UserError, match="no frame in which this person is whole"):
-        canonical.best_photo(paths, 3)
+        photo.best_photo(paths, 3)
+
+    write_people(tmp_path / "people.tsv", [("p0", 11, "a,b", 1.0, "keypoints")])
+    films = [tmp_path / f"film{i}.mkv" for i in range(2)]
+    for film in films:
+        write_lossless(film, np.full((11, 60, 80, 3), (7, 8, 9), np.uint8), 24.0)
+    photo.run("p0", tmp_path / "people.tsv", films, paths, tmp_path / "p0.photo.png")
 
     class Planted:
         def __init__(self, *_: object) -> None: ...
 
-        def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
+        def avatar(self, picture: np.ndarray, mask: np.ndarray) -> Gaussians:
             assert mask.sum() == 45 * 20
-            assert (photo == 7).all()
+            assert (picture == (7, 8, 9)).all()
             return person(bands=1)
 
     monkeypatch.setattr(lhm, "ADAPTER", Planted)
-    write_people(tmp_path / "people.tsv", [("p0", 11, "a,b", 1.0, "keypoints")])
-    films = [tmp_path / f"film{i}.mkv" for i in range(2)]
-    for film in films:
-        write_lossless(film, np.full((11, 60, 80, 3), 7, np.uint8), 24.0)
-    canonical.run(
-        "p0", tmp_path / "people.tsv", films, paths, tmp_path, tmp_path / "p0.canonical.ply", tmp_path / "p0.photo.png"
-    )
+    canonical.run(tmp_path / "p0.photo.png", tmp_path, tmp_path / "p0.canonical.ply")
     assert read_ply(tmp_path / "p0.canonical.ply").count == 500
-    assert (tmp_path / "p0.photo.png").is_file()

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.models.catalogue.selection import selected
 from studiorecon.plan.files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.told import section, settings, shot_settings, shown_settings
@@ -162,6 +163,31 @@ def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home,
     assert files.stand_ins(swapped) == [str(tmp_path / name) for name in ("her.ply", "her.npz")]
     assert files.truth_of_replaced(swapped) == ["results/capture/render/swapped.truth.mkv"]
     assert files.truth_of_replaced(far) == []
+
+
+def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(configured, home):
+    films = {
+        "guest": {"kind": "orbit", "replace": {"p0": "photos/anna.JPG", "p1": "nobody"}},
+        "again": {"kind": "orbit", "replace": {"p1": "photos/anna.JPG"}},
+    }
+    config = configured(render={"shots": films})
+    files = files_of(config, home)
+    for shot in films:
+        assert files.stand_ins(Wildcards(scene="capture", shot=shot)) == [
+            "results/capture/humans/stranger_anna.canonical.ply"
+        ]
+    assert files.photo_of_stranger(Wildcards(scene="capture", stranger="stranger_anna")) == "local:photos/anna.JPG"
+    assert ("render.shots.guest.replace", "lhm") in selected(config)
+    with pytest.raises(UserError, match="no film's replace names a photo of otto"):
+        files.photo_of_stranger(Wildcards(scene="capture", stranger="stranger_otto"))
+    for other, said in (("more/anna.png", "rename one"), ("anna b.png", "letters, digits")):
+        both = configured(render={"shots": {**films, "c": {"kind": "orbit", "replace": {"p0": other}}}})
+        with pytest.raises(UserError, match=said):
+            files_of(both, home).photo_of_stranger(Wildcards(scene="capture", stranger="stranger_anna"))
+    with pytest.raises(
+        UserError, match=r"render\.shots\.guest\.replace is lhm, and LHM-1B may not be used commercially"
+    ):
+        files_of(configured(render={"shots": films}, licences="commercial"), home)
 
 
 def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configured):

@@ -45,19 +45,62 @@ rule humans_train:
         command("humans.train")
 
 
-# On request: snakemake results/SCENE/humans/p00.canonical.ply makes a rest-pose person with LHM, from the best photo of them.
-rule humans_canonical:
+# On request, for humans_canonical: the best photo that the capture has of a person.
+rule humans_photo:
     input:
         people="results/{scene}/people/people.tsv",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
         masks=collect("results/{scene}/masks/{camera}.mkv", camera=PLAN.training, allow_missing=True),
     output:
-        gaussians="results/{scene}/humans/{person}.canonical.ply",
         photo="results/{scene}/humans/{person}.photo.png",
     log:
-        "logs/{scene}/humans/canonical/{person}.log",
+        "logs/{scene}/humans/photo/{person}.log",
     benchmark:
-        "benchmarks/{scene}/humans/canonical/{person}.tsv"
+        "benchmarks/{scene}/humans/photo/{person}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1000,
+    params:
+        code=code("humans.photo"),
+    shell:
+        command("humans.photo")
+
+
+# Where a film's replace names a photo: the person of it, cut out.
+rule humans_stranger:
+    input:
+        photo=files.photo_of_stranger,
+        networks=files.detector,
+    output:
+        cut="results/{scene}/humans/{stranger}.photo.png",
+    log:
+        "logs/{scene}/humans/stranger/{stranger}.log",
+    benchmark:
+        "benchmarks/{scene}/humans/stranger/{stranger}.tsv"
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=2000,
+    params:
+        code=code("humans.stranger"),
+    shell:
+        command("humans.stranger")
+
+
+# Where a film's replace names a photo, or on request (snakemake results/SCENE/humans/p0.canonical.ply): a rest-pose person
+# with LHM, from one photo.
+rule humans_canonical:
+    input:
+        photo="results/{scene}/humans/{donor}.photo.png",
+    output:
+        gaussians="results/{scene}/humans/{donor}.canonical.ply",
+    log:
+        "logs/{scene}/humans/canonical/{donor}.log",
+    benchmark:
+        "benchmarks/{scene}/humans/canonical/{donor}.tsv"
     container:
         model_image("lhm")
     threads: 4

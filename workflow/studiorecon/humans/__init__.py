@@ -3,7 +3,7 @@
 
 ``train`` is the step: ``surface`` and ``colours`` (first Gaussians), ``crops`` (training pictures), ``training``
 (terms and hooks), ``motion`` (poses moved by pictures), ``drift`` and ``appearance`` (looks that change over time),
-``result_cache`` (what need not be trained again). On request: ``canonical`` (a person by a network), ``proxy`` (the
-body itself).
+``result_cache`` (what need not be trained again). On request: ``canonical`` (a person by a network) from a
+``photo`` of the capture or of a ``stranger``, ``proxy`` (the body itself).
 Told to it: ``shared`` and ``train_settings``.
 """

@@ -12,6 +12,7 @@ from typing import Any
 from studiorecon.errors import UserError
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.dataset import colmap_files
+from studiorecon.scene.stand_ins import is_photo, strangers
 
 
 class Brought:
@@ -169,9 +170,21 @@ class Brought:
 
     def stand_ins(self, wildcards: Any) -> list[str]:
         """Files of the people who stand in for others in a shot; people of this scene are inputs anyway."""
-        wanted = self.shots.get(wildcards.shot, {}).get("replace", {})
-        files = [Path(source) for source in wanted.values() if not re.fullmatch(r"p\d+|nobody", source)]
-        return [*map(str, files), *(str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())]
+        wanted = self.shots.get(wildcards.shot, {}).get("replace", {}).values()
+        made = [f"results/{wildcards.scene}/humans/{name}.canonical.ply" for name in strangers(wanted)]
+        files = [Path(s) for s in wanted if not (re.fullmatch(r"p\d+|nobody", s) or is_photo(s))]
+        beside = (str(f.with_suffix(".npz")) for f in files if f.with_suffix(".npz").is_file())
+        return [*made, *map(str, files), *beside]
+
+    def photo_of_stranger(self, wildcards: Any) -> str:
+        """The photo that a film's ``replace`` names a stranger by."""
+        named = strangers(s for shot in self.shots.values() for s in shot.get("replace", {}).values())
+        if wildcards.stranger not in named:
+            raise UserError(
+                f"no film's replace names a photo of {wildcards.stranger.removeprefix('stranger_')}: "
+                "name one in render.shots"
+            )
+        return self.local(named[wildcards.stranger])
 
     def truth_of_replaced(self, wildcards: Any) -> list[str]:
         """The truth film of a shot in which somebody stands in for a person: photos of that person correct nothing

@@ -58,12 +58,22 @@ def run(
     folder: Written,
     light: list[Path] | None = None,
     objects: list[Path] | None = None,
+    stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Write one file per step of the shot's ``path`` into ``folder``; files of an earlier, longer film are removed."""
     steps, _ = read_path(path)
     scene = read_composite(
-        background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ()
+        background,
+        provenance,
+        gaussians,
+        avatars,
+        body,
+        shot,
+        settings.shots,
+        light or (),
+        objects or (),
+        stand_ins or (),
     )
     people = [moving.person for moving in scene.moving]
     canvas = Canvas(scene, settings.near_m, resolve(device))

@@ -3,7 +3,7 @@
 
 A shot's ``replace: {p0: p1}`` takes another person of the same capture, ``replace: {p0: FILE.ply}`` any person in the
 rest pose: LHM's, or ``humans/<person>.ply`` of another result, whose ``.npz`` beside it brings skeleton and weights
-along. ``{p0: nobody}`` leaves p0 out.
+along. ``{p0: FILE.png}`` takes whom LHM makes of that photo, and ``{p0: nobody}`` leaves p0 out.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from studiorecon.progress import say
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import INVENTED
+from studiorecon.scene.stand_ins import is_photo, stranger
 
 NOBODY = "nobody"
 """In somebody's place: the room as it is without that person."""
@@ -94,9 +95,11 @@ def performing(donor: Donor, performer: Avatar) -> Avatar:
     )
 
 
-def replaced(people: Sequence[Avatar], wanted: Mapping[str, str], shot: str) -> list[Avatar]:
-    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or ``NOBODY``)
-    replaced or left out.
+def replaced(
+    people: Sequence[Avatar], wanted: Mapping[str, str], shot: str, stand_ins: Sequence[Path] = ()
+) -> list[Avatar]:
+    """The people of a shot, with those that ``wanted`` names (person → person, path of a ``.ply`` or photo, or
+    ``NOBODY``) replaced or left out. ``stand_ins`` holds the canonical ``.ply`` of every photo's stranger.
 
     Names always mean the people as they were captured, so ``{p0: p1, p1: p0}`` swaps two. Raises UserError for names of
     nobody and for files that hold no person in the rest pose.
@@ -117,7 +120,12 @@ def replaced(people: Sequence[Avatar], wanted: Mapping[str, str], shot: str) -> 
         if source == NOBODY:
             say(f"shot {shot}: {person.person} is left out")
             continue
-        donor = donor_of(cast[source]) if source in cast else read_donor(Path(source), person.model)
+        file = (
+            next(p for p in stand_ins if p.name.startswith(f"{stranger(source)}."))
+            if is_photo(source)
+            else Path(source)
+        )
+        donor = donor_of(cast[source]) if source in cast else read_donor(file, person.model)
         done.append(performing(donor, person))
         say(f"shot {shot}: {source} performs {person.person}")
     return done

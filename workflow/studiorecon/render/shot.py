@@ -90,6 +90,7 @@ def read_composite(
     shots: Mapping,
     light: Sequence[Path] = (),
     objects: Sequence[Path] = (),
+    stand_ins: Sequence[Path] = (),
 ) -> Composite:
     """Background, people and things from their files, with whom the shot replaces; under the ``light``, if any, they
     shade the room.
@@ -107,7 +108,7 @@ def read_composite(
         assert body is not None
         body_model = BodyModel.load(body)
         people = [read_avatar(ply, npz, body_model) for ply, npz in pairs]
-    cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot)
+    cast = replaced(people, shots.get(shot, {}).get("replace", {}), shot, stand_ins)
     things = [thing for path in objects for thing in read_objects(path)]
     shade = shading(read_light(light[0]), static, cast, people, things) if light else None
     names = {person.person for person in cast}
@@ -136,6 +137,7 @@ def run(
     ledger: Written,
     light: list[Path] | None = None,
     objects: list[Path] | None = None,
+    stand_ins: list[Path] | None = None,
     device: str = "cpu",
 ) -> None:
     """Render one shot; without people files the film shows the background alone, without ``light`` nobody and nothing
@@ -144,7 +146,16 @@ def run(
     training = read_model(model.parent)
     held_out = read_model(heldout_model.parent) if heldout_model is not None else []
     scene = read_composite(
-        background, provenance, gaussians, avatars, body, shot, settings.shots, light or (), objects or ()
+        background,
+        provenance,
+        gaussians,
+        avatars,
+        body,
+        shot,
+        settings.shots,
+        light or (),
+        objects or (),
+        stand_ins or (),
     )
     everybody = typing.cast("list[Avatar]", [*scene.people, *scene.absent])  # as read_composite made them
     captured = sorted(everybody, key=lambda person: person.person)

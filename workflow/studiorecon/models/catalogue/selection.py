@@ -10,6 +10,7 @@ from typing import Any
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Kind
 from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
+from studiorecon.scene.stand_ins import is_photo
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ CHOICES = {
 }
 """Settings that may name a network, in the order data flows."""
 CANONICAL = "lhm"
-"""Who makes canonical people. No setting names it: they are made on request only."""
+"""Who makes canonical people: on request, and of the photos that films' ``replace`` names."""
 _MEASURED, _NETS = "report.lpips", {"alex": "lpips_alex", "vgg": "lpips"}
 _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 
@@ -66,6 +67,9 @@ def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     if (net := at(config, _MEASURED)) in _NETS:
         found.append((_MEASURED, _NETS[net]))
+    films = (at(config, "render.shots") or {}).items()
+    photos = [name for name, film in films if any(map(is_photo, (film or {}).get("replace", {}).values()))]
+    found += [(f"render.shots.{name}.replace", CANONICAL) for name in photos]
     # Only the bundled body and SMPL's are understood, so one that is not the bundled one is SMPL's.
     body = str(config.get("body", ""))
     if body and not body.endswith("body.npz"):

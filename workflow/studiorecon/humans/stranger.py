@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``humans.stranger``: somebody who is not in the capture, cut out of a photo for ``canonical``.
+
+A photo with alpha is taken as it is cut. In any other the embedded detector looks for the person, and GrabCut (Rother
+et al. 2004) draws the outline where the detector's coarse mask leaves it open.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from studiorecon.detector.blazepose import MASK_PX, BlazePose, Landmarks
+from studiorecon.detector.following import newcomers
+from studiorecon.detector.windows import grid
+from studiorecon.errors import UserError
+from studiorecon.footage.stills import decoded, read_plate
+from studiorecon.images.encoded import write_png
+from studiorecon.progress import say
+from studiorecon.signature import Written
+
+# Of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
+_OUT, _IN = 0.02, 0.9
+_ROUNDS = 5
+# Whoever is so many times as large as everybody else in the photo is meant.
+_MEANT = 1.5
+# Longer side of the picture that GrabCut sees: finer than the detector's mask, and done in seconds.
+_CUT_PX = 1000
+_ASK = "bring a photo of one whole person, or one that is cut out (PNG with alpha)"
+
+
+def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> np.ndarray:
+    """(h, w) float32 in [0, 1]: the detector's mask of somebody over the whole picture of ``wh`` pixels."""
+    # OpenCV counts pixels from the first one's centre.
+    affine = seen.region.crop_from_picture(MASK_PX)
+    affine[:, 2] += affine[:, :2].sum(1) / 2 - 0.5
+    grey = seen.mask.astype(np.float32) / np.float32(255)
+    return cv2.warpAffine(grey, affine, wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+
+
+def cut_out(picture: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] does not say;
+    one whole region."""
+    height, width = sure.shape
+    scale = min(1.0, _CUT_PX / max(height, width))
+    small = (max(1, round(width * scale)), max(1, round(height * scale)))
+    colours = cv2.resize(picture, small, interpolation=cv2.INTER_AREA)
+    there = cv2.resize(sure, small, interpolation=cv2.INTER_AREA)
+    marks = np.where(there >= 0.5, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    marks[there <= _OUT], marks[there >= _IN] = cv2.GC_BGD, cv2.GC_FGD
+    if (marks == cv2.GC_BGD).any() and (marks == cv2.GC_FGD).any():
+        cv2.setRNGSeed(0)
+        models = np.zeros((1, 65)), np.zeros((1, 65))
+        cv2.grabCut(colours, marks, (0, 0, 0, 0), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    own = np.isin(marks, (cv2.GC_FGD, cv2.GC_PR_FGD)).astype(np.uint8)
+    _, labels, sizes, _ = cv2.connectedComponentsWithStats(own)
+    if len(sizes) > 1:
+        own = (labels == 1 + int(np.argmax(sizes[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    return cv2.resize(own.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) >= 0.5
+
+
+def run(stranger: str, photo: Path, networks: list[Path], cut: Written) -> None:
+    """Write the person of ``photo`` as a PNG whose alpha is their mask; ``networks`` are the embedded detector's.
+
+    Raises UserError for a photo that shows nobody, or several people of like size.
+    """
+    stored = decoded(photo, cv2.IMREAD_UNCHANGED)
+    if stored.ndim == 3 and stored.shape[-1] == 4:
+        rgb, own = read_plate(photo)
+        picture = np.rint(255 * rgb).astype(np.uint8)
+        if own.all() or not own.any():
+            raise UserError(f"{photo} has alpha, but it cuts nobody out; {_ASK}")
+        say(f"{stranger}: cut out as the photo's alpha says")
+    else:
+        # Decoded again, because this way the camera's note of which way is up is heeded.
+        picture = np.ascontiguousarray(decoded(photo, cv2.IMREAD_COLOR)[..., ::-1])
+        wh = picture.shape[1], picture.shape[0]
+        found = newcomers(BlazePose(networks[0], networks[1]), picture, grid(wh), [])
+        found = sorted(found, key=lambda seen: -seen.region.side)
+        if not found:
+            raise UserError(f"{photo} shows nobody to the embedded detector; {_ASK}")
+        if len(found) > 1:
+            if found[1].region.side * _MEANT > found[0].region.side:
+                raise UserError(f"{photo} shows several people of like size to the embedded detector; {_ASK}")
+            say(f"{stranger}: the largest of {len(found)} people that the detector sees in the photo is meant")
+        own = cut_out(picture, whole_mask(found[0], wh))
+        say(f"{stranger}: cut out by the embedded detector and by colours; {cut.name} shows how well")
+    rows = np.flatnonzero(own.any(axis=1))
+    say(f"{stranger}: {len(rows) and int(np.ptp(rows)) + 1} px high in the photo")
+    write_png(cut, np.dstack([picture, np.where(own, np.uint8(255), np.uint8(0))]))

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a film names strangers: people of a photo, who stand in for somebody of the capture."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from studiorecon.errors import UserError
+
+_PHOTOS = (".png", ".jpg", ".jpeg")
+_PLAIN = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def is_photo(source: str) -> bool:
+    """Whether a shot's ``replace`` names a photo; else it names a person, a canonical ``.ply`` or nobody."""
+    return Path(source).suffix.lower() in _PHOTOS
+
+
+def stranger(photo: str) -> str:
+    """What files call the person of a photo: ``stranger_anna`` for ``photos/anna.jpg``.
+
+    Raises UserError for a name that files of the results cannot have.
+    """
+    stem = Path(photo).stem
+    if not _PLAIN.fullmatch(stem):
+        raise UserError(
+            f"replace names {photo}, whose name becomes part of files: rename it so that only letters, digits, _ and - "
+            "stand before its ending"
+        )
+    return f"stranger_{stem}"
+
+
+def strangers(sources: Iterable[str]) -> dict[str, str]:
+    """Stranger → photo for what shots' ``replace`` name; UserError when two photos would be the same stranger."""
+    found: dict[str, str] = {}
+    for photo in sources:
+        if is_photo(photo) and found.setdefault(stranger(photo), photo) != photo:
+            raise UserError(
+                f"replace names {found[stranger(photo)]} and {photo}: rename one, their people share a name"
+            )
+    return found
