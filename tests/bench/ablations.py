@@ -92,7 +92,7 @@ def main() -> None:
     RESULTS.write_text(json.dumps(result, indent=1) + "\n")
     print(f"| change | studios | {' | '.join(names)} | PSNR in one studio |\n|---|{'---|' * (len(names) + 2)}")
     for c in changes:
-        told = " | ".join(f"{signs[name] * c.gains[name]:+.3f}" if name in c.gains else "–" for name in names)
+        told = " | ".join(f"{signs[name] * c.gains[name] + 0.0:+.3f}" if name in c.gains else "–" for name in names)
         print(f"| {c.name} | {c.scenes} | {told} | {c.psnr_span[0]:+.2f} … {c.psnr_span[1]:+.2f} |")
 
 

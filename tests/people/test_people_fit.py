@@ -232,12 +232,15 @@ def test_a_child_and_a_giant_have_a_size_of_their_own(
         assert fixed > 2 * error_mm(free, moved)
 
 
-def test_the_solver_of_the_default_takes_a_size_too(body: BodyModel, made: Made, default_settings) -> None:
+@pytest.mark.parametrize("layout", ["body_25b", "coco17", "comotion27"])
+def test_the_solver_of_the_default_takes_a_size_too(body: BodyModel, made: Made, default_settings, layout: str) -> None:
     section = default_settings("people")
     own = body.scaled(0.62)
     moved = replace(made, trans=0.62 * made.trans, joints=own.joints(made.poses, BETAS, 0.62 * made.trans))
-    person = solve(body, moved, detect(own, moved, 2), {**section, "fit": {**section["fit"], "scale": "bones"}})
-    assert error_mm(person, moved) < 12
+    detections = detect(own, moved, 2, layout=layout)
+    person = solve(body, moved, detections, {**section, "fit": {**section["fit"], "scale": "bones"}})
+    assert len(person.betas) == body.shapes + 1, "bones of this layout tell the size"
+    assert error_mm(person, moved) < 20
     # Whoever poses the body with these betas gets these joints.
     assert body.joints(person.poses, person.betas, person.trans) == pytest.approx(person.joints)
 

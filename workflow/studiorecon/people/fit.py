@@ -35,13 +35,15 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Written
 
-_LIMBS = tuple(
-    (f"{s}_{a}", f"{s}_{b}")
-    for s in ("left", "right")
-    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
-)
+
+def _pairs(*limbs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
+    """Ends of ``limbs`` on both sides, as keypoints on the body's surface and as joints inside it are called."""
+    return tuple((f"{s}_{a}{k}", f"{s}_{b}{k}") for k in ("", "_joint") for s in ("left", "right") for a, b in limbs)
+
+
+_LIMBS = _pairs(("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
 # Between neighbouring joints: however somebody bends, they stay as long (Eq. 3, "reliable bone pairs").
-_BONES = (*_LIMBS, *((f"{s}_elbow", f"{s}_wrist") for s in ("left", "right")))
+_BONES = (*_LIMBS, *_pairs(("elbow", "wrist")))
 
 # A toddler and the tallest who ever lived, over a mean adult.
 _SIZES = 0.4, 1.6

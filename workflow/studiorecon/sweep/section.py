@@ -111,7 +111,7 @@ def _across(scenes: Mapping[str, Sequence[Record]]) -> str:
     for change in found:
         # Differences as the field prints them: with the measure's own sign.
         told = [
-            f"{sign * change.gains[name]:+.{digits}f}" if name in change.gains else MISSING
+            f"{sign * change.gains[name] + 0.0:+.{digits}f}" if name in change.gains else MISSING
             for name, _, _, digits, sign in shown_measures
         ]
         span = f"{change.psnr_span[0]:+.2f} … {change.psnr_span[1]:+.2f}"

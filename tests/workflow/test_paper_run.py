@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's presets run whole on the smallest studio: once on the embedded back ends, then with every network's files
+as if they had been made elsewhere."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.footage.video import read_stack
+from studiorecon.geometry import rotations
+from studiorecon.keypoints.layouts import LAYOUTS
+
+from tests.workflow.conftest import ROOT, House, make_house
+
+PAPER, NETWORKS = (str(ROOT / f"config/presets/{name}.yaml") for name in ("paper", "networks"))
+# Nothing but sizes and counts: what would take hours, and pictures of the studio's own size.
+SMALL: dict = {
+    "capture": {"width": 240},
+    "render": {"width": 240},
+    "depth": {"sweep_width": 120, "refine_width": 160},
+    "views": {"views_per_segment": 6},
+    "background": {"training": {"iterations": 200}, "refinement": {"views": 12}},
+    "humans": {"iterations": 60, "temporal": {"start": 30, "width": 16}},
+}
+FILES = {"masks": "masks", "depth": "depth", "views": "views", "enhance": "enhance"}
+
+
+def comotions_files(house: House, folder: Path) -> None:
+    """What CoMotion would say of the studio's people, as its rows are stored: truth, in each camera's own axes."""
+    folder.mkdir(parents=True)
+    body = BodyModel.load(house.folder / "resources/body.npz")
+    people = [read_person(p) for p in sorted((house.folder / "results/studio/tiny/truth/bodies").glob("*.npz"))]
+    assert len(people) == 2
+    for camera in read_model(house.folder / "results/tiny/cameras"):
+        turn, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        rows = []
+        for number, person in enumerate(people, 1):
+            points = body.keypoints(LAYOUTS["comotion27"].keypoints, person.poses, person.betas, person.trans)
+            pixels, seen = camera.project(points)[0], points @ turn.T + shift
+            poses = person.poses.copy()
+            poses[:, :3] = rotations.log(turn @ rotations.exp(poses[:, :3]))
+            rows += [
+                (number, t, poses[t], person.betas, seen[t, 0], pixels[t], seen[t]) for t in range(len(person.poses))
+            ]
+        names = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
+        np.savez(
+            folder / f"{camera.name}.npz",
+            **{n: np.array(v, np.float32) for n, v in zip(names, zip(*rows))},  # type: ignore[arg-type]
+        )
+
+
+@pytest.mark.slow
+def test_the_papers_presets_run_whole_on_files_of_every_network(tmp_path: Path) -> None:
+    house = make_house(tmp_path / "house", "resources/studio/tiny.yaml")
+    results = house.folder / "results/tiny"
+    house.snakemake("--cores", "2", "--configfile", PAPER, house.overlay(**SMALL))
+    embedded = json.loads((results / "report/metrics.json").read_text())
+    film = read_stack(results / "render/heldout.mkv")
+
+    given = house.folder / "given"
+    comotions_files(house, given / "bodies")
+    for stage, folder in FILES.items():
+        shutil.copytree(results / stage, given / folder)
+    brought = {stage: {"precomputed": str(given / folder)} for stage, folder in FILES.items()}
+    elsewhere: dict = {
+        # The calibration is given: pelvises cannot be lifted by the depth of a network that did not run.
+        "calibration": {"source": "files"},
+        "people": {"association": {"position": "rays"}},
+        "detect": {"source": "precomputed", "precomputed": str(given / "bodies")},
+        "masks": {"source": "precomputed"} | brought["masks"],
+        "depth": {"source": "precomputed"} | SMALL["depth"] | brought["depth"],
+        "views": {"synthesizer": "precomputed"} | SMALL["views"] | brought["views"],
+        "enhance": {"enhancer": "precomputed", "flow": "dis"} | brought["enhance"],
+        # LPIPS is the one network that no files can stand for.
+        "background": {
+            "training": {"iterations": 200, "lpips": {"weight": 0.0}},
+            "refinement": SMALL["background"]["refinement"],
+        },
+        "humans": SMALL["humans"] | {"losses": {"lpips": {"weight": 0.0}}},
+        "report": {"lpips": "none"},
+    }
+    settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | elsewhere)))
+    planned = house.plan(*settings)
+    assert {"tracks_bodies": 4, "depth_aligned": 4}.items() <= planned.items()
+    said = house.snakemake("--cores", "2", *settings).stdout
+    assert house.plan(*settings) == {}, "nothing is left to do"
+
+    assert {"p0", "p1"} == {p.stem for p in (results / "people").glob("p*.npz")}
+    assert said.count("(s*") == 2, "every person has a size of their own"
+    found = json.loads((results / "report/metrics.json").read_text())
+    assert found["bodies"]["mpjpe_world_mm"] < 60, "bodies of the network's files are where people were"
+    # The enhancer's films came from elsewhere, the room and the people did not.
+    np.testing.assert_array_equal(
+        read_stack(results / "enhance/heldout.mkv"), read_stack(given / "enhance/heldout.mkv")
+    )
+    assert (read_stack(results / "render/heldout.mkv") != film).any()
+    for scored in (embedded, found):
+        assert scored["pictures"]["raw"]["psnr"]["value"] > 12
