@@ -13,7 +13,7 @@ import pytest
 from studiorecon.background import hole_filling as room
 from studiorecon.background import preparation, train
 from studiorecon.background.seeding import random_volume, seeds_from_depth
-from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, support_weight, view_weight
+from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, view_weight
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.images.metrics import psnr
@@ -23,6 +23,7 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.path import PathStep
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox
+from studiorecon.scene.support import support_weight
 
 from tests.made.background import BOX, WH, cameras, capture, look, run, settings  # noqa: F401
 from tests.made.gaussians import rasterise
@@ -171,7 +172,8 @@ def test_views_get_their_share_of_the_draws() -> None:
     assert shares[4:].sum() == pytest.approx(0.5)
     assert shares.sum() == pytest.approx(1)
     assert draw_shares(4, 0, 0.5).tolist() == [0.25] * 4
-    assert support_weight(np.array([[0, 255]], np.uint8), 0.3) == pytest.approx(np.array([[0.3, 1.0]]))
+    # What is hole, a person and well seen.
+    assert support_weight(np.array([[0, 1, 255]], np.uint8), 0.3) == pytest.approx(np.array([[0.3, 0.0, 1.0]]))
 
 
 def test_the_random_start_knows_nothing_but_the_cameras(cameras: list[Camera]) -> None:

@@ -165,6 +165,19 @@ def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home,
     assert files.truth_of_replaced(far) == []
 
 
+def test_a_network_is_shown_people_only_where_it_is_asked_to_be(configured, home, tmp_path):
+    write_people(tmp_path / "people.tsv", [("p0", 11, "a,b", 1.0, "keypoints")])
+    run = Asked(tmp_path, people_associate={"people": str(tmp_path / "people.tsv")})
+    shown = configured(views={"synthesizer": "gen3c", "key_frames": "first_frames"})
+    files = files_of(shown, home, run)
+    assert [Path(p).parent.name for p in files.key_frames(SCENE)] == ["capture"] * len(files.plan.training)
+    assert len(files.key_masks(SCENE)) == len(files.plan.training)
+    assert files.key_people(SCENE) == ["results/capture/people/p0.npz"]
+    for views in ({"synthesizer": "gen3c"}, {"key_frames": "first_frames"}):
+        without = files_of(configured(views=views), home, run)
+        assert [without.key_frames(SCENE), without.key_masks(SCENE), without.key_people(SCENE)] == [[], [], []]
+
+
 def test_a_photo_of_a_stranger_is_made_into_a_person_and_asks_for_its_network(configured, home):
     films = {
         "guest": {"kind": "orbit", "replace": {"p0": "photos/anna.JPG", "p1": "nobody"}},

@@ -10,23 +10,32 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.body.person_files import write_person
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes, write_lossless
 from studiorecon.models.adapters import gen3c
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import Factors
 from studiorecon.scene.path import read_path, write_path
+from studiorecon.scene.people import Person
+from studiorecon.scene.support import SOMEBODY, support_weight
 from studiorecon.settings import load
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
+from studiorecon.views.first_moment import Standing, first_pictures
 from studiorecon.views.frame import frame_of
+from studiorecon.views.synthesize import read_photos
 
 from tests.made.networks import room_views
 from tests.made.room import write_capture
 
 WH = (96, 54)
 NETWORK_HW = (88, 160)
+# Videos, masks, bodies and the body model: of key frames with people only.
+NOBODY: tuple = ([], [], [], None)
 
 
 @pytest.fixture
@@ -92,14 +101,14 @@ def test_no_more_photos_are_asked_for_than_memory_bears(
 ) -> None:
     section, common, folder = files
     monkeypatch.setattr(gen3c.Gen3c, "most_key_frames", 2)
-    request.run(load(request.Settings, section, "views"), "00", *common, folder / "00.request.npz")
+    request.run(load(request.Settings, section, "views"), "00", *common, *NOBODY, folder / "00.request.npz")
     assert len(np.load(folder / "00.request.npz")["images_key_frames"]) == 2
     assert "segment 00: of 4 photos the 2 nearest are its key frames" in capsys.readouterr().out
 
 
 def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     section, common, folder = files
-    request.run(load(request.Settings, section, "views"), "00", *common, folder / "00.request.npz")
+    request.run(load(request.Settings, section, "views"), "00", *common, *NOBODY, folder / "00.request.npz")
     asked = dict(np.load(folder / "00.request.npz"))
     assert asked["images_key_frames"].shape == (4, 3, *NETWORK_HW)
     assert len(asked["w2cs_all"]) == 121
@@ -125,7 +134,7 @@ def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch:
     assert read_stack(folder / "00.film.mkv").shape == (121, *NETWORK_HW, 3)
 
     quick = load(fitted.Settings, {**section, "oversampling": 1}, "views")
-    fitted.run(quick, "00", folder / "00.film.mkv", *common, folder / "00.mkv", folder / "00.mask.mkv")
+    fitted.run(quick, "00", folder / "00.film.mkv", *common, *NOBODY[2:], folder / "00.mkv", folder / "00.mask.mkv")
     views, support = read_stack(folder / "00.mkv"), read_stack(folder / "00.mask.mkv")
     assert views.shape == (121, 54, 96, 3)
     start = next(
@@ -151,11 +160,11 @@ def test_the_request_of_a_wrong_length_or_wrong_depth_stops_before_a_gpu(
         UserError,
         match=r"segment 00: GEN3C makes 121, 241, 361, … frames, not 100; set views\.views_per_segment to 120",
     ):
-        request.run(settings, "00", folder / "short.json", *common[1:], folder / "x.npz")
+        request.run(settings, "00", folder / "short.json", *common[1:], *NOBODY, folder / "x.npz")
     for path, (_, _, depth) in zip(common[3][:1], room_views(WH)):
         write_depth(path, depth * 1.6, np.ones(depth.shape))
     with pytest.raises(UserError, match="segment 00: key frames of the GEN3C request disagree about depth"):
-        request.run(settings, "00", *common, folder / "x.npz")
+        request.run(settings, "00", *common, *NOBODY, folder / "x.npz")
     assert not (folder / "x.npz").exists()
 
 
@@ -167,7 +176,7 @@ def test_a_brought_film_must_fit_the_path(files: tuple) -> None:
     with pytest.raises(
         UserError, match=r"has 5 pictures for 121 views of segment 00; set views\.views_per_segment to 4"
     ):
-        fitted.run(settings, "00", folder / "few.mkv", *common, *out)
+        fitted.run(settings, "00", folder / "few.mkv", *common, *NOBODY[2:], *out)
     camera = Camera("x", WH, np.eye(3), np.eye(4))
     with pytest.raises(UserError, match="80×60; they must be 160×88"):
         fitted.fitted(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)
@@ -182,3 +191,78 @@ def test_a_network_that_stops_short_is_noticed() -> None:
 
     with pytest.raises(UserError, match="made 121 views of 241"):
         list(generate.frames_of(Short(), {"w2cs_all": np.zeros((241, 4, 4))}))
+
+
+@pytest.fixture
+def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path], Standing]:
+    """Somebody stands in the room at the first moment: a body file, first pictures in which they are red and a little
+    wider than their body, and masks of that."""
+    _, _, folder = files
+    model = BodyModel.load(root / "resources/body.npz")
+    poses = np.zeros((2, 72))
+    poses[:, :3] = upright_global_orientation(0.4)
+    trans, betas = np.tile([0.2, -0.1, 0.95], (2, 1)), np.zeros(10)
+    person = Person(
+        "p0", model.identity, 24.0, poses, trans, betas, model.joints(poses, betas, trans), np.ones(2, bool),
+        np.zeros((2, 24)), True,
+    )  # fmt: skip
+    write_person(folder / "p0.npz", person)
+    standing = Standing([person], model)
+    videos, masks = [], []
+    for camera, rgb, _ in room_views(WH):
+        clothed = standing.mask(camera, 3)
+        picture = np.where(clothed[..., None], np.uint8([230, 20, 20]), to_bytes(rgb))
+        videos.append(folder / f"{camera.name}.mkv")
+        masks.append(folder / f"{camera.name}.mask.mkv")
+        write_lossless(videos[-1], np.stack([picture, to_bytes(rgb)]), 24.0)
+        write_lossless(masks[-1], np.stack([clothed, np.zeros_like(clothed)]).astype(np.uint8), 24.0)
+    return folder / "p0.npz", root / "resources/body.npz", videos, masks, standing
+
+
+def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: tuple) -> None:
+    section, common, folder = files
+    fit, body, videos, masks, standing = someone
+    settings = load(request.Settings, {**section, "key_frames": "first_frames"}, "views")
+    # The network's own check warps every key frame into the others: bodies agree with each other in depth.
+    request.run(settings, "00", *common, videos, masks, [fit], body, folder / "00.request.npz")
+    asked = dict(np.load(folder / "00.request.npz"))
+    photos = first_pictures(
+        read_photos(*common[1:], settings.depth_jump), videos, masks, standing, Factors(), settings.depth_jump
+    )
+    reds = [(p[0] > 0.5) & (p[1] < -0.5) for p in asked["images_key_frames"]]
+    assert all(0.01 < red.mean() < 0.3 for red in reds)
+    for photo, (camera, _, room_m) in zip(photos, room_views(WH)):
+        bodies, clothed = standing.depth_m(camera), standing.mask(camera, 3)
+        np.testing.assert_allclose(photo.depth_m[bodies > 0], bodies[bodies > 0])
+        # Clothes beside the body are as far as it is, and not as far as the wall behind.
+        beside = clothed & (bodies == 0)
+        near_m, far_m = bodies[bodies > 0].min(), bodies[bodies > 0].max()
+        assert ((photo.depth_m[beside] >= near_m) & (photo.depth_m[beside] <= far_m)).all()
+        assert np.median(room_m[beside]) > far_m, "the wall is behind them"
+        np.testing.assert_allclose(photo.depth_m[~clothed], room_m[~clothed], rtol=2e-3)
+        assert not photo.usable[clothed ^ cv2.erode(clothed.astype(np.uint8), np.ones((3, 3))).astype(bool)].all()
+    # Without bodies whoever is in the masks is not carried at all.
+    for alone in first_pictures(read_photos(*common[1:], 0.04), videos, masks, Standing([], None), Factors(), 0.04):
+        assert not alone.usable[standing.mask(alone.camera, 3)].any()
+
+
+def test_people_in_generated_views_are_left_out_of_the_training(files: tuple, someone: tuple) -> None:
+    section, common, folder = files
+    fit, body, _, _, standing = someone
+    film = np.random.default_rng(0).integers(0, 255, (121, 54, 96, 3), dtype=np.uint8)
+    write_lossless(folder / "00.film.mkv", film, 24.0)
+    out = folder / "00.mkv", folder / "00.mask.mkv"
+    quick = {**section, "oversampling": 1}
+    settings = load(fitted.Settings, {**quick, "key_frames": "first_frames", "dilation_px": 5}, "views")
+    fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, *out)
+    levels = read_stack(out[1])
+    for step, level in list(zip(read_path(common[0])[0], levels))[::40]:
+        there = standing.mask(step.camera, 5)
+        assert there.any()
+        np.testing.assert_array_equal(level == SOMEBODY, there)
+        # However much unsupported pixels count (hole_weight), people count nothing.
+        assert not support_weight(level, 1.0)[there].any()
+        assert (support_weight(level, 1.0)[~there] == 1).all()
+    # Of plates nobody is expected in the film.
+    fitted.run(load(fitted.Settings, quick, "views"), "00", folder / "00.film.mkv", *common, [], None, *out)
+    assert not (read_stack(out[1]) == SOMEBODY).any()

@@ -64,6 +64,10 @@ if PLAN.networks.views not in ("warp", "precomputed"):
             plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
             exposure=files.gains,
+            videos=files.key_frames,
+            masks=files.key_masks,
+            people=files.key_people,
+            body=files.body,
         output:
             request="results/{scene}/views/{segment}.request.npz",
         log:
@@ -115,6 +119,8 @@ if PLAN.networks.views != "warp":
             plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
             depth=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
             exposure=files.gains,
+            people=files.key_people,
+            body=files.body,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",

@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.background import hole_filling
 from studiorecon.background.seeding import random_volume, seeds_from_depth
-from studiorecon.background.targets import angle_between_axes, cutoff_angle, support_weight, view_weight
+from studiorecon.background.targets import angle_between_axes, cutoff_angle, view_weight
 from studiorecon.background.train_settings import Settings
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
@@ -26,6 +26,7 @@ from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox, read_room
+from studiorecon.scene.support import support_weight
 from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.splatting.discs import discs
 from studiorecon.splatting.train.targets import Target

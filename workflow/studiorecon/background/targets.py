@@ -49,10 +49,3 @@ def draw_shares(plates: int, views: int, views_share: float) -> np.ndarray:
     if views == 0:
         return np.full(plates, 1 / plates)
     return np.concatenate([np.full(plates, (1 - views_share) / plates), np.full(views, views_share / views)])
-
-
-def support_weight(support: np.ndarray, hole_weight: float) -> np.ndarray:
-    """(H, W) float32 weights of a synthesized view: 1 where the cache supports a pixel (255), ``hole_weight`` where it
-    was inpainted."""
-    share = support.astype(np.float32) / np.float32(255)
-    return share + (1 - share) * np.float32(hole_weight)

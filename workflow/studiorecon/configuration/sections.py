@@ -109,6 +109,7 @@ SECTIONS: tuple[Section, ...] = (
             "views.shared:Made",
             "configuration.planned:Views",
             "views.generate:Settings",
+            "views.fitted:Settings",
             "views.path:Settings",
             "views.shared:Warping",
         ),

@@ -146,6 +146,19 @@ class Files(Brought):
         """Who is in those pictures; none when there are no people."""
         return self.masks(wildcards) if self.first_pictures(wildcards) else []
 
+    def key_frames(self, wildcards: Any) -> list[str]:
+        """Footage of the training cameras, where a network is shown their first pictures with the people in them."""
+        shown = self.config["views"]["key_frames"] == "first_frames" and self.plan.networks.views != "warp"
+        return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.plan.training] if shown else []
+
+    def key_masks(self, wildcards: Any) -> list[str]:
+        """Who is in those pictures; none when there are no people."""
+        return self.masks(wildcards) if self.key_frames(wildcards) else []
+
+    def key_people(self, wildcards: Any) -> list[str]:
+        """Their bodies."""
+        return self.fits(wildcards) if self.key_frames(wildcards) else []
+
     def human_gaussians(self, wildcards: Any) -> list[str]:
         """Canonical Gaussians of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """``views.fitted``: a generated film of one segment at the working size, with the support that photos give it.
 
-What no photo shows is the network's invention and stays named so: 0 in the mask, whatever the picture holds.
+What no photo shows is the network's invention and stays named so: 0 in the mask, whatever the picture holds. Where the
+network was shown people, they stand in its views: the mask says where.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
 from studiorecon.models.catalogue.selection import CHOICES
@@ -19,16 +21,27 @@ from studiorecon.models.choices import Synthesizer
 from studiorecon.models.loading import adapter
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.support import SOMEBODY, support_levels
 from studiorecon.signature import Written
+from studiorecon.views.first_moment import Standing
 from studiorecon.views.forward import WarpSource, blend
 from studiorecon.views.frame import frame_of
 from studiorecon.views.shared import Made, Warping
-from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment, support_levels
+from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
 
 
 @dataclass(frozen=True)
 class Settings(Made, Warping):
     """Whose film it is, and how support is measured."""
+
+    dilation_px: int = setting(
+        21,
+        "With first_frames: side of the square by which people in the views are dilated; 1 = not at all.",
+        minimum=1,
+        paper="21, appendix on preprocessing; U24",
+        letter=21,
+        odd=True,
+    )
 
 
 def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
@@ -58,9 +71,13 @@ def fitted(
 
 
 def views_of(
-    film: Iterator[np.ndarray], cameras: list[Camera], photos: list[WarpSource], settings: Settings
+    film: Iterator[np.ndarray],
+    cameras: list[Camera],
+    photos: list[WarpSource],
+    standing: Standing | None,
+    settings: Settings,
 ) -> Iterator[tuple]:
-    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment."""
+    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment; ``standing``: who is in them."""
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fitted(picture, camera, sizes, settings.inpaint_radius)
@@ -68,7 +85,8 @@ def views_of(
         _, support, _ = blend(
             camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
-        yield own, support_levels(np.where(inside, support, 0))
+        people = standing.mask(camera, settings.dilation_px) if standing else None
+        yield own, support_levels(np.where(inside, support, 0), people)
 
 
 def run(
@@ -80,10 +98,13 @@ def run(
     plates: list[Path],
     depth: list[Path],
     exposure: list[Path],
+    people: list[Path],
+    body: Path | None,
     views: Written,
     support: Written,
 ) -> None:
-    """Write the pictures and the support of one segment from its ``film``, one picture per view of the path."""
+    """Write the pictures and the support of one segment from its ``film``, one picture per view of the path; ``people``
+    and their ``body`` only where the network was shown them."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))
@@ -92,8 +113,12 @@ def run(
             f"{film} has {count} pictures for {len(cameras)} views of segment {segment}; "
             f"set views.views_per_segment to {count - 1}"
         )
-    made = list(views_of(read_frames(film), cameras, photos, settings))
+    standing = Standing.read(people, body) if settings.key_frames == "first_frames" else None
+    made = list(views_of(read_frames(film), cameras, photos, standing, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of them is shown by no photo, 0 in the mask")
+    if standing:
+        covered = np.mean([mask == SOMEBODY for _, mask in made])
+        say(f"segment {segment}: {covered:.1%} of them is {len(standing.people)} people, left out of the training")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

@@ -2,8 +2,8 @@
 """``views.request``: what a network is asked for one segment, checked by rendering it again before any GPU hour is
 spent on it.
 
-Key frames are the clean plates of the training cameras, so nobody is in them; pixels that were never seen empty, or
-have no depth or lie beside a jump in it, are masked.
+Key frames are the clean plates of the training cameras, so nobody is in them, or the first pictures as they were filmed
+(``first_moment``); pixels that were never seen empty, or have no depth or lie beside a jump in it, are masked.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from studiorecon.models.loading import adapter
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
+from studiorecon.views.first_moment import Standing, first_pictures
 from studiorecon.views.forward import WarpSource
 from studiorecon.views.frame import Frame, frame_of
 from studiorecon.views.shared import Made, Warping
@@ -65,10 +67,18 @@ def run(
     plates: list[Path],
     depth: list[Path],
     exposure: list[Path],
+    videos: list[Path],
+    masks: list[Path],
+    people: list[Path],
+    body: Path | None,
     request: Written,
 ) -> None:
-    """Write the checked request (npz) of one segment."""
+    """Write the checked request (npz) of one segment; ``videos`` (with ``masks``, ``people`` and their ``body``) only
+    where their first pictures are the key frames."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
+    if settings.key_frames == "first_frames":
+        standing, factors = Standing.read(people, body), read_factors(exposure)
+        photos = first_pictures(photos, videos, masks, standing, factors, settings.depth_jump)
     way, _ = read_segment(path, segment)
     network = adapter("view synthesizer", settings.synthesizer)
     frame = frame_of(way[0].hw, network.hw)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from studiorecon.configuration.setting import setting
 from studiorecon.models.choices import Synthesizer
@@ -18,6 +19,13 @@ class Made:
         "What makes new views: warp (photos through their depth), gen3c, or precomputed films that it made elsewhere.",
         paper="gen3c",
         letter="gen3c",
+    )
+    key_frames: Literal["plates", "first_frames"] = setting(
+        "plates",
+        "What a network is given of every training camera: its clean plate, or its first picture with the people in "
+        "it, who then stand in its views and are left out of the room's training.",
+        paper="first frames; humans in synthesized views are masked",
+        letter="first_frames",
     )
 
 

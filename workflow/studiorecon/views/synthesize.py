@@ -24,6 +24,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.path import read_path
+from studiorecon.scene.support import support_levels
 from studiorecon.signature import Written
 from studiorecon.views.forward import WarpSource, blend, source
 from studiorecon.views.shared import Warping
@@ -57,11 +58,6 @@ def views_of(
             camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
         yield paint_holes(rgb, support, settings.inpaint_radius), support_levels(support)
-
-
-def support_levels(support: np.ndarray) -> np.ndarray:
-    """(H, W) uint8 of a support in [0, 1]; a supported pixel never rounds down to a hole."""
-    return np.where(support > 0, np.maximum(np.rint(support * 255), 1), 0).astype(np.uint8)
 
 
 def read_photos(

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""People in the new views, the paper's way: key frames are the first pictures as they were filmed, so that a network's
+views show who stood there, and the room is trained without those pixels (Eq. 5: 1 − M).
+
+The paper has the people's depth from Pi3 and M from SAM 3 on every view. Here both are the fitted bodies': they are
+known at that moment in metres, in every camera there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy.ndimage
+
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.errors import UserError
+from studiorecon.footage.video import read_frame, to_float
+from studiorecon.images.regions import dilated
+from studiorecon.images.silhouette import mesh_depth
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.factors import Factors
+from studiorecon.scene.files import one_each
+from studiorecon.scene.people import Person
+from studiorecon.views.forward import WarpSource, source
+
+_FIRST = 0
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Who stood there at the first moment; nobody when ``people`` is empty."""
+
+    people: Sequence[Person]
+    body: BodyModel | None
+
+    @staticmethod
+    def read(people: Sequence[Path], body: Path | None) -> Standing:
+        """From body files; UserError names one that is broken."""
+        return Standing([read_person(path) for path in people], BodyModel.load(body) if people and body else None)
+
+    def depth_m(self, camera: Camera) -> np.ndarray:
+        """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""
+        nearest = np.full(camera.hw, np.inf)
+        for person in self.people:
+            assert self.body is not None
+            pose, place = person.poses[_FIRST : _FIRST + 1], person.trans[_FIRST : _FIRST + 1]
+            vertices = self.body.vertices(pose, person.betas, place, self.body.proxy_vertices)[0]
+            depth = mesh_depth(vertices, self.body.proxy_faces, camera)
+            nearest = np.where((depth > 0) & (depth < nearest), depth, nearest)
+        return np.where(np.isfinite(nearest), nearest, 0.0)
+
+    def mask(self, camera: Camera, dilation_px: int) -> np.ndarray:
+        """(H, W) bool: somebody is there, or within the square of ``dilation_px``."""
+        return dilated(self.depth_m(camera) > 0, dilation_px)
+
+
+def first_pictures(
+    photos: Sequence[WarpSource],
+    videos: Sequence[Path],
+    masks: Sequence[Path],
+    standing: Standing,
+    factors: Factors,
+    depth_jump: float,
+) -> list[WarpSource]:
+    """The first pictures in the plates' place, with bodies before the room in their depth.
+
+    Pixels that a mask calls somebody's and no body covers (hair, clothes) take the depth of the nearest pixel that one
+    covers; whoever is not fitted is not carried over, nor is what lies beside a jump in depth. Raises UserError for
+    pictures of another size.
+    """
+    one_each([p.camera for p in photos], videos=list(videos))
+    seen = []
+    for view, (photo, video) in enumerate(zip(photos, videos)):
+        picture = to_float(factors.even(photo.camera.name, read_frame(video, _FIRST)))
+        labels = read_frame(masks[view], _FIRST) if masks else np.zeros(photo.camera.hw, np.uint8)
+        if picture.shape[:2] != photo.camera.hw or labels.shape != photo.camera.hw:
+            raise UserError(
+                f"{video} and its masks must be {photo.camera.wh[0]}×{photo.camera.wh[1]}, as camera "
+                f"{photo.camera.name} works"
+            )
+        bodies = standing.depth_m(photo.camera)
+        theirs, fitted = labels > 0, (labels > 0) & (labels <= len(standing.people))
+        depth = np.where(theirs, np.where(fitted, nearest_known(bodies), 0.0), photo.depth_m)
+        seen.append(source(photo.camera, picture, np.ones(photo.camera.hw, bool), depth, depth_jump))
+    return [replace(s, usable=s.usable & (s.depth_m > 0)) for s in seen]
+
+
+def nearest_known(depth_m: np.ndarray) -> np.ndarray:
+    """(H, W) depth whose unknown pixels (0) take the value of the nearest known one; all 0 when none is known."""
+    if not (depth_m > 0).any():
+        return depth_m
+    index = scipy.ndimage.distance_transform_edt(depth_m <= 0, return_distances=False, return_indices=True)
+    return depth_m[tuple(index)]
