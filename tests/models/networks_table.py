@@ -7,7 +7,7 @@ from pathlib import Path
 
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.registry import MODELS
-from studiorecon.models.catalogue.selection import CHOICES
+from studiorecon.models.catalogue.selection import CHOICES, POINTS
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/networks.md"
 BEGIN, END = "<!-- networks -->\n", "<!-- networks end -->\n"
@@ -23,6 +23,7 @@ ELSEWHERE = {
 def asked_by(card: Card) -> str:
     """The settings that name a network."""
     found = [f"`{where}`" for where, choice in CHOICES.items() if card.name in choice.networks]
+    found += [f"`{POINTS}`"] if card.kind == "point detector" else []
     return ", ".join(found) or ELSEWHERE[card.kind]
 
 

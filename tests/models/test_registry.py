@@ -26,11 +26,12 @@ def test_every_model_states_terms_weights_and_runtime(name: str) -> None:
     assert entry.weights, "a network without weights is none"
     for file in entry.weights:
         assert not Path(file.path).is_absolute()
-        assert "://" not in file.source + file.repository
+        assert "://" not in file.source + file.repository + "".join(file.mirrors)
+        assert len(file.mirrors) == (2 if file.how == "mirrors" else 0), "one host may be gone"
         assert file.how == "hand" or file.remote, f"{file.path} has no name where it is fetched"
         assert (file.how in ("hub", "snapshot")) == bool(file.repository) or file.how == "hand"
         assert bool(re.fullmatch(r"[0-9a-f]{40}", file.revision)) == bool(file.repository), f"{file.path} may change"
-        assert len(file.sha256) in ((0, 64) if file.repository else (0, 8))
+        assert len(file.sha256) in ((64,) if file.mirrors else (0, 64) if file.repository else (0, 8))
     assert entry.unchecked
 
 

@@ -4,18 +4,25 @@ allowed, no room."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 import resource
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.errors import UserError
+from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import digest, read_pins
 from studiorecon.models.catalogue.confined import OFFLINE
+from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.registry import MODELS
+from studiorecon.models.weights import stage
 
 from tests.made.hub import Hub, serving
 
@@ -123,6 +130,56 @@ def test_no_room_is_a_sentence(tmp_path: Path) -> None:
     assert "could not be fetched" in said
     assert "make room in" in said
     assert "Traceback" not in said
+
+
+def archived(content: bytes, *names: str) -> bytes:
+    """An archive with ``content`` under each of the names."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as archive:
+        for name in names:
+            archive.writestr(name, content)
+    return made.getvalue()
+
+
+def mirrored(hub: Hub, archive: bytes, inner: bytes, hosts: tuple[str, ...]) -> WeightFile:
+    """A file whose mirrors are ``hosts`` (here: owners), of which ``hub`` has those with an archive."""
+    hub.files["second/copy", "points.zip"] = archive
+    mirrors = tuple(f"{hub.address}/{host}/copy/resolve/main/points.zip" for host in hosts)
+    checksum = hashlib.sha256(inner).hexdigest()
+    return WeightFile(
+        "net/points.onnx", "two hosts", remote="end2end.onnx", how="mirrors", mirrors=mirrors, sha256=checksum
+    )
+
+
+def test_the_second_mirror_is_asked_and_goes_on_where_it_broke_off(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inner = np.random.default_rng(5).bytes(300_000)
+    archive = archived(inner, "20230605/rtmpose/end2end.onnx")
+    with serving(Hub({})) as hub:
+        file = mirrored(hub, archive, inner, ("gone", "second"))
+        hub.breaks_at = 100_000
+        with pytest.raises(UserError, match=r"net/points\.onnx could not be fetched from two hosts"):
+            fetch(file, tmp_path)
+        assert not (tmp_path / file.path).exists()
+        hub.breaks_at, hub.asked = None, []
+        pins: dict = {}
+        assert stage(file, tmp_path, pins, may_fetch=True) == "verified"
+        assert hub.asked == [("points.zip", "main", "bytes=100000-")]
+    assert (tmp_path / file.path).read_bytes() == inner
+    assert pins[file.path]["sha256"] == file.sha256
+    assert [path.name for path in (tmp_path / "net").iterdir()] == ["points.onnx"]
+    assert "asking the next mirror" in capsys.readouterr().out
+
+
+def test_a_mirror_with_other_bytes_is_refused(tmp_path: Path) -> None:
+    with serving(Hub({})) as hub:
+        file = mirrored(hub, archived(b"other", "a/end2end.onnx"), b"the right one", ("second",))
+        assert "expected" in (said := stage(file, tmp_path, {}, may_fetch=True)), said
+        (tmp_path / file.path).unlink()
+        two = mirrored(hub, archived(b"x", "a/end2end.onnx", "b/end2end.onnx"), b"x", ("second",))
+        assert "has 2 files end2end.onnx, expected one" in stage(two, tmp_path, {}, may_fetch=True)
+        assert not list((tmp_path / "net").iterdir())
 
 
 def test_the_stand_in_names_content_as_a_hub_does(tmp_path: Path) -> None:

@@ -71,6 +71,18 @@ def test_a_network_of_one_s_own_is_an_input_of_whoever_looks_at_people(house: Ho
     assert f"detect.network names {network}, which does not exist" in refused.stdout
 
 
+def test_a_network_that_is_fetched_is_an_input_once_it_is_there(house: House, dataset: Path, tmp_path: Path) -> None:
+    (dataset / "keypoints").rename(dataset / "hidden")
+    there = on(house, dataset)
+    wanted = ("--configfile", there.overlay(detect={"network": "rtmpose"}, weights=str(tmp_path)))
+    found = f"results/{dataset.name}/detect/found/left.npz"
+    refused = there.snakemake("--dry-run", "--cores", "1", found, *wanted, check=False)
+    listed = there.snakemake("--cores", "1", "weights_list", *wanted).stdout
+    (dataset / "hidden").rename(dataset / "keypoints")
+    assert f"needs {tmp_path}/rtmpose/rtmpose-m-halpe26-256x192.onnx, which is missing" in refused.stdout
+    assert "rtmpose-m-halpe26-256x192.onnx: 0.056 GB; free to fetch; SHA-256 26f3a19e" in listed
+
+
 def test_only_cameras_without_keypoint_files_are_looked_at(house: House, dataset: Path) -> None:
     (dataset / "keypoints/back").rename(dataset / "hidden")
     plan = on(house, dataset).plan()

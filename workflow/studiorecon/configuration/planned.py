@@ -73,8 +73,8 @@ class Detect:
     )
     network: str = setting(
         "",
-        "ONNX file of a network of your own that looks at one person at a time (RTMPose, ViTPose, HRNet): it says "
-        "where the points are of whom the detector finds.",
+        "Network that looks at one person at a time and says where the points are of whom the detector finds: rtmpose "
+        "or vitpose, which snakemake weights fetches, or an ONNX file of your own.",
     )
     network_layout: NetworkLayout = setting(
         "auto", "What the points of detect.network are; auto = as their number says."

@@ -8,6 +8,7 @@ comes out. To be read in this order:
 - ``adapters``: a module per network, with its class and its card.
 - ``catalogue``: cards in general, the list of adapters, which settings select them, weights and what is checked
   before one is loaded.
+- ``points``: cards of networks whose file runs as it is, behind the detector.
 - ``loading``: ``load`` and ``adapter``, which is all that stages ask. ``choices``: types of the settings that name
   networks.
 - Steps of their own: ``weights`` lists and fetches files, ``containers`` builds images, ``smpl`` makes arrays of

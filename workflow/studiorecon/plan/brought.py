@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
+from studiorecon.models.catalogue.preflight import staged
+from studiorecon.models.catalogue.registry import MODELS, model
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.dataset import colmap_files
 from studiorecon.scene.stand_ins import is_photo, strangers
@@ -64,11 +66,14 @@ class Brought:
     def detector(self) -> list[str]:
         return [self.bundled(f"resources/detector/{name}") for name in self.plan.sight.detector]
 
-    @cached_property
-    def second_network(self) -> list[str]:
-        """The user's own network that says where a person's points are, if there is one."""
+    def second_network(self, _: Any) -> list[str]:
+        """The network that says where a person's points are, if there is one: the user's own file, or one that was
+        fetched, which is held to its checksum."""
         named = self.config["detect"]["network"]
-        return [self.local(named)] if named else []
+        if named not in MODELS:
+            return [self.local(named)] if named else []
+        card = model(named)
+        return [self.local(str(staged(card, Path(self.plan.networks.weights)) / card.weights[0].path))]
 
     @cached_property
     def player(self) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from studiorecon.calibration.formats import accepted
 from studiorecon.errors import UserError
-from studiorecon.models.catalogue.registry import of_kind
+from studiorecon.models.catalogue.registry import MODELS, of_kind
 from studiorecon.people.silhouettes import MIN_CAMERAS
 from studiorecon.plan.decisions import Plan
 
@@ -22,8 +22,11 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
             f"people.identities names {plan.identities}, which does not exist; copy "
             f"results/{plan.scene}/people/identities.tsv there"
         )
-    if (named := config["detect"]["network"]) and not Path(named).is_file():
-        raise UserError(f"detect.network names {named}, which does not exist; name an .onnx file, or leave it empty")
+    if (named := config["detect"]["network"]) and named not in MODELS and not Path(named).is_file():
+        known = " or ".join(card.name for card in of_kind("point detector"))
+        raise UserError(
+            f"detect.network names {named}, which does not exist; name an .onnx file, or {known}, or leave it empty"
+        )
     if plan.people:
         _keypoints(plan, MIN_CAMERAS)
     if plan.lifted:

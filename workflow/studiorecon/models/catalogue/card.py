@@ -23,6 +23,7 @@ Kind = Literal[
     "flow",
     "perceptual distance",
     "canonical avatar",
+    "point detector",
 ]
 
 
@@ -45,9 +46,12 @@ class WeightFile:
     Attributes:
         path: below the weights folder.
         source: where it comes from, in words; ``repository`` of a hub as owner/name, empty when it is no hub's.
-        remote: its name there: path in the repository, ``module:Enum.MEMBER`` of torchvision, or ``package:path``.
+        remote: its name there: path in the repository, ``module:Enum.MEMBER`` of torchvision, ``package:path``, or the
+            file's name, in the archive where ``mirrors`` have one.
+        mirrors: hosts and paths where the same bytes lie, asked one after the other.
         how: who may get it: a hub's client (``snapshot``: the whole repository, whose remote code and small files come
-            along), torchvision, an installed package, or a person, by ``hand``, where terms must be agreed to.
+            along), torchvision, an installed package, anybody from ``mirrors``, or a person, by ``hand``, where terms
+            must be agreed to.
         size_gb: as published; None = not known.
         revision: of the hub's repository, as a commit: what ``main`` is there next year is another matter.
         gated: whether access must be asked for, or an account registered.
@@ -61,7 +65,8 @@ class WeightFile:
     repository: str = ""
     size_gb: float | None = None
     remote: str = ""
-    how: Literal["hub", "snapshot", "torchvision", "package", "hand"] = "hub"
+    how: Literal["hub", "snapshot", "torchvision", "package", "mirrors", "hand"] = "hub"
+    mirrors: tuple[str, ...] = ()
     gated: bool = False
     revision: str = ""
     md5: str = ""
@@ -70,8 +75,8 @@ class WeightFile:
 
 @dataclass(frozen=True)
 class Runtime:
-    """What it runs in: entry of envs/images.yaml, Python, torch, upstream's further pins, the commit or release the
-    adapter follows.
+    """What it runs in: entry of envs/images.yaml, Python, torch (empty: none), upstream's further pins, the commit or
+    release that is followed.
 
     Pins of different models exclude one another, hence one image each.
     """

@@ -5,8 +5,12 @@ else."""
 from __future__ import annotations
 
 import errno
+import http
 import importlib
 import shutil
+import urllib.error
+import urllib.request
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +19,9 @@ from studiorecon.libraries import remedy
 from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import blob
 from studiorecon.models.catalogue.confined import may_fetch
+from studiorecon.progress import warn
+
+_PATIENCE_S = 60.0
 
 
 def fetch(file: WeightFile, folder: Path) -> str:
@@ -31,6 +38,8 @@ def fetch(file: WeightFile, folder: Path) -> str:
             return _from_torchvision(file, target)
         if file.how == "package":
             return _from_package(file, target)
+        if file.how == "mirrors":
+            return from_mirrors(file, target)
     except (UserError, KeyboardInterrupt):
         raise
     except Exception as error:  # every client has exceptions of its own: of access, of the network, of the disk
@@ -129,3 +138,56 @@ def _from_package(file: WeightFile, target: Path) -> str:
     source = Path(_client(name, file).__file__).parent / inner
     target.write_bytes(source.read_bytes())
     return ""
+
+
+def from_mirrors(file: WeightFile, target: Path) -> str:
+    """A file, or the archive that it is a member of, from the first of its mirrors that answers; what came before an
+    interruption is kept. The checksum on the card says whether it is the right one, wherever it came from."""
+    partial = target.parent / f".{target.name}.partial"
+    for mirror in file.mirrors:
+        try:
+            _download(mirror if "://" in mirror else f"https://{mirror}", partial)
+            break
+        except OSError as error:  # urllib's and http.client's errors of access and of the network among them
+            if mirror == file.mirrors[-1] or error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                raise
+            host = mirror.split("://")[-1].partition("/")[0]
+            warn(f"{host} does not answer ({_first_line(error)}); asking the next mirror")
+    if zipfile.is_zipfile(partial):
+        try:
+            _unpack(partial, file, target)
+        finally:
+            partial.unlink()
+    else:
+        partial.replace(target)
+    return ""
+
+
+def _unpack(archive: Path, file: WeightFile, target: Path) -> None:
+    unpacked = target.parent / f".{target.name}.unpacked"
+    with zipfile.ZipFile(archive) as opened:
+        members = [name for name in opened.namelist() if Path(name).name == file.remote]
+        if len(members) != 1:
+            raise UserError(f"the archive of {file.path} has {len(members)} files {file.remote}, expected one")
+        with opened.open(members[0]) as member, open(unpacked, "wb") as stream:
+            shutil.copyfileobj(member, stream)
+    unpacked.replace(target)
+
+
+def _download(address: str, partial: Path) -> None:
+    """What lies at ``address``, behind what of it is there already."""
+    have = partial.stat().st_size if partial.exists() else 0
+    request = urllib.request.Request(address, headers={"Range": f"bytes={have}-"} if have else {})
+    try:
+        with urllib.request.urlopen(request, timeout=_PATIENCE_S) as answer:
+            # A server that knows no ranges sends everything again.
+            goes_on = answer.status == http.HTTPStatus.PARTIAL_CONTENT
+            whole = int(answer.headers.get("Content-Length") or 0) + (have if goes_on else 0)
+            with open(partial, "ab" if goes_on else "wb") as stream:
+                shutil.copyfileobj(answer, stream)
+    except urllib.error.HTTPError as error:
+        if have and error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+            return  # all of it is there
+        raise
+    if whole and partial.stat().st_size < whole:
+        raise ConnectionError(f"broken off after {partial.stat().st_size} of {whole} bytes")

@@ -25,6 +25,7 @@ MODULES = (
     "adapters.raft",
     "adapters.lpips",
     "adapters.lhm",
+    "points",
 )
 """Below ``studiorecon.models``, in the order in which tables name them. A new adapter is a line here."""
 

@@ -54,6 +54,8 @@ CHOICES = {
     "enhance.flow": Choice(("flow",), ("enhance.shot", "enhance.folder", "enhance.sheet"), ("dis",)),
 }
 """Settings that may name a network, in the order data flows."""
+POINTS = "detect.network"
+"""A file of the user's, or the name of a network whose file is fetched."""
 CANONICAL = "lhm"
 """Who makes canonical people: on request, and of the photos that films' ``replace`` names."""
 _MEASURED, _NETS = "report.lpips", {"alex": "lpips_alex", "vgg": "lpips"}
@@ -63,7 +65,7 @@ _PERCEPTUAL = ("background.training.lpips.weight", "humans.losses.lpips.weight")
 def selected(config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(setting, model) for every setting of a whole configuration that calls for an upstream network, in the order data
     flows."""
-    found = [(where, str(value)) for where in CHOICES if (value := at(config, where)) in MODELS]
+    found = [(where, str(value)) for where in (POINTS, *CHOICES) if (value := at(config, where)) in MODELS]
     found += [(where, "lpips") for where in _PERCEPTUAL if (at(config, where) or 0) > 0]
     if (net := at(config, _MEASURED)) in _NETS:
         found.append((_MEASURED, _NETS[net]))
