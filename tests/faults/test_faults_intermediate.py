@@ -28,6 +28,7 @@ from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import PathStep, read_path, write_path
 from studiorecon.scene.people import read_detections
 from studiorecon.scene.raw_detections import read_raw_detections
+from studiorecon.scene.readouts import Readout, read_readouts, write_readouts
 from studiorecon.scene.room import FACES, read_room
 from studiorecon.splatting.rigid_object import read_objects
 
@@ -91,6 +92,9 @@ KINDS = {
     ),
     "path": Kind("path.json", lambda p: write_path(p, [PathStep(CAMERA, 1.5, "01")], 30.0), read_path),
     "factors": Kind("gains.json", lambda p: write_factors(p, {"cam1": np.ones((2, 3))}), lambda p: read_factors([p])),
+    "readouts": Kind(
+        "shutter.json", lambda p: write_readouts(p, [Readout("cam1", 0.02, 0.001, 0.02, "")]), read_readouts
+    ),
     "room": Kind("room.json", lambda p: write_json(p, ROOM), read_room),
     "solids": Kind("primitives.json", lambda p: write_primitives(p, [SOLID]), read_primitives),
     "lenses": Kind("calibration.json", lambda p: write_json(p, {"lenses": [LENS.as_json()]}), read_lenses),

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.rig.body_points import Tracks
 from studiorecon.scene.camera import Camera
-from studiorecon.survey.bodies import Tracks
 from studiorecon.survey.clips import Film
 from studiorecon.survey.evidence import Material
 from studiorecon.survey.exposures import ExposureView

@@ -11,6 +11,7 @@ from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless
 from studiorecon.images.plate import write_plate
+from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.decisions import Decision
@@ -18,7 +19,6 @@ from studiorecon.scene.people import write_identities, write_people
 from studiorecon.scene.room import RoomBox, write_room
 from studiorecon.settings import load
 from studiorecon.survey import decide as step
-from studiorecon.survey.bodies import tracks
 from studiorecon.survey.effects import ARTEFACTS
 from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Material

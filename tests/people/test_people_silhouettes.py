@@ -311,7 +311,7 @@ def test_an_undetected_person_of_a_made_take_comes_out(root: Path, default_setti
     assert front_end_of(open_dataset(tmp_path / "dataset"), root, out, default_settings)[0] == ["p0", "p1"]
     options = settings_module.load(fit.Settings, default_settings("people"), "people")
     files = [out / f"cam{i}.npz" for i in range(1, 5)]
-    places = [], [out / "silhouettes/p1.npz"], root / "resources/body.npz", out / "p1.npz"
+    places = [], [out / "silhouettes/p1.npz"], [], root / "resources/body.npz", out / "p1.npz"
     fit.run(options, "p1", out / "model/images.txt", out / "manifest.json", files, *places)
     with np.load(tmp_path / "truth/bodies/p0.npz") as truth:
         error_mm = 1000 * np.linalg.norm(read_person(out / "p1.npz").joints - truth["joints"], axis=-1)

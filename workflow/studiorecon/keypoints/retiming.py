@@ -55,14 +55,26 @@ def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> De
     late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
     if not late.any() and not readout:
         return seen
+    return replace(seen, keypoints=_along_tracks(seen, late[seen.frame], readout, height_px))
+
+
+def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float) -> np.ndarray:
+    """(D, K, 3) the keypoints of ``seen`` at its frames, of pictures that come ``late`` (D,) frames after them."""
     keypoints = seen.keypoints.copy()
     for track in np.unique(seen.track):
         mine = np.flatnonzero(seen.track == track)
         mine = mine[np.argsort(seen.frame[mine], kind="stable")]
-        frame = seen.frame[mine]
-        times = frame + late[frame]
+        frame, times = seen.frame[mine], seen.frame[mine] + late[mine]
         keypoints[mine] = _resampled(seen.keypoints[mine], times, seen.keypoints[mine], frame, readout, height_px)
-    return replace(seen, keypoints=keypoints)
+    return keypoints
+
+
+def with_all_rows_at_once(seen: Detections, readout_frames: float, height_px: float) -> Detections:
+    """``seen`` at its own frames, as a camera would have it that takes no ``readout_frames`` from its first row to the
+    last of ``height_px``: each keypoint moved along its track, as in ``on_common_clock``."""
+    if not readout_frames:
+        return seen
+    return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_frames, height_px))
 
 
 def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detections:

@@ -22,9 +22,10 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations, smoothing
-from studiorecon.geometry.scale import scene_scale
 from studiorecon.keypoints.layouts import OTHER_SIDE
+from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people.fitting.legs import seated
+from studiorecon.people.fitting.limbs import limb_ratio, size_of
 from studiorecon.people.fitting.points import Points, lift, observations
 from studiorecon.people.fitting.surface import surface_of
 from studiorecon.people.shared import Hulled, Smoothed, Triangulated
@@ -33,20 +34,8 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Person, read_detections, read_identities
+from studiorecon.scene.readouts import read_readouts
 from studiorecon.signature import Written
-
-
-def _pairs(*limbs: tuple[str, str]) -> tuple[tuple[str, str], ...]:
-    """Ends of ``limbs`` on both sides, as keypoints on the body's surface and as joints inside it are called."""
-    return tuple((f"{s}_{a}{k}", f"{s}_{b}{k}") for k in ("", "_joint") for s in ("left", "right") for a, b in limbs)
-
-
-_LIMBS = _pairs(("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
-# Between neighbouring joints: however somebody bends, they stay as long (Eq. 3, "reliable bone pairs").
-_BONES = (*_LIMBS, *_pairs(("elbow", "wrist")))
-
-# A toddler and the tallest who ever lived, over a mean adult.
-_SIZES = 0.4, 1.6
 
 # Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
 # them.
@@ -144,7 +133,7 @@ def fit_person(
     options = fitting.FitSettings(
         **{f.name: getattr(keys, f.name) for f in fields(keys) if f.name in _FITTED}, free_scale=False
     )
-    size = _size(person, points, body) if keys.scale == "bones" else 1.0
+    size = size_of(person, points, body) if keys.scale == "bones" else 1.0
     solve = paper_solver.fit if keys.solver == "paper" else fitting.fit
     own_body = body if size == 1.0 else body.scaled(size)
     result = solve(own_body, points.names, points.points_m, points.sigma_m, options, surface)
@@ -180,33 +169,6 @@ def fit_person(
             "bent as somebody sits, a guess that the joints' deviations mark"
         )
     return _person(person, local, result.trans_m, betas, valid, result.joint_sigma_m, body, fps, settings), result
-
-
-def _size(person: str, points: Points, body: BodyModel) -> float:
-    """s* of one person: triangulated over template bones (paper, Eq. 3); 1, and said, where too few bones are seen.
-
-    Raises UserError for a size that nobody has."""
-    known = [name for name in points.names if name in body.keypoint_names]
-    rows = [points.names.index(name) for name in known]
-    bones = [(known.index(a), known.index(b)) for a, b in _BONES if a in known and b in known]
-    template_m = body.keypoints(known, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))
-    seen_m, sigma_m = points.points_m[None, :, rows], points.sigma_m[None, :, rows]
-    found = scene_scale(
-        seen_m, template_m, np.array(bones, dtype=np.int64).reshape(-1, 2), np.isfinite(seen_m).all(-1), sigma_m
-    )
-    if not found.determined:
-        say(f"{person}: the body model keeps its own size, for {found.reason}")
-        return 1.0
-    if not _SIZES[0] <= found.world_per_metre <= _SIZES[1]:
-        raise UserError(
-            f"person {person}: the bones are {found.world_per_metre:.2f} times as long as a mean adult's, which no "
-            "person's are; check that the calibration is in metres"
-        )
-    say(
-        f"{person}: bones are {found.world_per_metre:.3f} times as long as the body model's (s*, single bones "
-        f"scatter by {100 * found.spread:.0f} %)"
-    )
-    return found.world_per_metre
 
 
 def fit_standing(
@@ -276,19 +238,6 @@ def _person(
     )
 
 
-def limb_ratio(points: Points, fitted: Person, body: BodyModel) -> float:
-    """Median of measured over fitted limb lengths, long bones only (S04, S05); NaN when none was measured."""
-    at = {n: k for k, n in enumerate(points.names)}
-    model = body.keypoints(points.names, fitted.poses, fitted.betas, fitted.trans)
-    ratios = []
-    for a, b in _LIMBS:
-        if a in at and b in at:
-            measured = np.linalg.norm(points.points_m[:, at[a]] - points.points_m[:, at[b]], axis=-1)
-            ratios.append(measured / np.linalg.norm(model[:, at[a]] - model[:, at[b]], axis=-1))
-    found = np.concatenate(ratios)[np.isfinite(np.concatenate(ratios))] if ratios else np.zeros(0)
-    return float(np.median(found)) if len(found) else float("nan")
-
-
 def _say_filled(fitted: Person) -> None:
     if not fitted.valid.all():
         say(
@@ -316,12 +265,14 @@ def run(
     detections: list[Path],
     identities: list[Path],
     standing: list[Path],
+    shutter: list[Path],
     body: Path,
     fit: Written,
 ) -> None:
     """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``.
 
-    ``identities`` says which tracks are the person's; of somebody without keypoints there is ``standing`` instead.
+    ``identities`` says which tracks are the person's, ``shutter`` by how much rows look one after the other, if at
+    all; of somebody without keypoints there is ``standing`` instead.
     """
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)
@@ -336,6 +287,9 @@ def run(
     missing = [d.camera for d in seen if d.camera not in cameras]
     if missing:
         raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
+    if shutter:
+        took_s = read_readouts(shutter[0])
+        seen = [with_all_rows_at_once(d, took_s[d.camera] * footage.fps, cameras[d.camera].wh[1]) for d in seen]
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)

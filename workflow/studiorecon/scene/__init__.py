@@ -16,7 +16,7 @@ Here are nouns and the files they live in, and nothing of this package but error
   names;
 * ``files``: files that are complete or absent; ``intermediate``: read back whole and finite; ``dataset`` and
   ``capture_yaml``: what the user brings;
-* ``camera``, ``path``, ``clocks``, ``capture``: cameras, camera paths, times, and the working footage;
+* ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;
 * ``raw_detections``, ``people``: who was detected, who is who, and bodies over time;
 * ``room``, ``gaussians``, ``gaussians_ply``, ``provenance``: the room's box, Gaussians, and what is measured of them;
 * ``stand_ins``: how films name people of photos; ``support``: how well photos show a view;

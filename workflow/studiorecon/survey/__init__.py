@@ -4,8 +4,8 @@ effect, and the files that later steps divide out of the pictures. In the order 
 
 * ``decide``: the step; ``judge``: from measurements to decisions, in the order in which one effect hides another;
 * ``effects``: one file per effect, and the list of them;
-* ``evidence``: what they are measured on, and what several of them ask: ``clips`` (pictures over time), ``bodies``
-  (keypoints), ``exposures`` and ``specularity`` (colours of surfaces that cameras share), ``stillness`` (shifts and
-  light), ``residuals`` and ``motion`` (lens, clock, readout), ``resolution``, ``coverage``, ``scene_change``;
+* ``evidence``: what they are measured on, and what several of them ask: ``clips`` (pictures over time),
+  ``exposures`` and ``specularity`` (colours of surfaces that cameras share), ``stillness`` (shifts and light),
+  ``motion`` (lens, clock, readout), ``resolution``, ``coverage``, ``scene_change``;
 * ``brightness``: every frame's light, where it changes.
 """

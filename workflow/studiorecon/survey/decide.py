@@ -16,13 +16,13 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
 from studiorecon.progress import say
+from studiorecon.rig.body_points import tracks
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import forced, switched_on, write_decisions
 from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
 from studiorecon.scene.room import read_room
 from studiorecon.signature import Written
-from studiorecon.survey.bodies import tracks
 from studiorecon.survey.clips import read_film
 from studiorecon.survey.effects import EARLY, EFFECTS
 from studiorecon.survey.evidence import Evidence, Material, Recordings

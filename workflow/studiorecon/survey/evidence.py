@@ -15,13 +15,13 @@ from studiorecon.footage.stills import shrink
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.exposure import Overlap
 from studiorecon.images.plate import noise_levels
+from studiorecon.rig.body_points import Tracks
+from studiorecon.rig.residuals import Causes, causes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.survey import scene_change, stillness
-from studiorecon.survey.bodies import Tracks
 from studiorecon.survey.clips import Film, halved
 from studiorecon.survey.exposures import LEAST_PIXELS, ExposureView, disagreement, overlaps
-from studiorecon.survey.residuals import Causes, causes
 
 # What counts as agreement of rays (U34, T01, T06).
 LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)

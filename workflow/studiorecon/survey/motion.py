@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from studiorecon.rig.residuals import Causes
 from studiorecon.scene.camera import Camera
-from studiorecon.survey.residuals import Causes
 
 # Pixels are meant at this width; working frames of another have as much less or more.
 AT_WIDTH = 1280.0

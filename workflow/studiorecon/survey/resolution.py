@@ -10,8 +10,8 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, Estimate, median, share
 from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.body_points import Tracks, in_world
 from studiorecon.scene.camera import Camera
-from studiorecon.survey.bodies import Tracks, in_world
 
 # Metres from wrist to fingertips, and from chin to crown, of a mean adult.
 HAND_M, HEAD_M = 0.19, 0.22

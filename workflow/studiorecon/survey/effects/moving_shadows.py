@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from studiorecon.geometry.statistics import NOTHING
-from studiorecon.survey.bodies import in_world
+from studiorecon.rig.body_points import in_world
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import LIMITS, Evidence
 from studiorecon.survey.scene_change import floor_ring, most, shadow_share

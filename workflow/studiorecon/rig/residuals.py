@@ -244,7 +244,7 @@ def _whole_frames(
 ) -> np.ndarray:
     """(V,) whole frames by which cameras look later: one camera at a time, taken only when it halves the residual."""
     lag = np.zeros(len(cameras))
-    if not pixels.size or len(cameras) < 3 or pixels.shape[2] < 4 * (search + _REACH):
+    if not search or not pixels.size or len(cameras) < 3 or pixels.shape[2] < 4 * (search + _REACH):
         return lag
     # A third of the moments is enough to see a lag of whole frames.
     few = max(moments // 3, _LEAST_MOMENTS)

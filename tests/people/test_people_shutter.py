@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows that look one after the other: found from people who walk, not invented, and taken out of their keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.camera_files.colmap import write_model
+from studiorecon.keypoints.retiming import with_all_rows_at_once
+from studiorecon.people import shutter as step
+from studiorecon.rig.body_points import Tracks
+from studiorecon.rig.readout import readouts
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import Footage, Manifest, write_manifest
+from studiorecon.scene.people import Detections, write_detections, write_identities
+from studiorecon.scene.readouts import read_readouts
+
+from tests.made.studio_world import FPS, FRAMES, Plan, cameras_of, seen_keypoints
+
+PLANTED_S = 0.9 / FPS
+
+
+def walked(seed: int, **planted: object) -> tuple[Tracks, list[Camera]]:
+    plan = replace(Plan(), **planted)
+    cameras = cameras_of(plan)
+    return seen_keypoints(plan, seed, cameras), cameras
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_planted_readout_is_found_in_its_camera_alone(seed: int) -> None:
+    seen, cameras = walked(seed, readout=0.9)
+    told = readouts(seen.pixels, cameras, FPS)
+    assert [one.camera for one in told if one.used_s] == [cameras[-1].name], told
+    assert told[-1].used_s == pytest.approx(PLANTED_S, abs=max(4 * (told[-1].sigma_s or 0), 0.1 * PLANTED_S))
+
+
+@pytest.mark.parametrize("planted", [{}, {"lag_frames": 0.5}, {"k1": 0.06}, {"speed_m_s": 0.02, "readout": 0.9}])
+def test_nothing_is_moved_that_another_cause_explains(planted: dict) -> None:
+    for seed in range(6):
+        seen, cameras = walked(seed, **planted)
+        told = readouts(seen.pixels, cameras, FPS)
+        assert not any(one.used_s for one in told), told
+        assert all(one.reason for one in told)
+
+
+def test_a_time_that_no_sensor_takes_is_not_believed() -> None:
+    seen, cameras = walked(2, readout=1.5)
+    assert "no sensor takes that long" in readouts(seen.pixels, cameras, FPS)[-1].reason
+
+
+def test_nobody_tells_nothing() -> None:
+    told = readouts(np.full((4, 0, 10, 25, 2), np.nan), cameras_of(Plan()), FPS)
+    assert {(one.readout_s, one.used_s) for one in told} == {(None, 0.0)}
+
+
+def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen, cameras = walked(3, readout=0.9)
+    straight, _ = walked(3)
+    files = []
+    for view, camera in enumerate(cameras):
+        keypoints = np.concatenate([seen.pixels[view, 0], seen.confidence[view, 0][..., None]], axis=-1)
+        one = Detections(camera.name, "body_25", np.arange(FRAMES), np.zeros(FRAMES, int), keypoints)
+        files.append(tmp_path / f"{camera.name}.npz")
+        write_detections(files[-1], one)
+    write_model(tmp_path, cameras)
+    footage = [
+        Footage(c.name, False, c.wh, c.intrinsics.tolist(), FPS, FRAMES, 0, "x", "", c.wh, 0, 0.0, []) for c in cameras
+    ]
+    write_manifest(tmp_path / "manifest.json", Manifest("walk", FPS, FRAMES, tuple(footage)))
+    write_identities(tmp_path / "identities.tsv", {(c.name, 0): "p0" for c in cameras})
+    step.run(
+        tmp_path / "images.txt",
+        tmp_path / "manifest.json",
+        files,
+        tmp_path / "identities.tsv",
+        tmp_path / "shutter.json",
+    )
+    took_s = read_readouts(tmp_path / "shutter.json")
+    assert f"{cameras[-1].name} reads its rows in" in capsys.readouterr().out
+    moved = with_all_rows_at_once(one, took_s[cameras[-1].name] * FPS, cameras[-1].wh[1])
+    wanted = straight.pixels[-1, 0]
+    both = np.isfinite(wanted).all(-1) & np.isfinite(one.keypoints[..., :2]).all(-1)
+    before, after = (np.abs(d.keypoints[..., :2] - wanted)[both].mean() for d in (one, moved))
+    assert after < 0.6 * before, (before, after)
+    assert with_all_rows_at_once(one, 0.0, 100) is one
