@@ -14,6 +14,10 @@ import pytest
 # several times slower. Said before numpy is imported, and inherited by the workers.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from studiorecon.__main__ import KERNELS  # after that, and before numba is imported
+
+os.environ.update({name: os.environ.get(name, chosen) for name, chosen in KERNELS.items()})
+
 from tests import defaults  # after that
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -30,6 +30,11 @@ from studiorecon.progress import fail, logged
 from studiorecon.step_settings import section_of
 
 _MOST_PIXELS = 2**28
+# ``kernel_cache``, by name: what is imported here is part of every step's digest, and where machine code lies changes
+# no result. numba's own follow for everybody else's functions.
+_OWN, _NUMBAS = "studiorecon.kernel_cache.ByContent", "InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator"
+KERNELS = {"NUMBA_CACHE_LOCATOR_CLASSES": f"{_OWN},UserProvidedCacheLocator,{_NUMBAS}"}
+"""Where numba keeps machine code."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -81,6 +86,8 @@ def _keep_to_the_threads_given() -> None:
     # numba's own threads come with its wheel. The others are the system's (libgomp), which a bare machine lacks, and
     # which wait for one another in busy loops: several times slower as soon as two jobs share the cores.
     os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")
+    for variable, chosen in KERNELS.items():
+        os.environ.setdefault(variable, chosen)
     # numpy's linear algebra waits in busy loops as well: on the small matrices here its threads cost time and win none
     # (filming the demo's studio takes 1.8 times the processor time with two), and their number changes last bits.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -29,7 +29,7 @@ def digest(step: str, by_name: Iterable[str] = ()) -> str:
     # The command line reads the settings of every step, so it belongs to each of them.
     files = reached(["__main__", step, *by_name])
     text = "\n".join(f"{name} {_read(files[name])[0]}" for name in sorted(files))
-    _remember()
+    remember()
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -112,7 +112,8 @@ def _known(memory: Path) -> _Known:
     return known
 
 
-def _remember() -> None:
+def remember() -> None:
+    """Keep what was read of sources for the next process."""
     memory = _memory()
     known = _known(memory)
     if len(known) == known.stored:

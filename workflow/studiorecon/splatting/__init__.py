@@ -12,6 +12,6 @@ In come ``scene.gaussians.Gaussians`` and cameras; out come pictures, gradients,
 ``train``        the one training loop, its terms, optimiser and density control
 ``reference``    the slow float64 truth that tests compare with
 
-numba compiles a kernel when it is first called and keeps the machine code beside the source (or in NUMBA_CACHE_DIR when
-the package folder cannot be written), so who only renders never compiles the gradients.
+numba compiles a kernel when it is first called and keeps the machine code in the user's cache
+(``kernel_cache``) or in NUMBA_CACHE_DIR, so who only renders never compiles the gradients.
 """

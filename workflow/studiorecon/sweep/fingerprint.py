@@ -14,7 +14,7 @@ from typing import Any
 
 import psutil
 
-import studiorecon
+from studiorecon import kernel_cache
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "snakemake")
 
@@ -61,9 +61,7 @@ def busy_s() -> tuple[float, float]:
 def compiled_since(moment_s: float) -> bool:
     """Whether numba has compiled kernels since then (seconds of the epoch): whoever did paid for all who use them
     later."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    place = Path(given) if given else Path(studiorecon.__file__).parent
-    return any(path.stat().st_mtime >= moment_s for path in place.rglob("*.nbc"))
+    return any(path.stat().st_mtime >= moment_s for path in kernel_cache.folder().rglob("*.nbc"))
 
 
 def _processor() -> str:
