@@ -134,9 +134,10 @@ rule background_train:
         "logs/{scene}/background/train.log",
     benchmark:
         "benchmarks/{scene}/background/train.tsv"
+    priority: 5
     container:
         image(PLAN.networks.drawn_by)
-    threads: 2
+    threads: beside(2)  # people are trained meanwhile
     resources:
         mem_mb=3000,
         gpu=PLAN.networks.drawing_gpus,

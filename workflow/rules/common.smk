@@ -102,6 +102,14 @@ def no_container(wildcards):
     return None
 
 
+def beside(jobs, most=2):
+    """Threads of a job that runs beside others, so many in all: a second thread makes it faster by a third, a second job twice as much
+    is done."""
+    cores = workflow.resource_settings.cores
+    # On a cluster each has a machine of its own.
+    return most if cores is None or workflow.remote_exec else max(1, min(most, cores // jobs))
+
+
 def every_core(wildcards):
     """All that --cores allows. Asked only when the job is planned: --unlock and --lint are given no number."""
     return workflow.cores

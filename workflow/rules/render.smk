@@ -56,11 +56,11 @@ rule render_shot:
         "logs/{scene}/render/shot/{shot}.log",
     benchmark:
         "benchmarks/{scene}/render/shot/{shot}.tsv"
-    # Both cores are free when a film ends: the next one comes before what needs one core, or it would wait for that.
+    # Before what shows the scene otherwise, and is read later.
     priority: 10
     container:
         image(PLAN.networks.drawn_by)
-    threads: 2
+    threads: beside(len(PLAN.shots))
     resources:
         mem_mb=2000,
         gpu=PLAN.networks.drawing_gpus,

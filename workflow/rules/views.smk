@@ -43,6 +43,8 @@ if PLAN.networks.views == "warp":
             "logs/{scene}/views/{segment}.log",
         benchmark:
             "benchmarks/{scene}/views/{segment}.tsv"
+        # The room waits for all of them and is trained longest: before masks, which people wait for.
+        priority: 5
         container:
             image("core")
         threads: 1
