@@ -137,7 +137,7 @@ rule background_train:
     priority: 5
     container:
         image(PLAN.networks.drawn_by)
-    threads: beside(2)  # people are trained meanwhile
+    threads: threads_beside(2)  # people are trained meanwhile
     resources:
         mem_mb=3000,
         gpu=PLAN.networks.drawing_gpus,

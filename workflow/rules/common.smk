@@ -102,7 +102,7 @@ def no_container(wildcards):
     return None
 
 
-def beside(jobs, most=2):
+def threads_beside(jobs, most=2):
     """Threads of a job that runs beside others, so many in all: a second thread makes it faster by a third, a second job twice as much
     is done."""
     cores = workflow.resource_settings.cores

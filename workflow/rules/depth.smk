@@ -86,7 +86,7 @@ rule depth_room:
         "benchmarks/{scene}/depth/room.tsv"
     container:
         image("core")
-    threads: beside(2)  # people are found meanwhile
+    threads: threads_beside(2)  # people are found meanwhile
     resources:
         mem_mb=2500,
     params:

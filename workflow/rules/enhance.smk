@@ -29,7 +29,7 @@ rule enhance_shot:
     priority: 10
     container:
         model_image(PLAN.networks.enhance)
-    threads: beside(len(PLAN.shots))
+    threads: threads_beside(len(PLAN.shots))
     resources:
         mem_mb=1500,
         gpu=gpus(PLAN.networks.enhance),

@@ -60,7 +60,7 @@ rule render_shot:
     priority: 10
     container:
         image(PLAN.networks.drawn_by)
-    threads: beside(len(PLAN.shots))
+    threads: threads_beside(len(PLAN.shots))
     resources:
         mem_mb=2000,
         gpu=PLAN.networks.drawing_gpus,
