@@ -84,6 +84,8 @@ rule depth_room:
         "logs/{scene}/depth/room.log",
     benchmark:
         "benchmarks/{scene}/depth/room.tsv"
+    # Everything that is drawn waits for it; bodies, which are fitted meanwhile, take less long.
+    priority: 5
     container:
         image("core")
     threads: threads_beside(2)  # people are found meanwhile
