@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
-from studiorecon.calibration.room_edges import edges_of
+from studiorecon.calibration.room_edges import edges_of, straight_edges
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.images.edges import straight_edges
 from studiorecon.rig.room_turns import room_turns
 from studiorecon.scene.camera import Camera
 

@@ -11,8 +11,8 @@ import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people import shutter as step
+from studiorecon.people.shutter import readouts
 from studiorecon.rig.body_points import Tracks
-from studiorecon.rig.readout import readouts
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.people import Detections, write_detections, write_identities

@@ -14,8 +14,8 @@ from studiorecon.images.plate import write_plate
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.people import Detections
 from studiorecon.survey import decide as step
-from studiorecon.survey.brightness import course_of
 from studiorecon.survey.effects import EXPOSURE
+from studiorecon.survey.effects.changing_light import course_of
 from studiorecon.survey.effects.exposure import gains_called_for
 
 from tests.made.survey import decided, files, floor_view, ring, settings  # noqa: F401  (fixtures)

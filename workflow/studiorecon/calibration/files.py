@@ -15,7 +15,7 @@ from studiorecon.calibration.formats import FORMATS, accepted
 from studiorecon.calibration.formats.reading import Reading
 from studiorecon.calibration.names import match_in_order, match_names
 from studiorecon.calibration.world import metres_per_unit, settled, z_up_from_world
-from studiorecon.camera_files.plausible import check_camera
+from studiorecon.camera_files.raw_camera import check_camera
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.geometry.lens import calibration_from_video

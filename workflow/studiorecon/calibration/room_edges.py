@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The straight edges of the empty room in every camera's footage: what stays where it is while people pass."""
+"""The straight edges of the empty room in every camera's footage: what stays where it is while people pass.
+
+By the line segment detector (Grompone von Gioi et al. 2010).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from studiorecon.arrays import require
 from studiorecon.errors import UserError
 from studiorecon.footage.source import open_source, stills
-from studiorecon.images.edges import straight_edges
 from studiorecon.progress import warn
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # Pictures whose median is the room, spread over the footage.
 _PICTURES = 9
@@ -41,3 +48,14 @@ def edges_of(
             room = np.median(np.stack(seen), axis=0).astype(np.uint8)
             found[camera] = straight_edges(room, _LEAST_SHARE * max(room.shape))
     return found
+
+
+def straight_edges(grey: Num[np.ndarray, "H W"], least_px: float) -> Num[np.ndarray, "N 4"]:
+    """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are at least ``least_px`` long,
+    centres of pixels at +0.5. Raises ValueError for another shape."""
+    require("grey", grey, ("H", "W"))
+    found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(np.ascontiguousarray(grey))[0]
+    if found is None:
+        return np.zeros((0, 4))
+    ends = found.reshape(-1, 4).astype(np.float64) + 0.5
+    return ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= least_px]

@@ -3,8 +3,8 @@
 
 Read in this order:
 
-* ``raw_camera``: one camera of somebody else's file, and the checks that every reader of such files shares;
-* ``plausible``: whether such a camera can be one;
+* ``raw_camera``: one camera of somebody else's file, whether it can be one, and the checks that every reader of such
+  files shares;
 * ``colmap_models``, ``transforms_json``: the two foreign kinds that more than one stage reads;
 * ``calibration``: the lenses in our own ``calibration.json``;
 * ``colmap``: the undistorted cameras that all later steps read, as COLMAP text.

@@ -4,7 +4,6 @@
 In come (H, W[, 3]) arrays; out come arrays and figures. No files but plates and PNG.
 
 * ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
-* ``edges``: what is straight in a picture;
 * ``encoded``: pictures as PNG and JPEG;
 * ``plate``, ``difference``, ``exposure``, ``colours``: what stays put, what differs from it, and how cameras agree;
 * ``flow``, ``transfer`` (inner loops: ``lookup``): where pixels go, and what renders miss carried to other views;

@@ -1,22 +1,82 @@
 # SPDX-License-Identifier: Apache-2.0
 """``people.shutter``: whose rows look one after the other, as everybody who moves tells. Bodies are fitted to keypoints
-that are moved by it; the pictures stay as they were taken."""
+that are moved by it; the pictures stay as they were taken.
+
+A rolling shutter shows feet later than heads: who walks past leans, by as much more as the camera is nearer. A readout
+is believed only when the whole clip and each half of it say the same, when it is one that sensors have, and when it
+moves somebody by a pixel: what is believed wrongly bends bodies that were straight.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.geometry.triangulation import Limits
 from studiorecon.progress import say
 from studiorecon.rig.body_points import tracks
-from studiorecon.rig.readout import readouts
+from studiorecon.rig.residuals import Causes, causes
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import read_detections, read_identities
-from studiorecon.scene.readouts import write_readouts
+from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
 
 # Keypoints that are less sure only cost time.
 _LEAST = 0.3
+# What counts as agreement of rays, as for every other effect (U34).
+_LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
+_MOMENTS = 60
+# Standard errors that the whole clip, and each half, must be away from none.
+_CLEAR, _HALF_CLEAR = 3.0, 1.5
+# Rows of video sensors take 5 to 33 ms; no frame lasts shorter than its readout.
+_LONGEST_S, _LONGEST_FRAMES = 0.04, 1.05
+# Less than this, at 1280 wide, is not worth moving anything for; who moves slower than so much a frame tells nothing.
+_SHIFT_PX, _SLOWEST_PX, _AT_WIDTH = 1.0, 2.0, 1280.0
+
+
+def readouts(pixels: np.ndarray, cameras: Sequence[Camera], fps: float) -> list[Readout]:
+    """The readout of every camera, from people's keypoints (V, P, T, J, 2) on the common clock, NaN where not seen."""
+    whole = _told(pixels, cameras)
+    middle = pixels.shape[2] // 2
+    halves = [_told(part, cameras) for part in (pixels[:, :, :middle], pixels[:, :, middle:])]
+    found = []
+    for v, camera in enumerate(cameras):
+        reason = whole.reason or _doubt(v, camera, fps, whole, halves)
+        used_s = 0.0 if reason else float(whole.readout[v]) / fps
+        readout_s, sigma_s = (_known(x[v] / fps) for x in (whole.readout, whole.readout_sigma))
+        found.append(Readout(camera.name, readout_s, sigma_s, used_s, reason))
+    return found
+
+
+def _known(value: float) -> float | None:
+    return round(float(value), 6) if np.isfinite(value) else None
+
+
+def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Causes:
+    return causes(pixels, cameras, _MOMENTS, 0, _LIMITS)
+
+
+def _doubt(view: int, camera: Camera, fps: float, whole: Causes, halves: Sequence[Causes]) -> str:
+    """Why the readout of a camera is not used; "" where it is."""
+    to_width = _AT_WIDTH / max(camera.wh)
+    speed_px = whole.speed_px[0] * to_width
+    if not speed_px >= _SLOWEST_PX:
+        return f"people move by {speed_px:.1f} px per frame (at {_AT_WIDTH:.0f} wide), which tells nothing"
+    value, sigma = float(whole.readout[view]), float(whole.readout_sigma[view])
+    if not abs(value) > _CLEAR * sigma:
+        return "no readout is needed to explain what people do"
+    if abs(value) * whole.speed_px[1] * whole.rows * to_width < _SHIFT_PX:
+        return "it would move nobody by a pixel"
+    if abs(value) > min(_LONGEST_FRAMES, _LONGEST_S * fps):
+        return "no sensor takes that long: something else bends people, its lens or its pose"
+    for half in halves:
+        if half.reason or not half.readout[view] * np.sign(value) > _HALF_CLEAR * half.readout_sigma[view]:
+            return "the two halves of the clip do not both say so"
+    return ""
 
 
 def run(model: Path, manifest: Path, detections: list[Path], identities: Path, shutter: Written) -> None:

@@ -10,6 +10,6 @@ is.
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out``: those that only judge;
   ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that all
   others contradict; ``body_points``: people's keypoints by their names; ``residuals``: why their rays do not meet;
-  ``readout``: rows that look one after the other; ``human_size``: another unit than metres; ``sheet``: the picture of
+  ``human_size``: another unit than metres; ``sheet``: the picture of
   it all.
 """
