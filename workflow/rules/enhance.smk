@@ -25,8 +25,8 @@ rule enhance_shot:
         "logs/{scene}/enhance/shot/{shot}.log",
     benchmark:
         "benchmarks/{scene}/enhance/shot/{shot}.tsv"
-    # As render_shot.
-    priority: 10
+    # Before the next film is drawn.
+    priority: 12
     container:
         model_image(PLAN.networks.enhance)
     threads: threads_beside(len(PLAN.shots))

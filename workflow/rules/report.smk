@@ -47,6 +47,8 @@ rule report_recognition:
         "logs/{scene}/report/recognition.log",
     benchmark:
         "benchmarks/{scene}/report/recognition.tsv"
+    # The page waits for it, and for what is measured after it, longer than for anything beside it.
+    priority: 20
     container:
         image("core")
     threads: 1
@@ -90,6 +92,7 @@ rule report_evaluate:
         "logs/{scene}/report/evaluate.log",
     benchmark:
         "benchmarks/{scene}/report/evaluate.tsv"
+    priority: 20
     container:
         image(PLAN.networks.drawn_by)
     threads: 1  # of two, all but LPIPS would leave one idle
