@@ -93,7 +93,7 @@ KINDS = {
     "path": Kind("path.json", lambda p: write_path(p, [PathStep(CAMERA, 1.5, "01")], 30.0), read_path),
     "factors": Kind("gains.json", lambda p: write_factors(p, {"cam1": np.ones((2, 3))}), lambda p: read_factors([p])),
     "readouts": Kind(
-        "shutter.json", lambda p: write_readouts(p, [Readout("cam1", 0.02, 0.001, 0.02, "")]), read_readouts
+        "readouts.json", lambda p: write_readouts(p, [Readout("cam1", 0.02, 0.001, 0.02, "")]), read_readouts
     ),
     "room": Kind("room.json", lambda p: write_json(p, ROOM), read_room),
     "solids": Kind("primitives.json", lambda p: write_primitives(p, [SOLID]), read_primitives),

@@ -281,7 +281,7 @@ def test_run_writes_the_same_bytes_twice(
             detections=paths,
             identities=[tmp_path / "identities.tsv"],
             standing=[],
-            shutter=[],
+            readouts=[],
             body=root / "resources/body.npz",
             fit=out,
         )

@@ -181,29 +181,6 @@ rule people_review:
         command("people.review")
 
 
-rule people_shutter:
-    input:
-        model=MODEL,
-        manifest="results/{scene}/capture/manifest.json",
-        detections=files.detections,
-        identities="results/{scene}/people/identities.tsv",
-    output:
-        shutter="results/{scene}/people/shutter.json",
-    log:
-        "logs/{scene}/people/shutter.log",
-    benchmark:
-        "benchmarks/{scene}/people/shutter.tsv"
-    container:
-        image("core")
-    threads: 1
-    resources:
-        mem_mb=1000,
-    params:
-        code=code("people.shutter"),
-    shell:
-        command("people.shutter")
-
-
 rule people_fit:
     input:
         model=MODEL,
@@ -211,7 +188,7 @@ rule people_fit:
         detections=files.detections,
         identities=files.tracks_of,
         standing=files.silhouettes_of,
-        shutter=files.shutter_for,
+        readouts=files.readouts_for,
         body=files.body,
     output:
         fit="results/{scene}/people/{person}.npz",

@@ -3,8 +3,7 @@
 
 In come cameras, detections and plates; out come ``people.tsv``, ``identities.tsv`` and one motion per person. Steps,
 in the order of the data: ``second_look`` (pictures once more, where ``expected`` says somebody must be),
-``lift`` (pelvises at the scene's depth, on request), ``associate``, ``without_keypoints``, ``shutter`` (rows that look
-one after the other), ``fit``; for people to look at: ``review``, ``overlay``. Below them: ``association`` (tracks to
-persons), ``fitting`` (points to fit a body to), ``silhouettes`` (people without keypoints). ``shared``: settings of
-several steps.
+``lift`` (pelvises at the scene's depth, on request), ``associate``, ``without_keypoints``, ``fit``; for people to look
+at: ``review``, ``overlay``. Below them: ``association`` (tracks to persons), ``fitting`` (points to fit a body to),
+``silhouettes`` (people without keypoints). ``shared``: settings of several steps.
 """

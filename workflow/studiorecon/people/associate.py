@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,20 @@ from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.corrected import read_corrected, rows_of
 from studiorecon.people.association.evidence import EvidenceLimits
 from studiorecon.people.association.left_out import LeftOut, tell
+from studiorecon.people.fitting.readouts import readouts
 from studiorecon.people.shared import Triangulated
 from studiorecon.progress import say, warn
-from studiorecon.scene.capture import read_manifest
+from studiorecon.rig.body_points import tracks
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.capture import Manifest, read_manifest
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import Detections, read_detections, usable, write_identities, write_people
+from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
+
+
+# Keypoints that are less sure only cost time where readouts are estimated.
+_SURE = 0.3
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,8 @@ def run(
     rejected).
 
     ``association`` (json) says why, per track, for the identity page. The folder ``who`` has a file per person, so that
-    a change of one person's tracks is no change of another's: <person>.tsv, that person's lines of ``identities``.
+    a change of one person's tracks is no change of another's: <person>.tsv, that person's lines of ``identities``; and
+    readouts.json, by how much every camera's rows look one after the other.
     ``corrected`` is the user's own identities.tsv, or nothing: it is taken as it stands.
     """
     cameras, found = read_model(model.parent), read_manifest(manifest)
@@ -102,15 +111,38 @@ def run(
     told = [
         {"name": one.name, "reason": one.reason, "tracks": one.tracks, "lines": one.lines(newcomer)} for one in missed
     ]
+    rows_look = _readouts(given, table, cameras, found)
     write_json(
         association,
-        _as_json(verdicts, given, bool(corrected)) | {"unusable_keypoints": sum(unusable), "left_out": told},
+        _as_json(verdicts, given, bool(corrected))
+        | {
+            "unusable_keypoints": sum(unusable),
+            "left_out": told,
+            "readouts": [asdict(one) for one in rows_look],
+        },
     )
     # Also where nobody is.
     who.mkdir(parents=True, exist_ok=True)
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
+    write_readouts(who / "readouts.json", rows_look)
     tell(missed, newcomer)
+
+
+def _readouts(
+    given: Sequence[Detections], whose: Mapping[tuple[str, int], str], cameras: Sequence[Camera], footage: Manifest
+) -> list[Readout]:
+    """Every camera's readout, from the keypoints of everybody who is known by name; those that are used are told."""
+    people = sorted({person for person in whose.values() if person})
+    seen = tracks(given, whose, people, footage.frames, _SURE)
+    found = readouts(seen.pixels, cameras, footage.fps)
+    for one in found:
+        if one.used_s:
+            say(
+                f"{one.camera} reads its rows in {1000 * one.used_s:.1f} ± {1000 * (one.sigma_s or 0):.1f} ms: its "
+                "keypoints are moved by as much"
+            )
+    return found
 
 
 def _nobody(camera: str) -> Detections:

@@ -265,13 +265,13 @@ def run(
     detections: list[Path],
     identities: list[Path],
     standing: list[Path],
-    shutter: list[Path],
+    readouts: list[Path],
     body: Path,
     fit: Written,
 ) -> None:
     """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``.
 
-    ``identities`` says which tracks are the person's, ``shutter`` by how much rows look one after the other, if at
+    ``identities`` says which tracks are the person's, ``readouts`` by how much rows look one after the other, if at
     all; of somebody without keypoints there is ``standing`` instead.
     """
     cameras = {c.name: c for c in read_model(model.parent)}
@@ -287,8 +287,8 @@ def run(
     missing = [d.camera for d in seen if d.camera not in cameras]
     if missing:
         raise UserError(f"camera {missing[0]} has detections but is not in the camera model {model.parent}")
-    if shutter:
-        took_s = read_readouts(shutter[0])
+    if readouts:
+        took_s = read_readouts(readouts[0])
         seen = [with_all_rows_at_once(d, took_s[d.camera] * footage.fps, cameras[d.camera].wh[1]) for d in seen]
     body_model = BodyModel.load(body)
     whose = read_identities(identities[0])

@@ -102,9 +102,9 @@ class Files(Brought):
             return []
         return [f"{self._without_keypoints(wildcards).silhouettes}/{wildcards.person}.npz"]
 
-    def shutter_for(self, wildcards: Any) -> list[str]:
+    def readouts_for(self, wildcards: Any) -> list[str]:
         """By how much rows look one after the other, for whoever has keypoints."""
-        return [f"results/{wildcards.scene}/people/shutter.json"] if self.tracks_of(wildcards) else []
+        return [f"{self._associated(wildcards).who}/readouts.json"] if self.tracks_of(wildcards) else []
 
     def fits_with_keypoints(self, wildcards: Any) -> list[str]:
         """Body file of everybody with keypoints."""

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long each camera takes from its first row to its last, as people told: ``people/shutter.json``."""
+"""How long each camera takes from its first row to its last, as people told: ``people/who/readouts.json``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written, read_content
+
+# Seconds, to which a readout is written: what is less moves no keypoint by a tenth of a pixel.
+_DIGITS = 4
 
 
 @dataclass(frozen=True)
@@ -29,12 +32,12 @@ class Readout:
 
 
 def write_readouts(path: Path, readouts: Sequence[Readout]) -> None:
-    """The readouts of all cameras, in their order."""
-    write_json(path, {"cameras": [asdict(one) for one in readouts]})
+    """What is used of all cameras' readouts, in their order, and no more: bodies are fitted again when it changes."""
+    write_json(path, {one.camera: round(one.used_s, _DIGITS) for one in readouts})
 
 
 def read_readouts(path: Path) -> dict[str, float]:
     """Camera → seconds by which its rows are moved; UserError where the file is not as it was written."""
     value = read_content(path)
     with as_written(path):
-        return {str(one["camera"]): float(one["used_s"]) for one in value["cameras"]}
+        return {str(camera): float(used_s) for camera, used_s in value.items()}

@@ -31,7 +31,7 @@ EFFECT = SurveyedEffect(
     statistic="shift over the rows that people cover, at the 95 % speed",
     unit="px at 1280",
     threshold=1.0,
-    obeyed_by="`people.shutter`, which measures it by itself and in both halves of the clip, for `people.fit`",
+    obeyed_by="`people.associate`, which measures it by itself and in both halves of the clip, for `people.fit`",
     hidden_by=("moving_cameras", "lens_distortion", "sync_offset"),
     measure=measure,
 )

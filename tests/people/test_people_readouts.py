@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.keypoints.retiming import with_all_rows_at_once
-from studiorecon.people import shutter as step
-from studiorecon.people.shutter import readouts
+from studiorecon.people import associate as step
+from studiorecon.people.fitting.readouts import readouts
 from studiorecon.rig.body_points import Tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
@@ -72,15 +72,20 @@ def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(
         Footage(c.name, False, c.wh, c.intrinsics.tolist(), FPS, FRAMES, 0, "x", "", c.wh, 0, 0.0, []) for c in cameras
     ]
     write_manifest(tmp_path / "manifest.json", Manifest("walk", FPS, FRAMES, tuple(footage)))
-    write_identities(tmp_path / "identities.tsv", {(c.name, 0): "p0" for c in cameras})
+    write_identities(tmp_path / "corrected.tsv", {(c.name, 0): "p0" for c in cameras})
     step.run(
-        tmp_path / "images.txt",
-        tmp_path / "manifest.json",
-        files,
-        tmp_path / "identities.tsv",
-        tmp_path / "shutter.json",
+        step.Settings(),
+        model=tmp_path / "images.txt",
+        manifest=tmp_path / "manifest.json",
+        detections=files,
+        videos=[],
+        corrected=[tmp_path / "corrected.tsv"],
+        people=tmp_path / "people.tsv",
+        identities=tmp_path / "identities.tsv",
+        association=tmp_path / "association.json",
+        who=tmp_path / "who",
     )
-    took_s = read_readouts(tmp_path / "shutter.json")
+    took_s = read_readouts(tmp_path / "who/readouts.json")
     assert f"{cameras[-1].name} reads its rows in" in capsys.readouterr().out
     moved = with_all_rows_at_once(one, took_s[cameras[-1].name] * FPS, cameras[-1].wh[1])
     wanted = straight.pixels[-1, 0]
