@@ -30,7 +30,6 @@ from studiorecon.scene.people import Detections, read_detections, usable, write_
 from studiorecon.scene.readouts import Readout, write_readouts
 from studiorecon.signature import Written
 
-
 # Keypoints that are less sure only cost time where readouts are estimated.
 _SURE = 0.3
 

@@ -70,4 +70,3 @@ def _doubt(view: int, camera: Camera, fps: float, whole: Causes, halves: Sequenc
         if half.reason or not half.readout[view] * np.sign(value) > _HALF_CLEAR * half.readout_sigma[view]:
             return "the two halves of the clip do not both say so"
     return ""
-
