@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from itertools import zip_longest
 from pathlib import Path
+from typing import IO
 
 import av
 import cv2
@@ -40,6 +41,28 @@ def write_video(path: Path, frames: np.ndarray, fps: int = 30, rotation: int = 0
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
     return path
+
+
+def write_streamed(path: Path, frames: np.ndarray, fps: int = 30) -> Path:
+    """A Matroska film as a recorder streams it: its header tells neither frames nor duration."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "wb") as file, av.open(_Pipe(file), "w", format="matroska", options={"live": "1"}) as container:
+        stream = container.add_stream("libx264", rate=fps, options={"crf": "8", "g": "5"})
+        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame))))
+        container.mux(stream.encode(None))
+    return path
+
+
+class _Pipe:
+    """What is written into it cannot be gone back to."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+
+    def write(self, data: bytes) -> int:
+        return self._file.write(data)
 
 
 def calibrated(folder: Path, wh: tuple[int, int] = WH, distortion: float = 0.0, name: str = "a") -> Path:

@@ -135,6 +135,7 @@ def first_findings(folder: Path) -> Iterator[str]:
     """What files, headers and two pictures of every camera say, before anything is looked at in full; UserError when
     there is no capture."""
     from studiorecon.calibration.checks.advice import light_of, of_footage
+    from studiorecon.footage.packets import frame_count
     from studiorecon.footage.source import glimpses, open_source  # with OpenCV, which other words do without
     from studiorecon.plan.discovery import open_dataset
 
@@ -148,13 +149,14 @@ def first_findings(folder: Path) -> Iterator[str]:
         start = capture.first_frame
         try:
             seen = open_source(source, 0.0)
+            frames = frame_count(seen)
             light = light_of(glimpses(seen, [start, start + capture.frame_count // 2]))
         except UserError as refusal:
             yield f"camera {camera}: {refusal}"
             continue
         has = camera in capture.keypoints
         yield (
-            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {seen.declared_frames or 0} "
+            f"camera {camera}: {seen.wh[0]}×{seen.wh[1]}, {seen.fps:g} fps, {frames} "
             f"frames, mean grey {light['brightness']:.2f}, "
             f"{'keypoints' if has else 'no keypoints: the detector looks for people'}"
         )

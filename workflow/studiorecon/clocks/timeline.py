@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import av
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.packets import shown_s
 from studiorecon.footage.source import FootageSource
 from studiorecon.scene.clocks import Clock, Clocks
 
@@ -42,7 +41,7 @@ def timeline_of(source: FootageSource) -> Timeline:
     """Read from the packets' own times, without decoding; UserError when the file holds none."""
     if source.pictures:
         return Timeline(source.fps, len(source.pictures), 0.0)
-    times = _shown_s(source.path)
+    times = shown_s(source.path)
     if not len(times):
         raise UserError(f"{source.path} holds no frames; copy the recording again")
     own = times - times[0]
@@ -57,19 +56,6 @@ def timeline_of(source: FootageSource) -> Timeline:
     return Timeline(
         source.fps if abs(source.fps / fps - 1) < 0.02 else fps, len(own), float(times[0]), tuple(own.tolist())
     )
-
-
-def _shown_s(path: Path) -> np.ndarray:
-    """Times of all frames that a decoder will give, in order; NaN where the file says none."""
-    with av.open(str(path), metadata_errors="replace") as container:
-        stream = container.streams.video[0]
-        base_s = stream.time_base
-        times = [
-            np.nan if packet.pts is None or base_s is None else float(packet.pts * base_s)
-            for packet in container.demux(stream)
-            if packet.size and not packet.is_discard
-        ]
-    return np.sort(np.array(times, dtype=np.float64))
 
 
 def clock_of(camera: str, line: Timeline) -> Clock:

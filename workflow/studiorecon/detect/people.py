@@ -10,6 +10,7 @@ from studiorecon.detector.following import believed, people_in
 from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
+from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import decode, open_source, stills
 from studiorecon.keypoints.retiming import part_of
 from studiorecon.progress import progress, say, warn
@@ -49,15 +50,15 @@ def run(
         )
         return
     start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
-    total = count or (max(footage.declared_frames - start, 0) if footage.declared_frames else 0)
+    total = count or max(frame_count(footage) - start, 0)
     if start + total < 2:
         raise UserError(f"{source} has {start + total} frames; people are followed through at least two")
-    sampling = sorted({start + round(k * (total - 1) / max(_USUAL - 1, 1)) for k in range(_USUAL)}) if total else []
+    sampling = sorted({start + round(k * (total - 1) / max(_USUAL - 1, 1)) for k in range(_USUAL)})
     glances = [small(picture) for picture in stills(footage, sampling)]
     own = second_network(second, layout)
     network = BlazePose(detection, landmarks, own)
     worth = read_json(table)
-    pictures = progress(decode(footage, start, count), f"frames of {camera}", total or None)
+    pictures = progress(decode(footage, start, count), f"frames of {camera}", total)
     rows, frames = [], 0
     for frame, seen in enumerate(
         people_in(pictures, network, usual(glances) if len(glances) > 2 else None, footage.fps), start

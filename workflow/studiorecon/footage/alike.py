@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import FootageSource, glimpses
 from studiorecon.progress import warn
 
@@ -26,8 +27,8 @@ def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
     where all differ."""
     still: dict[str, np.ndarray] = {}
     for camera, source in sources.items():
-        frames = max(source.declared_frames or 1, 1)
         try:
+            frames = frame_count(source)
             still[camera] = standing(glimpses(source, [frames // 6, frames // 2, 5 * frames // 6]))
         except UserError as refusal:  # the step that decodes it stops at that; the others are compared all the same
             warn(str(refusal))

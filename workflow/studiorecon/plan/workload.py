@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from studiorecon.errors import UserError
+from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import open_source
 from studiorecon.plan.decisions import Plan
 from studiorecon.render.kinds import film
@@ -49,19 +49,14 @@ class Work:
 
 
 def footage_of(plan: Plan, picture_fps: float) -> Footage:
-    """The footage of a plan, from the headers of its files; raises UserError where a file cannot be read."""
+    """The footage of a plan, from its files without decoding them; raises UserError where one cannot be read."""
     count = plan.dataset.frame_count
     cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
     if plan.studio:
         described = read_description(Path(plan.description))
         return Footage(*cameras, described.frames, described.size, described.people)
     sources = [open_source(path, picture_fps) for path in plan.dataset.footage.values()]
-    lengths = [source.declared_frames - plan.dataset.first_frame for source in sources if source.declared_frames]
-    if not (lengths or count):
-        raise UserError(
-            "no video says how many frames it has, so nothing can be said of time; give frames in capture.yaml, or a "
-            "preset instead of budget_min"
-        )
+    lengths = [frame_count(source) - plan.dataset.first_frame for source in sources]
     frames = min([*lengths, *([count] if count else [])])
     widest = max((source.wh for source in sources), key=max)
     return Footage(*cameras, max(frames, 1), widest, _EXPECTED_PEOPLE if plan.people else 0)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What footage the detector looks at: films that announce nothing, parts of films, single pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from studiorecon.detect import people
+from studiorecon.footage.packets import frame_count
+from studiorecon.footage.source import open_source
+from studiorecon.scene.raw_detections import read_raw_detections
+
+from tests.made.footage import smooth_pictures, write_streamed, write_video
+
+
+@pytest.fixture
+def backgrounds(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray | None]:
+    """The usual pictures that the detector was given, of every film that it looked at."""
+    given: list[np.ndarray | None] = []
+    looked = people.people_in
+
+    def noted(pictures: Any, network: Any, background: np.ndarray | None, fps: float) -> Any:
+        given.append(background)
+        return looked(pictures, network, background, fps)
+
+    monkeypatch.setattr(people, "people_in", noted)
+    return given
+
+
+def networks(root: Path) -> list[Path]:
+    folder = root / "resources/detector"
+    return [folder / name for name in ("pose_detection.onnx", "pose_landmark_full.onnx", "confidence.json")]
+
+
+@pytest.mark.parametrize("written", [write_video, write_streamed])
+def test_a_film_that_announces_no_frames_is_looked_at_like_any_other(
+    written: Any, root: Path, tmp_path: Path, backgrounds: list[np.ndarray | None]
+) -> None:
+    film = written(tmp_path / "a.mkv", np.repeat(smooth_pictures(1), 12, axis=0))
+    source = open_source(film, 30.0)
+    assert (source.declared_frames is None) == (written is write_streamed)
+    assert frame_count(source) == 12
+    people.run("a", film, [], 30.0, networks(root), [], "auto", tmp_path / "a.npz")
+    assert read_raw_detections(tmp_path / "a.npz").looked == (0, 12)
+    (background,) = backgrounds
+    assert background is not None, "what differs from the usual picture is looked at too"
+    assert background.shape == (64, 96, 3)
