@@ -120,12 +120,12 @@ def drawn(take: Take, seed: int, options: detections.Settings) -> tuple[list[Det
     found, owners = [], []
     for v, (camera, lens) in enumerate(zip(take.cameras, take.lenses)):
         rng = np.random.default_rng([seed, v])
-        frame, keypoints = [], []
-        for t in range(FRAMES):
-            for person in detect(take.keypoints_m[t], lens, take.tracers[t], take.first_actor, NOISE, rng):
-                frame.append(t)
-                keypoints.append(person)
-        frame, keypoints = np.array(frame), np.array(keypoints)
+        shown = [
+            (t, person)
+            for t in range(FRAMES)
+            for person in detect(take.keypoints_m[t], lens, take.tracers[t], take.first_actor, NOISE, rng)
+        ]
+        frame, keypoints = np.array([t for t, _ in shown]), np.array([person for _, person in shown])
         wild = (rng.random(keypoints.shape[:2]) < OUTLIERS) & (keypoints[..., 2] > 0)
         away = rng.uniform(40, 200, keypoints.shape[:2]), rng.uniform(0, 2 * np.pi, keypoints.shape[:2])
         keypoints[..., :2] += np.where(

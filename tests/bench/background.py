@@ -146,8 +146,8 @@ def main() -> None:
     settings = loaded(synthesize.Settings)
     given = options_of(options.scene, options.threads)
     photos = synthesize.read_photos(given["model"], given["plates"], given["depth"], [], settings.depth_jump)
-    made = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
-    table[WARPED] = scored([picture / np.float32(255) for picture, _ in made], views)
+    warped = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
+    table[WARPED] = scored([picture / np.float32(255) for picture, _ in warped], views)
     print(WARPED, {key: round(value, 3) for key, value in table[WARPED].items()}, flush=True)
     written(table, options.seeds)
 

@@ -61,7 +61,7 @@ def cost(detector: str, folder: Path) -> dict[str, Any]:
     halve it."""
     video, found = DATA / "pose2sim_balancing/single/videos/cam03.mp4", folder / "cost.npz"
     began = time.process_time()
-    detect.run("cam03", video, [], 30.0, networks(detector), found)
+    detect.run("cam03", video, [], 30.0, networks(detector), [], "auto", found)
     spent_s = time.process_time() - began
     people = len(read_raw_detections(found).frame)
     return {

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from studiorecon.calibration import doctor
@@ -59,7 +60,7 @@ def examined_s(cameras: Sequence, seen: Sequence[Detections]) -> tuple[float, di
 
 def main() -> None:
     cameras, whole = made_take(frames=FRAMES, people=PEOPLE, occluded=False)
-    result = {"date": date.today().isoformat(), "machine": platform.machine(), "rows": []}
+    result: dict[str, Any] = {"date": date.today().isoformat(), "machine": platform.machine(), "rows": []}
     for mean_frames in (0, 8, 3):
         rng = np.random.default_rng(0)
         seen = [broken(d, mean_frames, rng) for d in whole] if mean_frames else whole

@@ -22,6 +22,7 @@ from collections.abc import Callable
 from datetime import date
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from studiorecon.geometry.distortion import distort, undistort
@@ -110,7 +111,7 @@ def triangulation(count: int, rounds: int) -> list[dict[str, float | str]]:
     for wrong in range(3):
         truth, pixels, cameras = made(count, wrong)
         ones, few = np.ones((4, count)), max(count // 1000, 20)
-        calls: dict[str, Callable[[], object]] = {
+        calls: dict[str, Callable[[], Any]] = {
             solver: (lambda s=solver, p=pixels, c=cameras, w=ones: triangulate(p, w, c, LIMITS, 1.0, s))
             for solver in ("robust", "huber", "dlt")
         }

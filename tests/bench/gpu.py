@@ -85,8 +85,9 @@ def main() -> int:
     passed = (
         subprocess.run([sys.executable, "-m", "pytest", "-q", "-m", "gpu", "tests/gpu"], check=False).returncode == 0
     )
-    figures = measure(options.count, *options.wh, options.iterations)
-    memory_gb, difference = torch.cuda.max_memory_allocated() / 1e9, agreement(options.count, *options.wh)
+    width, height = options.wh
+    figures = measure(options.count, width, height, options.iterations)
+    memory_gb, difference = torch.cuda.max_memory_allocated() / 1e9, agreement(options.count, width, height)
     result = {
         "gpu": name,
         "torch": torch.__version__,

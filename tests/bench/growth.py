@@ -105,11 +105,11 @@ def main() -> None:
     parser.add_argument("--scale", type=int, default=1, help="divides the steps of trainings, which do not grow")
     given = parser.parse_args()
     until = [] if given.until == ["all"] else given.until
-    runs = [
+    short, long = (
         run(description(f, given.cameras, given.people, tuple(given.size)), until, given.cores, given.scale)
         for f in given.frames
-    ]
-    rows = table(*runs, tuple(given.frames), given.cameras)
+    )
+    rows = table(short, long, tuple(given.frames), given.cameras)
     length = f"{given.frames[0]} and {given.frames[1]} frames of {given.size}"
     print(f"{given.cameras} cameras, {length}, {given.people} people")
     print(f"{'step':28s} {'cpu s':>15s} {'peak MB':>13s} {'ms / camera-frame':>18s} {'exponent':>9s}")

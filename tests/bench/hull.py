@@ -67,9 +67,9 @@ def score(folder: Path) -> dict[str, Any]:
     truth = [dict(np.load(path)) for path in sorted((folder / "truth" / "bodies").glob("p*.npz"))]
     people = []
     for name in names:
-        places = [], [out / f"silhouettes/{name}.npz"], ROOT / "resources" / "body.npz", out / f"{name}.npz"
+        model, manifest, standing = out / "model/images.txt", out / "manifest.json", [out / f"silhouettes/{name}.npz"]
         started = time.process_time()
-        fit.run(options, name, out / "model/images.txt", out / "manifest.json", [], *places)
+        fit.run(options, name, model, manifest, [], [], standing, [], ROOT / "resources/body.npz", out / f"{name}.npz")
         fit_s = time.process_time() - started
         person, (start,) = read_person(out / f"{name}.npz"), read_standing(out / f"silhouettes/{name}.npz")
         errors = [1000 * np.linalg.norm(person.joints - t["joints"], axis=-1) for t in truth]

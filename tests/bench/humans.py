@@ -171,6 +171,7 @@ def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detec
         detections,
         [who],
         [],
+        [scene / "people/who/readouts.json"],
         BODY,
         path,
     )

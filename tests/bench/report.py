@@ -73,12 +73,12 @@ def main() -> None:
     given = parser.parse_args()
     photos = [photo(frame, 0) for frame in range(2)]
     render = np.clip(photos[1] + np.random.default_rng(0).normal(0, 8, photos[1].shape), 0, 255).astype(np.uint8)
-    greys = [grey_levels(p) for p in photos]
+    before, after = (grey_levels(p) for p in photos)
     with one_thread():
         maps = interleaved(
             {t.__name__: lambda t=t: metrics.ssim_map(render, photos[1], t) for t in (np.float64, np.float32)}
         )
-        flows = interleaved({preset: lambda preset=preset: dis_flow(*greys, preset) for preset in PRESETS})
+        flows = interleaved({preset: lambda preset=preset: dis_flow(before, after, preset) for preset in PRESETS})
         exact, cheap = (metrics.ssim(metrics.ssim_map(render, photos[1], t)) for t in (np.float64, np.float32))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)

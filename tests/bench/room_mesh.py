@@ -54,7 +54,7 @@ def main() -> None:
     given = parser.parse_args()
     described = read_description(given.studio)
     solids = room(described.seed, described.effects.glossy_floor)
-    parts = {name: z_up(part) for name, part in trimesh.load(given.mesh, process=False).geometry.items()}
+    parts = {name: z_up(part) for name, part in trimesh.load_scene(given.mesh, process=False).geometry.items()}
     truth = scene_of([(s.vertices_m, s.faces) for s in solids])
     ours = scene_of([(p.vertices, p.faces) for p in parts.values()])
     result: dict[str, dict[str, float]] = {}

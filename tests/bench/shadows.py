@@ -65,13 +65,12 @@ def made(house: Path) -> Path:
 def measured(scene: Path, truth: Path, picture: Path | None) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR by held-out camera, kind of pixel, and with or without shadows."""
     people = sorted((scene / "humans").glob("p?.ply"))
-    files = [
-        scene / "background/scene.ply",
-        scene / "background/provenance.npz",
-        people,
-        [p.with_suffix(".npz") for p in people],
-    ]
-    shaded = read_composite(*files, ROOT / "resources/body.npz", "heldout", {}, [scene / "render/room.light.json"])
+    room, light = scene / "background", scene / "render/room.light.json"
+    shaded = read_composite(
+        *(room / "scene.ply", room / "provenance.npz"),
+        *(people, [p.with_suffix(".npz") for p in people]),
+        *(ROOT / "resources/body.npz", "heldout", {}, [light]),
+    )
     films = {"without": Canvas(replace(shaded, shading=None), 0.2), "with": Canvas(shaded, 0.2)}
     table: dict[str, dict[str, dict[str, float]]] = {}
     rows = []
@@ -82,7 +81,7 @@ def measured(scene: Path, truth: Path, picture: Path | None) -> dict[str, dict[s
         )
         empty = cv2.imread(str(truth / "plates" / f"{camera.name}.png"))[..., ::-1].astype(np.float32) / 255
         depth = Rasteriser(near_m=0.05).forward(shaded.background, camera).depth_m
-        points, floor = floor_points(camera, depth, shaded.shading.light.floor_m)
+        points, floor = floor_points(camera, depth, read_light(light).floor_m)
         drawn: dict[str, list[np.ndarray]] = {name: [] for name in films}
         chosen: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
         for frame, (photo, labels) in enumerate(zip(true, masks)):

@@ -356,8 +356,7 @@ def main() -> None:
     print("".join(f"not measured: {name} was not given\n" for name in left_out), end="")
     RESULTS.parent.mkdir(exist_ok=True)
     machine = (
-        f"{platform.machine()}, {os.cpu_count()} cores, "
-        f"{numba.config.NUMBA_NUM_THREADS} threads, numba {numba.__version__}"
+        f"{platform.machine()}, {os.cpu_count()} cores, {numba.get_num_threads()} threads, numba {numba.__version__}"
     )
     told = {
         "machine": machine,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from studiorecon.geometry.bundle import LensPrior, adjust_with_lenses
 from studiorecon.geometry.triangulation import Limits
@@ -135,7 +137,7 @@ def _in_coco(pixels: np.ndarray, present: np.ndarray) -> np.ndarray:
     return full
 
 
-def adjust(*problem: object) -> tuple[list[Camera], np.ndarray]:
+def adjust(*problem: Any) -> tuple[list[Camera], np.ndarray]:
     """Cameras and points (N, 3) after bundle adjustment with held lenses."""
-    found = adjust_with_lenses(*problem, LensPrior(0.0, 0.0))
+    found = adjust_with_lenses(*problem, lens=LensPrior(0.0, 0.0))
     return found.cameras, found.points_m

@@ -108,11 +108,11 @@ def heldout_film(scene: Path, truth: Path, pictures: int) -> Film:
 
 def orbit_film(scene: Path, true: Path, pictures: int) -> Film:
     steps, _ = read_path(scene / "render/orbit.json")
-    films = [
+    renders, depths, photos = (
         list(read_frames(file, 0, pictures))
         for file in (scene / "render/orbit.mkv", scene / "render/orbit.depth.mkv", true)
-    ]
-    return Film(steps[:pictures], *films, None)
+    )
+    return Film(steps[:pictures], renders, depths, photos, None)
 
 
 def true_flows(film: Film) -> list[tuple[np.ndarray, np.ndarray] | None]:
