@@ -73,7 +73,9 @@ def run(made: dict, until: list[str], cores: int, scale: int) -> dict[str, dict[
         environment["PYTHONPATH"] = str(ROOT / "workflow")
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:
+            # What came before the failure is no measurement of a run.
             print((done.stdout + done.stderr)[-3000:], file=sys.stderr)
+            raise SystemExit(f"the run of {made['frames']} frames failed; nothing is recorded")
         return recorded(folder)
 
 

@@ -38,6 +38,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train
+from studiorecon.humans.filmed import read_crops
 from studiorecon.people import fit
 from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.gaussians_ply import read_ply
@@ -184,7 +185,7 @@ def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
     fitted = read_person(scene / f"people/{person}.npz")
     videos, masks = ([scene / f"{kind}/{camera.name}.mkv" for camera in cameras] for kind in ("capture", "masks"))
     label = read_people(scene / "people/people.tsv").index(person) + 1
-    crops = train.read_crops(settings, cameras, videos, masks, fitted, body, label, len(fitted.valid))
+    crops = read_crops(settings, cameras, videos, masks, fitted, body, label, len(fitted.valid))
     changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
     steps = settings_module.load(
         TrainingSettings, default_settings("background", training=changes)["training"], "background"

@@ -159,8 +159,24 @@ def test_a_film_is_enhanced_where_photos_show_more(
     assert made["injection"].verdict == "off", made["injection"].reason
     render, film_ = read_stack(options["render"]).astype(int), read_stack(options["video"]).astype(int)
     assert (np.abs(film_ - render).max() > 10) == (verdict == "on")
-    # Overruled beforehand.
+    # Overruled beforehand; where photos show nothing more, only a strength of the user's own adds anything.
     other = "off" if verdict == "on" else "on"
-    enhance_shot.run(replace(settings, force={"enhancement": other, "injection": "on"}), **options)
+    overruled = replace(settings, force={"enhancement": other, "injection": "on"}, strength=0.5)
+    enhance_shot.run(overruled, **options)
     made = read_decisions(options["decisions"])
     assert [(made[e].verdict, made[e].forced) for e in ("enhancement", "injection")] == [(other, True), ("on", True)]
+
+
+def test_what_is_forced_on_and_adds_nothing_is_off_and_says_so(
+    scene: Path, default_settings: Callable, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The verdict is what was done: renders that stay as they are were not enhanced."""
+    section = default_settings("survey") | default_settings("enhance")
+    settings, options = settings_module.load(enhance_shot.Settings, section, "enhance"), shot_of(scene, "dark")
+    for changes in ({"enhancer": "none"}, {"strength": 0.0}):
+        enhance_shot.run(replace(settings, force={"enhancement": "on"}, **changes), **options)
+        made = read_decisions(options["decisions"])["enhancement"]
+        assert (made.verdict, made.forced) == ("off", True)
+        assert "nothing to add" in made.reason
+        assert "enhancement is forced on" in capsys.readouterr().out
+        assert (read_stack(options["render"]) == read_stack(options["video"])).all()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
+from studiorecon.geometry.statistics import Estimate
 from studiorecon.humans import train
 from studiorecon.humans.crops import (
     IGNORED,
@@ -37,7 +39,10 @@ from studiorecon.humans.crops import (
 from studiorecon.humans.motion import RefinedMotion
 from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface, vertex_samples
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.decisions import from_entry, write_decisions
+from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 from studiorecon.scene.factors import write_factors
+from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.people import Person
 from studiorecon.scene.provenance import INFERRED, MEASURED
 
@@ -358,3 +363,37 @@ def test_people_are_trained_in_one_exposure_and_light(
         found[name] = score(made, body, tmp_path / name, views)
     assert found["divided"] > found["plain"] - 0.3
     assert found["left"] < found["divided"] - worse_db
+
+
+def test_the_threshold_of_the_settings_and_an_earlier_run_decide_on_the_network(
+    made: Made, settings: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Six frames are too few to see colours drift: how much they do is given, how it is decided is asked."""
+    monkeypatch.setattr(train, "drifting_share", lambda residual: Estimate(0.3, (0.29, 0.31)))
+    drifting = TEMPORAL_APPEARANCE.decide(0.4, (0.39, 0.41), "before", detail={"p1": {"value": 0.4, "verdict": "on"}})
+    write_decisions(tmp_path / "anybody.json", [drifting])
+    write_decisions(tmp_path / "still.json", [replace(drifting, detail={"p3": {"value": 0.0, "verdict": "off"}})])
+    write_decisions(tmp_path / "forced.json", [replace(drifting, forced=True)])
+    runs = {
+        "default": ({}, None, "on"),
+        "higher": ({"temporal_appearance": 0.4}, None, "off"),
+        "on before": ({"temporal_appearance": 0.35}, "anybody.json", "on"),
+        "off before": ({"temporal_appearance": 0.35}, "still.json", "off"),
+        "forced before": ({"temporal_appearance": 0.35}, "forced.json", "off"),
+    }
+    for name, (thresholds, earlier, verdict) in runs.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        temporal = {"use": "auto", "start": 2, "width": 8, "points": 64}
+        train.run(
+            replace(settings(iterations=4, gaussians=400, temporal=temporal), thresholds=thresholds),
+            **made.options,
+            gaussians=folder / "p3.ply",
+            avatar=folder / "p3.npz",
+            working=folder / "working",
+            earlier=[tmp_path / earlier] if earlier else [],
+        )
+        written = read_arrays(folder / "p3.npz")
+        decision = from_entry(json.loads(str(written["decision"])))
+        assert decision.verdict == verdict, (name, decision)
+        assert ("network" in " ".join(written)) == (verdict == "on"), sorted(written)

@@ -33,6 +33,7 @@ from tests.made.gaussians import rasterise
 from tests.made.scene import ring
 
 POINTS, FRAMES = 3000, 90
+LIMIT = TEMPORAL_APPEARANCE.threshold
 CLIP = 30
 
 
@@ -51,7 +52,8 @@ def residual(rng: np.random.Generator, drifting: float, strength: float) -> np.n
 def test_a_wandering_shade_is_found_and_noise_is_not(drifting: float, verdict: str) -> None:
     """Evaluation §3, effect 2: planted on and planted off in at least 95 % of the seeds."""
     right = [
-        decide_appearance("p0", drifting_share(residual(np.random.default_rng(s), drifting, 4.0))).verdict == verdict
+        decide_appearance("p0", drifting_share(residual(np.random.default_rng(s), drifting, 4.0)), LIMIT).verdict
+        == verdict
         for s in range(40)
     ]
     assert np.mean(right) >= 0.95
@@ -60,7 +62,7 @@ def test_a_wandering_shade_is_found_and_noise_is_not(drifting: float, verdict: s
 def test_a_pose_that_jitters_is_not_a_shade() -> None:
     # Large, but its sign changes at random: variance alone would call for the network.
     rng = np.random.default_rng(0)
-    assert decide_appearance("p0", drifting_share(8 * residual(rng, 0.0, 0.0))).verdict == "off"
+    assert decide_appearance("p0", drifting_share(8 * residual(rng, 0.0, 0.0)), LIMIT).verdict == "off"
 
 
 def test_constant_offsets_do_not_drift() -> None:
@@ -73,7 +75,7 @@ def test_too_little_to_follow_is_undetermined() -> None:
     seldom = residual(rng, 1.0, 4.0)
     seldom[:, 10:] = np.nan
     for found in (seldom, residual(rng, 1.0, 4.0)[:20]):
-        decision = decide_appearance("p0", drifting_share(found))
+        decision = decide_appearance("p0", drifting_share(found), LIMIT)
         assert (decision.verdict, decision.value) == ("undetermined", None)
         assert "too few points of p0" in decision.reason
     with pytest.raises(ValueError, match=r"residual has shape \(90,\)"):
@@ -175,7 +177,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
 
         def judge(draw: Callable) -> Decision:
             values = followed(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
-            return decide_appearance("p0", drifting_share(values))
+            return decide_appearance("p0", drifting_share(values), LIMIT)
 
         made = Appearance(settings.temporal, network, seen, judge) if use != "never" else None
         start = gaussians_on(samples, 0)

@@ -58,7 +58,7 @@ def test_the_configuration_and_its_schema_know_every_effect(schema: dict[str, An
     assert config["thresholds"] == config["force"] == {}, "an effect's own threshold stands in its file"
     known = schema["survey"]["properties"]
     assert set(known["thresholds"]["properties"]) == {effect.name for effect in EFFECTS if effect.tunable}
-    assert set(known["force"]["propertyNames"]["enum"]) == {effect.name for effect in EFFECTS}
+    assert set(known["force"]["propertyNames"]["enum"]) == {effect.name for effect in EFFECTS if effect.acts}
 
 
 def test_rules_ask_for_effects_and_files_that_are_listed() -> None:

@@ -80,8 +80,8 @@ def test_the_command_line_is_read_as_what_the_setting_is(entry: str, path: str, 
     assert type(found) is type(value)
 
 
-@pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS])
-def test_every_effect_may_be_forced_by_an_unquoted_word_in_a_file(effect: str) -> None:
+@pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS if effect.acts])
+def test_every_effect_that_acts_may_be_forced_by_an_unquoted_word_in_a_file(effect: str) -> None:
     config = over(yaml.safe_load(f"survey: {{force: {{{effect}: off}}}}"))
     assert config["survey"]["force"] == {effect: "off"}, "YAML reads off as false"
     assert mistakes(config, schema()) == []
@@ -106,7 +106,13 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
         ("datset=x", "there is no setting datset; did you mean dataset?"),
         (
             "survey={force: {exposre: off}}",
-            "there is no setting survey.force.exposre; did you mean survey.force.exposure?",
+            "setting survey.force has exposre, but only verdicts that something acts on can be forced, the others are "
+            "findings; did you mean exposure?",
+        ),
+        (
+            "survey={force: {defocus: on}}",
+            "setting survey.force has defocus, but only verdicts that something acts on can be forced, the others are "
+            "findings: moving_cameras, people, exposure, ",
         ),
         (
             "render={shots: {a: {kind: orbit, targt: p0}}}",

@@ -111,6 +111,20 @@ def test_clean_plates_alone_are_enough(configured, capture, home):
     assert not make_plan(blind, home).sight.somebody
 
 
+@pytest.mark.parametrize(
+    ("effect", "enhance", "words"),
+    [
+        ("enhancement", {"enhancer": "none"}, r"enhancement: on, but enhance\.enhancer is none"),
+        ("enhancement", {"strength": 0.0}, r"enhancement: on, but enhance\.strength is 0"),
+        ("injection", {"injection": {"history": 0}}, r"injection: on, but enhance\.injection\.history is 0"),
+    ],
+)
+def test_what_is_forced_on_must_have_something_to_do(configured, home, effect, enhance, words):
+    with pytest.raises(UserError, match=words):
+        make_plan(configured(survey={"force": {effect: "on"}}, enhance=enhance), home)
+    make_plan(configured(survey={"force": {effect: "off"}}, enhance=enhance), home)
+
+
 def test_forced_away_people_are_not_looked_for(configured, home):
     plan = make_plan(configured(survey={"force": {"people": "off"}}, detect={"source": "detector"}), home)
     assert not plan.people

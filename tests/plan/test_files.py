@@ -209,6 +209,16 @@ def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configure
     assert section("enhance.shot", config)["enhancer"] == "none"
     assert section("enhance.shot", config)["injection"]["history"] == 0
     assert "review" not in json.loads(settings("people.fit", config))
+    moved = configured(survey={"thresholds": {"temporal_appearance": 0.3, "exposure": 0.2}})
+    assert json.loads(settings("humans.train", moved))["thresholds"] == {"temporal_appearance": 0.3}
+
+
+def test_a_forced_readout_moves_keypoints_by_nothing_or_by_all_that_was_measured(configured, home, tmp_path, found):
+    person, run = Wildcards(scene="capture", person="p1"), {"people_associate": found["people_associate"]}
+    for verdict, files in (("", ["readouts.json"]), ("on", ["readouts.doubted.json"]), ("off", [])):
+        config = configured(survey={"force": {"rolling_shutter": verdict} if verdict else {}})
+        asked = files_of(config, home, Asked(tmp_path, **run)).readouts_for(person)
+        assert [Path(path).name for path in asked] == files
 
 
 def test_a_films_settings_are_of_that_film_and_a_reference_renders_nothing_again(configured):

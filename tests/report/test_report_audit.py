@@ -66,6 +66,8 @@ def test_who_drifts_most_speaks_for_all_and_who_was_not_asked_for_nobody() -> No
     found = appearance({"p0": still, "p1": drift, "p2": None}, 0.1)
     assert (found.verdict, found.reason, set(found.detail)) == ("on", "p1's shirt", {"p0", "p1"})
     assert appearance({"p0": still}, 0.1).verdict == "off"
+    assert appearance({"p0": replace(still, verdict="on")}, 0.1).verdict == "on", "what training did, not once more"
+    assert found.obeyed_by
     assert appearance({"p0": None}, 0.1).verdict == "undetermined"
     assert appearance({}, 0.1).verdict == "undetermined"
 
@@ -98,7 +100,7 @@ def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) ->
     step.run(settings, **files)
     found = {effect: d.verdict for effect, d in read_decisions(files["decisions"]).items()}
     assert found == {"refinement": "on", "temporal_appearance": "on", "enhancement": "on", "injection": "off"}
-    step.run(replace(settings, force={"refinement": "off"}), **{**files, "films": []})
+    step.run(replace(settings, force={"temporal_appearance": "off"}), **{**files, "films": []})
     made = read_decisions(files["decisions"])
-    assert (made["refinement"].verdict, made["refinement"].forced) == ("off", True)
+    assert (made["temporal_appearance"].verdict, made["temporal_appearance"].forced) == ("off", True)
     assert (made["enhancement"].verdict, made["injection"].verdict) == ("undetermined", "undetermined")

@@ -20,7 +20,7 @@ from studiorecon.survey.coverage import (
     stage,
     stage_points,
 )
-from studiorecon.survey.effects import CLOSED_PATH, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
+from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
 from studiorecon.survey.exposures import ExposureView
 
 from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
@@ -147,12 +147,22 @@ class TestStep:
         assert found["view_synthesis"].obeyed_by
         assert not found["hands"].obeyed_by
 
-    def test_every_effect_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
+    def test_every_effect_that_acts_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
         for verdict in ("on", "off"):
-            step.run(replace(settings, force=dict.fromkeys([effect.name for effect in EFFECTS], verdict)), **files)
-            assert {(d.verdict, d.forced) for d in read_decisions(files["decisions"]).values()} == {(verdict, True)}
+            acting = {effect.name for effect in EARLY if effect.acts}
+            step.run(replace(settings, force=dict.fromkeys(acting, verdict)), **files)
+            made = read_decisions(files["decisions"])
+            assert {(made[name].verdict, made[name].forced) for name in acting} == {(verdict, True)}
+            assert not any(decision.forced for name, decision in made.items() if name not in acting)
         step.run(settings, **files)
         assert read_decisions(files["decisions"])["exposure"].verdict == "off", "a lifted force leaves no trace"
+
+    def test_cameras_that_are_said_to_move_or_to_stand_still_are_believed(
+        self, files: dict, settings: step.Settings
+    ) -> None:
+        for verdict, exposure in (("on", "undetermined"), ("off", "off")):
+            step.run(replace(settings, force={"moving_cameras": verdict}), **files)
+            assert read_decisions(files["decisions"])["exposure"].verdict == exposure
 
     def test_same_input_same_bytes(self, files: dict, settings: step.Settings) -> None:
         step.run(settings, **files)

@@ -20,6 +20,7 @@ rule humans_train:
         body=files.body,
         exposure=files.exposure,
         kernels=ancient("results/{scene}/background/kernels.txt"),
+        earlier=files.earlier("report/audit.json"),
     output:
         gaussians="results/{scene}/humans/{person}.ply",
         avatar="results/{scene}/humans/{person}.npz",

@@ -124,6 +124,11 @@ def _sentences(error: jsonschema.ValidationError, schema: Mapping[str, Any]) -> 
         missing = ", ".join(name for name in error.validator_value if name not in error.instance)
         yield f"setting {where} lacks {missing}{_choices(error.schema, missing)}"
     elif error.validator == "enum" and "propertyNames" in error.absolute_schema_path:
+        if "description" in error.schema:
+            near = difflib.get_close_matches(str(error.instance), error.validator_value, 1)
+            meant = f"; did you mean {near[0]}?" if near else f": {', '.join(error.validator_value)}"
+            yield f"setting {where} has {error.instance}, but {error.schema['description']}{meant}"
+            return
         yield (
             "there is no setting "
             f"{where}.{error.instance}{_nearest(str(error.instance), path, error.validator_value, schema)}"

@@ -40,6 +40,7 @@ _SECTIONS = {
     "clocks": ("capture", "clocks"),
     "tracks": ("detect",),
     "cameras": ("calibration", "cameras"),
+    "humans.train": ("survey", "humans"),
     "report.audit": ("survey",),
     "enhance.shot": ("survey", "enhance"),
 }

@@ -115,7 +115,7 @@ SECTIONS: tuple[Section, ...] = (
         ),
     ),
     Section("background", "Static Gaussians of the room.", ("background.train_settings:Settings",)),
-    Section("humans", "Gaussians of every person.", ("humans.shared:Started", "humans.train_settings:Settings")),
+    Section("humans", "Gaussians of every person.", ("humans.shared:Started", "humans.train_settings:Trained")),
     Section(
         "render",
         "Films of the 4D scene.",

@@ -24,7 +24,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import Writer, writing
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
-from studiorecon.progress import progress, say
+from studiorecon.progress import progress, say, warn
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, forced, switched_on, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, force, settled, thresholds
@@ -151,6 +151,7 @@ def chosen_enhancer(
         on = settings.enhancer != "none"
         decision = settled(ENHANCEMENT, on, f"enhance.enhancer is {settings.enhancer}")
         (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
+        decision = decision if on else nothing_added(decision)
         name = settings.enhancer if decision.called_for else "none"
         return network(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
@@ -161,10 +162,20 @@ def chosen_enhancer(
         strength = float(settings.strength)
         decision = settled(ENHANCEMENT, strength > 0, f"enhance.strength is {strength:g}")
     (decision,) = forced([decision], _of(settings.force, ENHANCEMENT.name))
-    if not decision.called_for or strength == 0:
+    decision = decision if strength else nothing_added(decision)
+    if not decision.called_for:
         return Unchanged(), decision
     latest = lru_cache(maxsize=1)(lambda frame: training.sources(frame, settings.transfer))
     return ResidualTransfer(lambda frame: latest(training.nearest_frame(frame)), strength, settings.transfer), decision
+
+
+def nothing_added(decision: Decision) -> Decision:
+    """A decision on enhancement where there is nothing to add, whatever was forced: the film is the render."""
+    if not decision.called_for:
+        return decision
+    reason = f"{decision.reason}, but there is nothing to add: choose enhance.enhancer, or a strength above 0"
+    warn(f"enhancement is forced on: {reason}")
+    return replace(decision, verdict="off", reason=reason)
 
 
 def chosen_injection(

@@ -8,7 +8,7 @@ see ``body/avatar/files.py``).
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -25,11 +25,11 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
-from studiorecon.footage.video import read_frames
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.colours import look, nearest_surface
-from studiorecon.humans.crops import Crop, TrainingCrop, judged, looks_of, mask_inset_px
-from studiorecon.humans.drift import decide_appearance, drifting_share, followed
+from studiorecon.humans.crops import Crop
+from studiorecon.humans.drift import decide_appearance, drifting_share, followed, was_drifting
+from studiorecon.humans.filmed import read_crops
 from studiorecon.humans.motion import RefinedMotion
 from studiorecon.humans.result_cache import keep, mark_of, still_stands
 from studiorecon.humans.surface import (
@@ -45,7 +45,7 @@ from studiorecon.humans.training import PersonInTraining
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision
-from studiorecon.scene.factors import NONE, Factors, read_factors
+from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person, read_people
@@ -66,7 +66,6 @@ _LOOKS = 160
 _SEEN_WEIGHT = 20.0
 # Frame rate that the weight of the smoothness of poses refers to.
 _POSE_FPS = 30.0
-_FRAMES_AT_ONCE = 32
 
 
 def skinning_weights(
@@ -142,9 +141,10 @@ def run(
     device: str = "cpu",
     exposure: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
+    earlier: list[Path] | None = None,
 ) -> None:
     """Train one person and write the avatar; pictures are divided by the gains and the light that ``exposure`` names,
-    if any.
+    if any. ``earlier`` is the audit of an earlier run, for the hysteresis of what is decided here.
 
     Where nothing near the person has changed since the files were written, they stay (``unchanged``). A killed run goes
     on from its checkpoint. ``working`` is a folder of its own: the checkpoint, pictures of how it goes, and what was
@@ -184,6 +184,7 @@ def run(
             "with a fitted body; check the masks, or "
             "remove the person in people/identities.tsv"
         )
+    was_on = was_drifting(person, earlier or [])
     # How often a checkpoint is made changes no byte of the result.
     trained_from = mark_of(
         replace(settings, checkpoint_every_s=0.0),
@@ -193,6 +194,7 @@ def run(
         threads,
         person,
         device,
+        was_on,
     )
     if still_stands(trained_from, gaussians, avatar, working):
         say(
@@ -223,9 +225,9 @@ def run(
         f"{start.count} Gaussians are seen, the rest inferred"
     )
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body, *(exposure or [])]
-    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
+    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device, was_on)
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
-    appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion)
+    appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion, was_on)
     # A joint's speed is what is held: between frames that are further apart in time it turns further.
     losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
     subject = PersonInTraining(
@@ -302,6 +304,7 @@ def _appearance(
     samples: SurfaceSamples,
     posing: Posing,
     motion: RefinedMotion,
+    was_on: bool,
 ) -> Appearance | None:
     """The temporal network in its box around the body, and what decides whether it takes part; None when it is not
     wanted."""
@@ -319,7 +322,7 @@ def _appearance(
 
     def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
         residual = followed(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
-        decision = decide_appearance(fitted.name, drifting_share(residual[seen]))
+        decision = decide_appearance(fitted.name, drifting_share(residual[seen]), settings.drift, was_on)
         say(f"temporal network: {decision.verdict}; {decision.reason}")
         return decision
 
@@ -334,45 +337,3 @@ def _network(settings: Settings, lpips: Path, threads: int) -> Perceptual | None
     from studiorecon.models.adapters.lpips import read_lpips
 
     return read_lpips(lpips, threads, without="set humans.losses.lpips.weight to 0")
-
-
-def read_crops(
-    settings: Settings,
-    cameras: Sequence,
-    videos: list[Path],
-    masks: list[Path],
-    fitted: Person,
-    body_model: BodyModel,
-    label: int,
-    frames: int,
-    exposure: Factors = NONE,
-) -> list[Crop]:
-    """Every camera's crops of the person that masks call ``label``, camera by camera, of one exposure and light."""
-    looks: list[TrainingCrop] = []
-    for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
-        pictures = exposure.even_all(camera.name, read_frames(video, 0, frames))
-        looks += looks_of(
-            view,
-            camera,
-            pictures,
-            read_frames(mask, 0, frames),
-            _surface_over_time(body_model, fitted),
-            fitted.valid,
-            label,
-            settings.margin_px,
-            settings.smallest_px,
-        )
-    inset_px = mask_inset_px(looks, label)
-    if inset_px:
-        say(
-            f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what "
-            "lies between is taken for the person"
-        )
-    return judged(looks, label, settings.edge_px, settings.occluder_px, inset_px)
-
-
-def _surface_over_time(model: BodyModel, fitted: Person) -> Iterator[np.ndarray]:
-    """The fitted body's vertices (V, 3) frame by frame: those of a minute would fill a gigabyte."""
-    for first in range(0, len(fitted.poses), _FRAMES_AT_ONCE):
-        own = slice(first, first + _FRAMES_AT_ONCE)
-        yield from model.vertices(fitted.poses[own], fitted.betas, fitted.trans[own])

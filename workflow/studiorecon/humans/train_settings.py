@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,10 +11,11 @@ from studiorecon.configuration.setting import setting
 from studiorecon.humans.appearance import OverTime
 from studiorecon.humans.shared import Started
 from studiorecon.humans.training import GaussianLimits, Growing, Losses, Rates
+from studiorecon.scene.effects import TEMPORAL_APPEARANCE, thresholds
 
 
 @dataclass(frozen=True)
-class Settings(Started):
+class Trained(Started):
     """How a person is started and trained; ``checkpoint_every_s`` is as in ``TrainingSettings``."""
 
     sh_degree: int = setting(
@@ -51,3 +53,15 @@ class Settings(Started):
     rates: Rates = setting(Rates(), "Learning rates (Adam).")
     densify: Growing = setting(Growing(), "How the number of Gaussians grows.")
     limits: GaussianLimits = GaussianLimits()
+
+
+@dataclass(frozen=True)
+class Settings(Trained):
+    """The same, and from where the temporal network is called for, which ``survey.effects.Decided`` declares."""
+
+    thresholds: Mapping[Literal["temporal_appearance"], float] = thresholds([TEMPORAL_APPEARANCE])
+
+    @property
+    def drift(self) -> float:
+        """Share of the body whose colours must drift."""
+        return self.thresholds.get("temporal_appearance", TEMPORAL_APPEARANCE.threshold)

@@ -17,6 +17,7 @@ from studiorecon.plan.decisions import Plan
 def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
     """Raises UserError for the first thing that is missing or contradicts another."""
     _calibration(plan)
+    _enhancement(plan, config)
     if plan.identities and not Path(plan.identities).is_file():
         raise UserError(
             f"people.identities names {plan.identities}, which does not exist; copy "
@@ -49,6 +50,21 @@ def _calibration(plan: Plan) -> None:
         raise UserError(
             f"dataset {plan.dataset.folder} has no calibration: put one there ({accepted()}), or name it in "
             "capture.yaml (calibration: FILE)"
+        )
+
+
+def _enhancement(plan: Plan, config: Mapping[str, Any]) -> None:
+    enhance = config["enhance"]
+    for setting, value in (("enhancer", "none"), ("strength", 0)):
+        if plan.forced.get("enhancement") == "on" and enhance[setting] == value:
+            raise UserError(
+                f"survey.force has enhancement: on, but enhance.{setting} is {value}, which adds nothing: leave one of "
+                "the two out"
+            )
+    if plan.forced.get("injection") == "on" and not enhance["injection"]["history"]:
+        raise UserError(
+            "survey.force has injection: on, but enhance.injection.history is 0, which injects nothing: leave one of "
+            "the two out"
         )
 
 

@@ -36,8 +36,10 @@ from studiorecon.splatting.device import rasteriser
 _RISE, _LONGEST_PX, _NEAR_M = 0.15, 240, 0.05
 if TYPE_CHECKING:
     Named = str
+    Acting = str
 else:
     Named = Literal[tuple(effect.name for effect in TRAINED)]
+    Acting = Literal[tuple(effect.name for effect in TRAINED if effect.acts)]
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Settings:
     """Of the effects that only a trained scene shows; ``survey.effects.Decided`` declares them for all."""
 
     thresholds: Mapping[Named, float] = thresholds(TRAINED)
-    force: Mapping[Named, str] = force(TRAINED)
+    force: Mapping[Acting, str] = force(TRAINED)
 
 
 def raised(camera: Camera, share: float) -> Camera:

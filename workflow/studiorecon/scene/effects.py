@@ -29,7 +29,7 @@ class Effect:
         hysteresis: share of the threshold by which an effect that was on must fall before it is off.
         hidden_by: effects that are decided before, because they would pass for it or spoil its measurement.
         voids: what is said of an effect that this one hides while it is on; empty: that one is measured all the same.
-        obeyed_by: which step or plan acts on the verdict, and how; empty: it informs.
+        obeyed_by: which step or plan acts on the verdict, and how; empty: it is a finding, which nobody can force.
     """
 
     name: str
@@ -43,6 +43,11 @@ class Effect:
     hidden_by: tuple[str, ...] = ()
     voids: str = ""
     obeyed_by: str = ""
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything is done or left out by this verdict; else it is a finding."""
+        return bool(self.obeyed_by)
 
     @property
     def asks(self) -> str:
@@ -116,14 +121,17 @@ def thresholds(effects: Iterable[Effect]) -> Any:
 
 
 def force(effects: Iterable[Effect]) -> Any:
-    """The setting of a dataclass that decides on some of these effects beforehand."""
-    names = [effect.name for effect in effects]
+    """The setting of a dataclass that decides beforehand on those of these effects that something acts on."""
+    names = [effect.name for effect in effects if effect.acts]
     return setting(
         {},
         'Decisions made beforehand, e.g. {exposure: "on", view_synthesis: "off"}.',
         shape={
             "type": "object",
-            "propertyNames": {"enum": names},
+            "propertyNames": {
+                "enum": names,
+                "description": "only verdicts that something acts on can be forced, the others are findings",
+            },
             "additionalProperties": {"enum": ["on", "off"]},
         },
     )
@@ -144,7 +152,7 @@ TEMPORAL_APPEARANCE = Effect(
     statistic="share of body points whose colour residual exceeds 3 times its noise and keeps its sign over time",
     threshold=0.1,
     paper="always",
-    obeyed_by="humans.train, which measures it half-way and then trains the network or leaves it out",
+    obeyed_by="humans.train, which measures it once poses are refined, and then trains the network or leaves it out",
 )
 ENHANCEMENT = Effect(
     name="enhancement",

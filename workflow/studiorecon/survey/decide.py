@@ -77,7 +77,7 @@ def run(
     material = Material(cameras, names, views, films, followed, float(read_room(shell).low_m[2]), capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
-    early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier))}
+    early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier), settings.force)}
     measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
     made = {d.effect: d for d in forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     Named = str
     Tunable = str
 else:
-    Named = Literal[tuple(effect.name for effect in EARLY)]
+    Named = Literal[tuple(effect.name for effect in EARLY if effect.acts)]
     Tunable = Literal[tuple(effect.name for effect in EARLY if effect.tunable)]
 
 
@@ -28,11 +28,18 @@ class Settings(Sampling):
     force: Mapping[Named, str] = force(EARLY)
 
 
-def judge(evidence: Evidence, thresholds: Mapping[str, float], was_on: Collection[str] = ()) -> list[Decision]:
+def judge(
+    evidence: Evidence,
+    thresholds: Mapping[str, float],
+    was_on: Collection[str] = (),
+    force: Mapping[str, str] | None = None,
+) -> list[Decision]:
     """One decision for every effect that shows before training; ``was_on`` names those that an earlier run found.
 
-    An effect without a threshold in ``thresholds`` has its own.
+    An effect without a threshold in ``thresholds`` has its own. What an effect voids while it is on, it does not void
+    where ``force`` has it off.
     """
+    verdicts = force or {}
     made: dict[str, Decision] = {}
     for effect in EARLY:
         limit = thresholds.get(effect.name, effect.threshold)
@@ -49,7 +56,8 @@ def judge(evidence: Evidence, thresholds: Mapping[str, float], was_on: Collectio
     by_name = {effect.name: effect for effect in EARLY}
     for effect in EARLY:
         for hiding in effect.hidden_by:
-            if by_name[hiding].voids and made[hiding].called_for:
+            on = made[hiding].called_for if hiding not in verdicts else verdicts[hiding] == "on"
+            if by_name[hiding].voids and on:
                 made[effect.name] = replace(
                     made[effect.name],
                     value=None,

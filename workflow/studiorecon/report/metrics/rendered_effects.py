@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,8 +53,8 @@ def decide_refinement(estimate: Estimate, threshold: float, was_on: bool = False
 
 
 def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
-    """The people's own decisions (name → what human training measured, None when it was not asked) as one: the one who
-    drifts most."""
+    """The people's own decisions (name → what human training decided and did, None when it was not asked) as one: of
+    whom it calls for most. ``threshold`` is said where nobody was asked."""
     asked = {name: (d.value, d) for name, d in found.items() if d is not None and d.value is not None}
     if not asked:
         why = (
@@ -62,6 +63,6 @@ def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decisi
             else f"human training did not ask, or followed too little of {', '.join(found)}"
         )
         return TEMPORAL_APPEARANCE.decide(None, None, f"not measured here: {why}", threshold=threshold)
-    _, most = max(asked.values(), key=lambda pair: pair[0])
+    _, most = max(asked.values(), key=lambda pair: (pair[1].called_for, pair[0]))
     detail = {name: {"value": value, "verdict": d.verdict} for name, (value, d) in asked.items()}
-    return TEMPORAL_APPEARANCE.decide(most.value, most.interval, most.reason, threshold=threshold, detail=detail)
+    return replace(most, obeyed_by=TEMPORAL_APPEARANCE.obeyed_by, detail=detail)

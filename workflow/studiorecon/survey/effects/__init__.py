@@ -82,5 +82,5 @@ def table() -> str:
     rows = ["| effect | statistic | on | who acts |", "|---|---|---|---|"]
     for effect in EFFECTS:
         limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
-        rows.append(f"| `{effect.name}` | {effect.asks} | {limit} | {effect.obeyed_by or 'nobody: it informs'} |")
+        rows.append(f"| `{effect.name}` | {effect.asks} | {limit} | {effect.obeyed_by or 'nobody: a finding'} |")
     return "\n".join(rows)

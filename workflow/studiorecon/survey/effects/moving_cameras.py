@@ -41,5 +41,6 @@ EFFECT = SurveyedEffect(
     threshold=0.3,
     voids="the cameras move, which voids this measurement: steady the footage, or leave the moving camera out with "
     "train: [...]",
+    obeyed_by="survey.decide, which leaves open what rests on still cameras while it is on",
     measure=measure,
 )

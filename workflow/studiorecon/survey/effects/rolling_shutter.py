@@ -31,7 +31,8 @@ EFFECT = SurveyedEffect(
     statistic="shift over the rows that people cover, at the 95 % speed",
     unit="px at 1280",
     threshold=1.0,
-    obeyed_by="`people.associate`, which measures it by itself and in both halves of the clip, for `people.fit`",
+    obeyed_by="people.fit: keypoints are moved by what people.associate measured by itself and in both halves of the "
+    "clip; forced on, by what only one of them says too",
     hidden_by=("moving_cameras", "lens_distortion", "sync_offset"),
     measure=measure,
 )

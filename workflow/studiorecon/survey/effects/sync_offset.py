@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a camera's clock run beside the others'? Nobody who stands still can tell (V07)."""
+"""Does a camera's clock still run beside the others'? Nobody who stands still can tell (V07).
+
+A finding: ``clocks.offsets`` has put clocks right before; what is left shows how well."""
 
 from __future__ import annotations
 
