@@ -59,8 +59,8 @@ rule all:
     input:
         # Every camera's pictures on one clock, without its lens's distortion, and the room without people.
         collect("results/{scene}/capture/manifest.json", scene=PLAN.scene),
-        collect("results/{scene}/capture/{camera}.mkv", scene=PLAN.scene, camera=PLAN.cameras),
-        collect("results/{scene}/plates/{camera}.png", scene=PLAN.scene, camera=PLAN.training),
+        collect("results/{scene}/capture/{camera}.mkv", scene=PLAN.scene, camera=files.cameras),
+        collect("results/{scene}/plates/{camera}.png", scene=PLAN.scene, camera=files.training),
         # The cameras, as COLMAP models.
         collect("results/{scene}/cameras/{file}", scene=PLAN.scene, file=["images.txt", "refinement.json"]),
         collect("results/{scene}/cameras/heldout/images.txt", scene=PLAN.scene),
@@ -74,7 +74,7 @@ rule all:
         collect("results/{scene}/people/{person}.npz", scene=PLAN.scene, person=files.people),
         collect("results/{scene}/people/overlay/{camera}.mp4", scene=PLAN.scene, camera=files.filmed_people),
         # Depth of the room, what the survey decided, and what it measured.
-        collect("results/{scene}/depth/{camera}.exr", scene=PLAN.scene, camera=PLAN.training),
+        collect("results/{scene}/depth/{camera}.exr", scene=PLAN.scene, camera=files.training),
         collect(
             "results/{scene}/survey/{file}.json",
             scene=PLAN.scene,
@@ -89,14 +89,14 @@ rule all:
         collect("results/{scene}/background/scene.ply", scene=PLAN.scene),
         collect("results/{scene}/humans/{person}.{kind}", scene=PLAN.scene, person=files.people, kind=["ply", "npz"]),
         # Films: rendered (on request taken apart into EXR layers), enhanced, and beside what was filmed.
-        collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=PLAN.shots),
+        collect("results/{scene}/render/{shot}.mkv", scene=PLAN.scene, shot=files.drawn),
         collect(
             "results/{scene}/render/{shot}.layers",
             scene=PLAN.scene,
-            shot=PLAN.films if config["render"]["exr"] else [],
+            shot=files.films if config["render"]["exr"] else [],
         ),
         collect(
-            "results/{scene}/enhance/{shot}{kind}", scene=PLAN.scene, shot=PLAN.films, kind=[".mp4", ".compare.mp4"]
+            "results/{scene}/enhance/{shot}{kind}", scene=PLAN.scene, shot=files.films, kind=[".mp4", ".compare.mp4"]
         ),
         # How good it is, and everything on one page; the result in formats that other tools read.
         collect("results/{scene}/report/{file}", scene=PLAN.scene, file=["audit.json", "metrics.json", "index.html"]),

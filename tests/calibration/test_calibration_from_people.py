@@ -11,12 +11,15 @@ from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
 from studiorecon.errors import UserError
+from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.relative_pose import relative_pose, resection
 from studiorecon.geometry.rotations import angle, exp
+from studiorecon.rig import arrangement
+from studiorecon.rig.given_lengths import GivenLengths
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.scene.people import write_detections
+from studiorecon.scene.people import Detections, write_detections
 
 from tests.made.cameras import STANDING, ring, seen, walk
 from tests.made.take import after_similarity, made_take
@@ -46,6 +49,7 @@ def test_cameras_are_found_from_two_people_in_sixty_frames(tmp_path, options, ro
         [tmp_path / f"{n}.json" for n in names],
         tmp_path / "clocks.json",
         root / "resources/body.npz",
+        names,
         names,
         [tmp_path / f"{n}.mp4" for n in names],
         '{"' + '": 914.0, "'.join(names) + '": 914.0}',
@@ -119,6 +123,78 @@ def test_what_is_claimed_covers_a_detector_that_errs_the_same_way_in_every_frame
     degrees, metres, _ = after_similarity(found, truth)
     assert degrees.max() < 3 * max(report["sigma_deg"].values())
     assert metres.max() < 3 * max(report["sigma_m"].values())
+
+
+def nobody(camera: str, like: Detections) -> Detections:
+    return replace(like, camera=camera, frame=like.frame[:0], track=like.track[:0], keypoints=like.keypoints[:0])
+
+
+def test_a_camera_that_people_do_not_place_is_left_out_by_name(options, template):
+    """One camera sees nobody, another one somebody at other moments: the rest is placed as if they were not there."""
+    truth, detections = made_take(frames=60, people=2, occluded=False)
+    elsewhere = replace(detections[0], camera="late", frame=detections[0].frame + 1000)
+    more = [nobody("blind", detections[0]), *detections[:2], elsewhere, *detections[2:]]
+    cameras = [truth[0], *truth[:2], truth[0], *truth[2:]]
+    focal_px = {d.camera: c.focal_px[0] for d, c in zip(more, cameras)}
+    found, report = from_people.pose_cameras(more, [c.wh for c in cameras], focal_px, 60, template, options)
+    assert [c.name for c in found] == [c.name for c in truth]
+    assert "sees nobody" in report["left_out"]["blind"]
+    assert "shares too little of anybody" in report["left_out"]["late"]
+    assert set(report["left_out"]) == {"blind", "late"}
+    assert set(report["sigma_deg"]) == {c.name for c in truth}
+    degrees, metres, _ = after_similarity(found, truth)
+    assert degrees.max() < 1.0
+    assert metres.max() < 0.03
+    with_distance = GivenLengths(between=("blind", truth[0].name), distance_m=3.0)
+    _, told = from_people.pose_cameras(
+        more, [c.wh for c in cameras], focal_px, 60, template, options, given=with_distance
+    )
+    assert any("distance_m is measured from camera blind" in sentence for sentence in told["uncertain"])
+
+
+def test_a_camera_that_sees_people_for_a_short_while_only_is_looked_at_then(options, template):
+    """Sixty frames of ten minutes hardly meet the two seconds in which the fourth camera sees anybody."""
+    truth, detections = made_take(frames=60, people=2, occluded=False)
+    spread = [replace(d, frame=d.frame * 60) for d in detections[:3]]
+    short = [replace(d, frame=d.frame + 1000) for d in detections]
+    everybody = [
+        replace(
+            d,
+            frame=np.concatenate([d.frame, s.frame]),
+            track=np.concatenate([d.track, s.track + 1 + d.track.max()]),
+            keypoints=np.concatenate([d.keypoints, s.keypoints]),
+        )
+        for d, s in zip(spread, short)
+    ]
+    more = [*everybody, short[3]]
+    focal_px = {c.name: c.focal_px[0] for c in truth}
+    found, report = from_people.pose_cameras(more, [c.wh for c in truth], focal_px, 3600, template, options)
+    assert not report["left_out"]
+    assert after_similarity(found, truth)[0].max() < 1.0
+
+
+def test_of_two_arrangements_the_likelier_is_used_and_the_interval_covers_the_other(options, template, monkeypatch):
+    truth, detections = made_take(frames=60, people=2, occluded=False)
+    focal_px = {c.name: c.focal_px[0] for c in truth}
+    given = [c.wh for c in truth], focal_px, 60, template, options
+
+    def with_rival(*what):
+        best = arrangement_rigs(*what)
+        turned = {
+            v: moved(c, exp(np.radians([0, 0, 20.0 * (v == 2)])) @ c.camera_from_world[:3, :3], c.centre_m)
+            for v, c in best[0].cameras.items()
+        }
+        return [best[0], replace(best[0], cameras=turned, support=round(0.95 * best[0].support))]
+
+    before = from_people.pose_cameras(detections, *given)[1]
+    arrangement_rigs = arrangement.rigs
+    monkeypatch.setattr(arrangement, "rigs", with_rival)
+    found, report = from_people.pose_cameras(detections, *given)
+    assert not any("two arrangements" in sentence for sentence in before["uncertain"])
+    assert any("two arrangements of the cameras fit" in sentence for sentence in report["uncertain"])
+    assert after_similarity(found, truth)[0].max() < 1.0
+    assert before["between_deg"] < 5.0
+    assert report["between_deg"] > 20.0
 
 
 def test_cameras_that_share_nobody_are_undetermined(options, template):

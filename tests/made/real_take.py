@@ -73,6 +73,6 @@ def front_end_of(
     for person in read_people(out / "with_keypoints.tsv"):
         fits.append(out / f"{person}.npz")
         fit.run(load(fit), person, *scene, found, [out / f"who/{person}.tsv"], [], [], body, fits[-1])
-    tables = out / "with_keypoints.tsv", fits, names, videos, plates, body, out / "people.tsv", out / "silhouettes"
+    tables = out / "with_keypoints.tsv", fits, videos, plates, body, out / "people.tsv", out / "silhouettes"
     without_keypoints.run(load(without_keypoints), *scene, *tables)
     return read_people(out / "people.tsv"), read_identities(out / "identities.tsv"), read_json(out / "refinement.json")

@@ -33,7 +33,6 @@ def test_a_capture_with_everything_needs_no_detector_and_no_network(configured, 
     assert plan.networks.selected == []
     assert plan.networks.images == ["core"]
     assert plan.films == [f for f in configured()["render"]["shots"] if f != "heldout"], "nobody is held out"
-    assert plan.judged == ["train"]
 
 
 def test_a_studio_is_planned_before_it_is_filmed(configured, home):
@@ -41,7 +40,6 @@ def test_a_studio_is_planned_before_it_is_filmed(configured, home):
     assert plan.scene == plan.studio == "tiny"
     assert Path(plan.description).is_file()
     assert plan.held_out
-    assert plan.judged == plan.heldout_film == ["heldout"]
     assert all(file.startswith("results/studio/tiny/") for file in plan.calibration)
 
 

@@ -24,7 +24,7 @@ class Asked:
 
     def __init__(self, folder: Path, **finished: Any) -> None:
         self.asked: list[str] = []
-        for name in ("people_associate", "people_without_keypoints", "survey_decide"):
+        for name in ("calibration_from_people", "people_associate", "people_without_keypoints", "survey_decide"):
             setattr(self, name, Wildcards(get=self._get(name, finished.get(name))))
 
     def _get(self, name: str, output: Any) -> Any:
@@ -90,6 +90,32 @@ def test_the_detectors_cameras_are_looked_at_twice(configured, capture, home):
     assert files.seen_people(Wildcards(scene="capture", camera="left")) == []
     assert len(files.seen_people(Wildcards(scene="capture", camera="back"))) == 3
     assert files.keypoints(Wildcards(scene="capture", camera="back")) == "results/capture/detect/found/back.npz"
+
+
+def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home, tmp_path):
+    """Everything after the calibration hangs on whom it placed; a user's own calibration asks nobody."""
+    (capture / "capture.yaml").write_text("held_out: [left]\n")
+    asked = Asked(tmp_path)
+    own = files_of(configured(), home, asked)
+    assert (own.training(SCENE), own.held_out(SCENE)) == (["back", "right"], ["left"])
+    assert asked.asked == []
+    (capture / "intri.yml").unlink()
+    with pytest.raises(LookupError, match="calibration_from_people"):
+        files_of(configured(), home, Asked(tmp_path)).detections(SCENE)
+    written = tmp_path / "calibration.json"
+    written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "back")]}))
+    files = files_of(configured(), home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
+    assert files.cameras(SCENE) == files.training(SCENE) == files.judged_cameras(SCENE) == ["back", "right"]
+    assert files.held_out(SCENE) == files.heldout_film(SCENE) == []
+    assert files.judged(SCENE) == ["train"]
+    assert files.drawn(SCENE) == ["train", *(f for f in files.plan.films if f != "heldout")]
+    assert [Path(path).stem for path in files.detections(SCENE)] == ["back", "right"]
+    written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "left")]}))
+    assert files.judged_cameras(SCENE) == ["left"]
+    assert files.judged(SCENE) == files.heldout_film(SCENE) == ["heldout"]
+    closed = configured(survey={"force": {"view_synthesis": "on"}})
+    fewer = files_of(closed, home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
+    assert len(fewer.segments(SCENE)) == len(fewer.plan.segments) - 1
 
 
 def test_without_plates_association_alone_says_who_is_there(configured, home, tmp_path, found):

@@ -31,12 +31,12 @@ if PLAN.networks.refiner:
             model=MODEL,
             plates=collect(
                 "results/{scene}/plates/{camera}.png",
-                camera=PLAN.training,
+                camera=files.training,
                 allow_missing=True,
             ),
             depth=collect(
                 "results/{scene}/depth/{camera}.exr",
-                camera=PLAN.training,
+                camera=files.training,
                 allow_missing=True,
             ),
             shell="results/{scene}/depth/room.json",
@@ -79,7 +79,7 @@ if PLAN.networks.refiner:
             model=MODEL,
             plates=collect(
                 "results/{scene}/plates/{camera}.png",
-                camera=PLAN.training,
+                camera=files.training,
                 allow_missing=True,
             ),
             exposure=files.gains,
@@ -109,12 +109,12 @@ rule background_train:
         model=MODEL,
         plates=collect(
             "results/{scene}/plates/{camera}.png",
-            camera=PLAN.training,
+            camera=files.training,
             allow_missing=True,
         ),
         depth=collect(
             "results/{scene}/depth/{camera}.exr",
-            camera=PLAN.training,
+            camera=files.training,
             allow_missing=True,
         ),
         shell="results/{scene}/depth/room.json",

@@ -5,7 +5,8 @@
 
 if PLAN.from_people:
 
-    rule calibration_from_people:
+    # A checkpoint: a camera that people do not place is left out of everything that follows.
+    checkpoint calibration_from_people:
         input:
             sightings=collect("results/{scene}/detect/keypoints/{camera}.npz", camera=PLAN.cameras, allow_missing=True),
             sizes=collect("results/{scene}/detect/keypoints/{camera}.json", camera=PLAN.cameras, allow_missing=True),
@@ -27,6 +28,7 @@ if PLAN.from_people:
             settings=settings("calibration.from_people"),
             code=code("calibration.from_people"),
             cameras=PLAN.cameras,
+            training=PLAN.training,
             focal_px=json.dumps(dict(PLAN.dataset.focal_px)),
             lengths=json.dumps(dict(PLAN.dataset.lengths)),
         shell:

@@ -6,7 +6,7 @@ rule cameras_refine:
         calibration="results/{scene}/calibration/calibration.json",
         manifest="results/{scene}/capture/manifest.json",
         detections=files.first_detections,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
     output:
         model="results/{scene}/cameras/images.txt",
         intrinsics="results/{scene}/cameras/cameras.txt",
@@ -39,7 +39,7 @@ rule cameras_held_out:
         model=MODEL,
         given_model=[f"results/{{scene}}/cameras/heldout/given/{name}.txt" for name in ("images", "cameras")],
         detections=files.first_detections,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.held_out, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.held_out, allow_missing=True),
         networks=files.detector,
         second=files.second_network,
     output:

@@ -26,7 +26,7 @@ rule capture_frames:
 
 rule capture_manifest:
     input:
-        footage=collect("results/{scene}/capture/{camera}.json", camera=PLAN.cameras, allow_missing=True),
+        footage=collect("results/{scene}/capture/{camera}.json", camera=files.cameras, allow_missing=True),
     output:
         manifest="results/{scene}/capture/manifest.json",
     log:

@@ -15,7 +15,7 @@ rule depth_sweep:
         model=MODEL,
         plates=collect(
             "results/{scene}/plates/{other}.png",
-            other=PLAN.training,
+            other=files.training,
             allow_missing=True,
         ),
     output:
@@ -63,12 +63,12 @@ rule depth_room:
         model=MODEL,
         plates=collect(
             "results/{scene}/plates/{other}.png",
-            other=PLAN.training,
+            other=files.training,
             allow_missing=True,
         ),
         sweeps=collect(
             "results/{scene}/depth/{other}.sweep.npz",
-            other=PLAN.training,
+            other=files.training,
             allow_missing=True,
         ),
         people=files.walkers,
@@ -103,7 +103,7 @@ rule depth_refine:
         model=MODEL,
         plates=collect(
             "results/{scene}/plates/{other}.png",
-            other=PLAN.training,
+            other=files.training,
             allow_missing=True,
         ),
         shell="results/{scene}/depth/room.json",
@@ -160,9 +160,9 @@ if PLAN.networks.depth not in ("", "precomputed"):
     rule depth_network:
         input:
             model=MODEL,
-            plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
+            plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         output:
-            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=PLAN.training, allow_missing=True),
+            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=files.training, allow_missing=True),
         log:
             "logs/{scene}/depth/network.log",
         benchmark:

@@ -11,7 +11,7 @@ rule enhance_shot:
         train_depth="results/{scene}/render/train.depth.mkv",
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         truth=files.truth_of_replaced,
         edited=files.edited_reference,
         made=files.film_of_elsewhere,
@@ -77,7 +77,7 @@ rule enhance_comparison:
         render="results/{scene}/render/{shot}.mkv",
         render_path="results/{scene}/render/{shot}.json",
         video="results/{scene}/enhance/{shot}.mkv",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.cameras, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.cameras, allow_missing=True),
     output:
         beside="results/{scene}/enhance/{shot}.compare.mp4",
         wipe="results/{scene}/enhance/{shot}.wipe.mp4",

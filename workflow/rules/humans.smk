@@ -8,12 +8,12 @@ rule humans_train:
         people="results/{scene}/people/people.tsv",
         videos=collect(
             "results/{scene}/capture/{camera}.mkv",
-            camera=PLAN.training,
+            camera=files.training,
             allow_missing=True,
         ),
         masks=collect(
             "results/{scene}/masks/{camera}.mkv",
-            camera=PLAN.training,
+            camera=files.training,
             allow_missing=True,
         ),
         fit="results/{scene}/people/{person}.npz",
@@ -50,8 +50,8 @@ rule humans_train:
 rule humans_photo:
     input:
         people="results/{scene}/people/people.tsv",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
-        masks=collect("results/{scene}/masks/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
+        masks=collect("results/{scene}/masks/{camera}.mkv", camera=files.training, allow_missing=True),
     output:
         photo="results/{scene}/humans/{person}.photo.png",
     log:

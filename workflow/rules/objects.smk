@@ -6,8 +6,8 @@ rule objects_find:
     input:
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
-        plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
+        plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         people=files.fits,
         body=files.body,
         gains=files.gains,

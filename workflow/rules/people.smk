@@ -8,7 +8,7 @@ checkpoint people_associate:
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         detections=files.compared,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         corrected=files.corrected,
     output:
         people="results/{scene}/people/with_keypoints.tsv" if PLAN.sight.plated else "results/{scene}/people/people.tsv",
@@ -73,7 +73,7 @@ if PLAN.sight.detected:
             model=MODEL,
             manifest="results/{scene}/capture/manifest.json",
             detections=files.first_detections,
-            videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+            videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
             corrected=[],
         output:
             people="results/{scene}/people/first/people.tsv",
@@ -131,8 +131,8 @@ if PLAN.sight.plated:
             manifest="results/{scene}/capture/manifest.json",
             associated="results/{scene}/people/with_keypoints.tsv",
             fits=files.fits_with_keypoints,
-            videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.sight.plated, allow_missing=True),
-            plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.sight.plated, allow_missing=True),
+            videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.plated, allow_missing=True),
+            plates=collect("results/{scene}/plates/{camera}.png", camera=files.plated, allow_missing=True),
             body=files.body,
         output:
             people="results/{scene}/people/people.tsv",
@@ -149,7 +149,6 @@ if PLAN.sight.plated:
         params:
             settings=settings("people.without_keypoints"),
             code=code("people.without_keypoints"),
-            plated=PLAN.sight.plated,
         message:
             "Who stands out from the clean plates and has no keypoints"
         shell:
@@ -162,7 +161,7 @@ rule people_review:
         people="results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
         detections=files.detections,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
     output:
         page="results/{scene}/people/review.html",
     log:

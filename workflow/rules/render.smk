@@ -7,10 +7,10 @@ rule render_light:
         model=MODEL,
         people=files.fits,
         body=files.body,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         masks=files.masks,
-        plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
-        depths=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+        plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
         shell="results/{scene}/depth/room.json",
     output:
         light="results/{scene}/render/room.light.json",

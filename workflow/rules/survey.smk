@@ -8,9 +8,9 @@ checkpoint survey_decide:
         people=files.people_table,
         identities=files.identities,
         detections=files.detections,
-        videos=collect("results/{scene}/capture/{camera}.mkv", camera=PLAN.training, allow_missing=True),
-        plates=collect("results/{scene}/plates/{camera}.png", camera=PLAN.training, allow_missing=True),
-        depths=collect("results/{scene}/depth/{camera}.exr", camera=PLAN.training, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
+        plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
+        depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
         shell="results/{scene}/depth/room.json",
         earlier=files.earlier("survey/decisions.json"),
     output:

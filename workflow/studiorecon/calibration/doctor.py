@@ -63,12 +63,14 @@ def examined(
     settings: Settings,
     lens_readings: Readings | None = None,
     sync: Mapping[str, Any] | None = None,
+    doubts: Sequence[str] = (),
 ) -> tuple[dict[str, Any], np.ndarray]:
     """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
     another model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before
-    (``sentences``, and the ``refusal`` that awaits the footage, or "").
+    (``sentences``, and the ``refusal`` that awaits the footage, or ""). ``doubts``: what the calibration says of
+    itself.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
@@ -121,7 +123,7 @@ def examined(
         "sync": dict(sync or {"sentences": [], "refusal": ""}),
         "footage": {a["camera"]: dict(a) for a in about},
         "facts": sanity.facts(cameras),
-        "oddities": sanity.oddities(cameras),
+        "oddities": [*doubts, *sanity.oddities(cameras)],
         "coverage": dict(zip(("1", "2", "3", "4"), health.coverage(cameras, middle, reach))),
         "reach_m": reach,
         "blind_sectors_deg": health.blind_sectors(cameras, middle),
@@ -265,9 +267,12 @@ def run(
     """Write ``report`` (JSON) and ``doctor`` (HTML) for ``cameras`` and their videos ``sources``.
 
     ``clocks`` say which of their frames are used, ``sync`` how that was found. ``sightings`` and ``sizes`` are there
-    for the cameras with keypoints, in any order.
+    for the cameras with keypoints, in any order. Cameras that people did not place are not there to be examined.
     """
-    lenses = read_lenses(calibration)
+    lenses, told_of = read_lenses(calibration), read_json(calibration)
+    left_out = told_of.get("people_rig", {}).get("left_out", {})
+    sources = [source for camera, source in zip(cameras, sources, strict=True) if camera not in left_out]
+    cameras = [camera for camera in cameras if camera not in left_out]
     if unknown := [c for c in cameras if c not in lenses]:
         raise UserError(f"camera {unknown[0]} is not in {calibration} (that has {', '.join(lenses)})")
     found, common = read_json(sync), usable(read_clocks(clocks))
@@ -311,7 +316,7 @@ def run(
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
     told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
-    result, points = examined(pinholes, detections, about, settings, readings, told)
+    result, points = examined(pinholes, detections, about, settings, readings, told, told_of.get("doubts", []))
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:
         pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]

@@ -12,20 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.arrays import evenly_spread
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration.room_edges import edges_of
 from studiorecon.errors import UserError
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.geometry.lens import mapped_lens
-from studiorecon.geometry.rotations import angle
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say, warn
+from studiorecon.rig.arrangement import Arrangement, apart, arranged
 from studiorecon.rig.bundle import Agreement
 from studiorecon.rig.certainty import between_deg, sigma_of
-from studiorecon.rig.from_people import Rig, bone_factor, rigs, scaled, sightings
+from studiorecon.rig.from_people import Rig, bone_factor, scaled
 from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
@@ -36,15 +35,16 @@ from studiorecon.scene.numbered import pictures_in
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
-# Widths of view that are tried when nobody says: phones, action cameras, webcams, tele ends.
-_HFOV_DEG = (65.0, 85.0, 48.0, 105.0, 36.0)
-_SAME_DEG = 5.0
-_WIDER = (1.0, 2.0)
 # So many times the accepted standard deviations, and the bodies are not where the people were.
 _HOPELESS = 6.0
 # Standard deviation of adults' sizes, as a share.
 _OF_A_MEAN_BODY = 0.05
 _NO_LENGTHS = GivenLengths()
+_LEAST_CAMERAS = 2
+_WOULD_HELP = (
+    "let somebody walk where it and another camera both look, or bring a calibration; train: [...] in capture.yaml "
+    "without it says that this is meant"
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class PeopleRigSettings:
         max_focal_sigma: share up to which a focal length counts as determined by the people.
         max_sigma_deg, max_sigma_m: standard deviations of turn and place past which the cameras are marked as
             uncertain.
-        rival_share: another arrangement of the cameras with this share of the support makes them undetermined.
+        rival_share: another arrangement of the cameras with this share of the support is told, and what is known of
+            them covers it.
     """
 
     frames: int = 60
@@ -98,38 +99,38 @@ def pose_cameras(
     ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, of the
     cameras whose pictures were looked at.
     """
-    names = [d.camera for d in detections]
-    chosen = evenly_spread(frames, settings.people_rig.frames)
     known = {**(told_px or {}), **focal_px}
-    guesses = _HFOV_DEG if len(known) < len(names) else _HFOV_DEG[:1]
-    best: list[Rig] = []
-    seen = sightings(detections, chosen, settings.limits.min_confidence)
-    # Real detectors are off by more than one error unit more often than made ones: a second, wider look where the first
-    # fails.
-    for hfov, wider in [(hfov, wider) for wider in _WIDER for hfov in guesses]:
-        start = [_pinhole(n, size, known.get(n), hfov) for n, size in zip(names, wh)]
-        limits = replace(settings.limits, huber_share=settings.limits.huber_share * wider)
-        found = rigs(seen, start, template_m, settings.gate_m, limits)
-        if found and (not best or (len(found[0].cameras), found[0].support) > (len(best[0].cameras), best[0].support)):
-            best = found
-        if best and len(best[0].cameras) == len(names):
-            break
-    _complete(best, names)
-    _no_rival(best, names, settings.people_rig)
-    # Known focal lengths are pulled towards their value at every round; unknown ones are free.
     about = settings.people_rig
+    found = arranged(
+        detections, wh, known, frames, about.frames, template_m, settings.gate_m, settings.limits, about.rival_share
+    )
+    if found is None:
+        raise UserError(
+            "the cameras are undetermined: no two cameras see enough of one person at once to "
+            "find out where they stand; check that the "
+            "videos are synchronised, or bring a calibration"
+        )
+    names = [d.camera for d in found.seen.detections]
+    # Known focal lengths are pulled towards their value at every round; unknown ones are free.
     wide = {n: about.focal_sigma if n in focal_px else about.focal_told_sigma for n in known}
     lens = LensPrior(np.array([wide.get(n, about.focal_unknown_sigma) for n in names]), 0.0)
     known_px = {v: known[n] for v, n in enumerate(names) if n in known}
-    rig, result = self_calibrated(best[0], seen, template_m, lens, known_px, settings)
+    rig, result = self_calibrated(found.rig, found.seen, template_m, lens, known_px, settings)
     told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
-    rig, result, turns = turned_by_edges(rig, result, seen, template_m, lens, known_px, told, settings)
+    rig, result, turns = turned_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
     turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px, turns)
-    uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, settings.people_rig)
+    uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, about)
+    if found.rival is not None:
+        degrees, metres = apart(found.rival, result.cameras)
+        turn, place = np.hypot(turn, degrees), np.hypot(place, metres)
+        uncertain.append(_of_two(found, degrees))
+    if unplaced := [n for n in given.between if n in found.left_out]:
+        uncertain.append(f"distance_m is measured from camera {unplaced[0]}, which is left out, so it says no lengths")
+        given = replace(given, between=())
     cameras, points, how, scale = _settled_in_the_world(result, rig, template_m, given, stature)
     error = rig.points.error_px[:, rig.points.verified if len(names) > 2 else rig.points.valid]
     median = float(np.median(error[np.isfinite(error)]))
-    if median > settings.max_error_share * max(max(s) for s in wh):
+    if median > settings.max_error_share * max(max(c.wh) for c in cameras):
         raise UserError(
             f"the cameras are undetermined: the best arrangement leaves people {median:.0f} px "
             "off; check that the videos are synchronised "
@@ -139,7 +140,8 @@ def pose_cameras(
         "source": "people",
         "median_px": median,
         "support": rig.support,
-        "frames": len(chosen),
+        "frames": len(found.seen.frames),
+        "left_out": dict(found.left_out),
         "sigma_deg": dict(zip(names, turn.tolist())),
         "sigma_m": dict(zip(names, place.tolist())),
         "focal_px": {c.name: c.focal_px[0] for c in cameras},
@@ -192,44 +194,14 @@ def mean_body(body: BodyModel) -> np.ndarray:
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]
 
 
-def _pinhole(name: str, wh: tuple[int, int], focal_px: float | None, hfov_deg: float) -> Camera:
-    focal = focal_px or 0.5 * max(wh) / np.tan(np.radians(hfov_deg) / 2)
-    return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
-
-
-def _complete(found: Sequence[Rig], names: Sequence[str]) -> None:
-    if not found:
-        raise UserError(
-            "the cameras are undetermined: no two cameras see enough of one person at once to "
-            "find out where they stand; check that the "
-            "videos are synchronised, or bring a calibration"
-        )
-    missing = [n for v, n in enumerate(names) if v not in found[0].cameras]
-    if missing:
-        raise UserError(
-            f"camera {', '.join(missing)} is undetermined: it shares too little of any "
-            "person with the others; leave it out with "
-            "train: [...] in capture.yaml, or bring a calibration"
-        )
-
-
-def _no_rival(found: Sequence[Rig], names: Sequence[str], settings: PeopleRigSettings) -> None:
-    for other in found[1:]:
-        if len(other.cameras) < len(names) or other.support < settings.rival_share * found[0].support:
-            continue
-        turned = [_relative_turn(found[0], other, v) for v in range(1, len(names))]
-        if max(turned) > _SAME_DEG:
-            raise UserError(
-                "the cameras are undetermined: two arrangements fit the people about equally well "
-                f"({found[0].support} and {other.support} "
-                f"keypoints) and differ by {max(turned):.0f}°; use more frames, or bring a calibration"
-            )
-
-
-def _relative_turn(first: Rig, second: Rig, view: int) -> float:
-    a = first.cameras[view].camera_from_world[:3, :3] @ first.cameras[0].camera_from_world[:3, :3].T
-    b = second.cameras[view].camera_from_world[:3, :3] @ second.cameras[0].camera_from_world[:3, :3].T
-    return float(np.degrees(angle(a, b)))
+def _of_two(found: Arrangement, degrees: np.ndarray) -> str:
+    """What is said of two arrangements that fit about equally well and differ by ``degrees`` (V,)."""
+    assert found.rival is not None
+    return (
+        f"two arrangements of the cameras fit the people about equally well ({found.rig.support} and "
+        f"{found.rival.support} keypoints) and differ by {degrees.max():.0f}°; the likelier one is used, and what is "
+        "known of it covers the other: let somebody walk all over the floor, use more frames, or bring a calibration"
+    )
 
 
 def _settled_in_the_world(
@@ -284,6 +256,7 @@ def run(
     clocks: Path,
     body: Path,
     cameras: list[str],
+    training: list[str],
     sources: list[Path],
     focal_px: str,
     lengths: str,
@@ -293,7 +266,8 @@ def run(
     (JSON).
 
     ``focal_px``: JSON, camera → focal length in pixels of the video, for as many cameras as the user knows; the footage
-    ``sources`` of ``cameras`` may tell others. ``lengths``: JSON, ``GivenLengths``.
+    ``sources`` of ``cameras`` may tell others. ``lengths``: JSON, ``GivenLengths``. Cameras that people do not place
+    are not in ``calibration``, which is said; two of ``training`` there must be.
     """
     common = read_clocks(clocks)
     if common.refusal:
@@ -301,9 +275,10 @@ def run(
     size_of = {v["camera"]: (int(v["wh"][0]), int(v["wh"][1])) for v in map(read_json, sizes)}
     detections = [on_common_clock(d, common, size_of[d.camera][1]) for d in map(read_detections, sightings)]
     wh = [size_of[d.camera] for d in detections]
-    if blind := [d.camera for d in detections if not len(d.frame)]:
+    if not any(len(d.frame) for d in detections):
         raise UserError(
-            f"camera {', '.join(blind)} sees nobody, and without a calibration cameras can only be found from people"
+            f"nobody was found in any camera ({common.frames} moments of {', '.join(cameras)} were looked at), and "
+            "without a calibration cameras can only be found from people; bring one"
         )
     warn("there is no calibration: the cameras are found from the people (calibration.source)")
     fitted = BodyModel.load(body)
@@ -323,6 +298,12 @@ def run(
         stature_m(fitted),
         edges,
     )
+    if sum(c.name in training for c in found) < _LEAST_CAMERAS:
+        raise UserError(
+            "people place fewer than two cameras that the scene could be made from: "
+            + "; ".join(f"camera {n}: {why}" for n, why in report["left_out"].items())
+            + "; check that the videos are synchronised, or bring a calibration"
+        )
     notes = [
         f"the cameras were found from people in {report['frames']} frames: {report['median_px']:.1f} px median",
         f"the rotation between any two cameras is known to ±{report['between_deg']:.1f}°, places to "
@@ -342,9 +323,11 @@ def run(
     ]
     for note in notes:
         say(note)
-    for sentence in report["uncertain"]:
-        warn(f"uncertain cameras: {sentence}")
-    notes += [f"UNCERTAIN: {sentence}" for sentence in report["uncertain"]]
+    doubts = [f"uncertain cameras: {sentence}" for sentence in report["uncertain"]]
+    for camera, why in report["left_out"].items():
+        doubts.append(f"camera {camera} is left out of this reconstruction: {why}; {_WOULD_HELP}")
+    for sentence in doubts:
+        warn(sentence)
     # In the pixels that the footage's maps speak of, so that everybody after this reads keypoints in the same ones.
     maps = {v["camera"]: v.get("pixel_map") for v in map(read_json, sizes)}
     lenses = [
@@ -354,4 +337,4 @@ def run(
         for c in found
     ]
     content = {"source": "people", "format": "found from people", "lenses": [lens.as_json() for lens in lenses]}
-    write_json(calibration, {**content, "floor_known": True, "notes": notes, "people_rig": report})
+    write_json(calibration, {**content, "floor_known": True, "notes": notes, "doubts": doubts, "people_rig": report})

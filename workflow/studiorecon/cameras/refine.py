@@ -346,7 +346,7 @@ def run(
         {
             **outcome.report,
             "unusable_keypoints": unusable,
-            "calibration": {k: given.get(k) for k in ("source", "format", "notes")},
+            "calibration": {k: given.get(k) for k in ("source", "format", "notes", "doubts")},
         },
     )
     write_png(sheet, picture)

@@ -33,7 +33,6 @@ def run(
     manifest: Path,
     associated: Path,
     fits: list[Path],
-    plated: list[str],
     videos: list[Path],
     plates: list[Path],
     body: Path,
@@ -42,16 +41,16 @@ def run(
 ) -> None:
     """Write ``people``: the table ``associated`` of those with keypoints, and below them who has none.
 
-    ``fits`` are the bodies of the former. ``videos`` and ``plates`` are those of the cameras ``plated``, whose clean
-    plates the user brought. The folder ``silhouettes`` has <person>.npz for everybody without keypoints: where the
+    ``fits`` are the bodies of the former. ``videos`` and ``plates`` are those of the cameras whose clean plates the
+    user brought. The folder ``silhouettes`` has <person>.npz for everybody without keypoints: where the
     cameras show them, and where their fit starts.
     """
     cameras = {camera.name: camera for camera in read_model(model.parent)}
     footage, body_model = read_manifest(manifest), BodyModel.load(body)
     known = [read_person(path) for path in fits]
     views = [
-        open_view(cameras[name], video, plate, settings.hull.foreground)
-        for name, video, plate in zip(plated, videos, plates, strict=True)
+        open_view(cameras[video.stem], video, plate, settings.hull.foreground)
+        for video, plate in zip(videos, plates, strict=True)
     ]
     found = find_standing(views, known, body_model, footage.frames, footage.fps, settings.hull)
     add_people(
@@ -65,7 +64,7 @@ def run(
         say("nobody without keypoints stands out from the given plates")
     if not read_people(people):
         warn(
-            f"nobody was found in any camera: {footage.frames} frames each of {', '.join(plated)} were looked at; if "
-            "somebody is there, bring keypoints of another detector; write people: 0 "
+            f"nobody was found in any camera: {footage.frames} frames each of {', '.join(v.stem for v in videos)} were "
+            "looked at; if somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
         )

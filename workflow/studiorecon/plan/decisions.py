@@ -78,16 +78,6 @@ class Plan:
         photos."""
         return ["train", *self.films]
 
-    @property
-    def heldout_film(self) -> list[str]:
-        """The film of the held-out cameras, where there is one."""
-        return [film for film in self.films if film == "heldout"]
-
-    @property
-    def judged(self) -> list[str]:
-        """What is compared with photos: the held-out cameras, or for want of them those of training."""
-        return self.heldout_film if self.held_out else ["train"]
-
 
 def one_of(names: Iterable[str]) -> str:
     """A wildcard constraint: exactly these names; none matches anything where there are none."""

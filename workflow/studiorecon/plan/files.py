@@ -25,6 +25,48 @@ class Files(Brought):
         super().__init__(plan, config, home, local)
         self.checkpoints = checkpoints
 
+    # ---- which cameras take part ----
+
+    def cameras(self, wildcards: Any) -> list[str]:
+        """Every camera of the plan; where the cameras are found from people, those that people place."""
+        if not self.plan.from_people:
+            return self.plan.cameras
+        found = self.checkpoints.calibration_from_people.get(scene=self._scene(wildcards)).output.calibration
+        placed = {lens["name"] for lens in json.loads(Path(found).read_text(encoding="utf-8"))["lenses"]}
+        return [camera for camera in self.plan.cameras if camera in placed]
+
+    def training(self, wildcards: Any) -> list[str]:
+        """Those of them that the scene is made from."""
+        return [camera for camera in self.cameras(wildcards) if camera in self.plan.training]
+
+    def held_out(self, wildcards: Any) -> list[str]:
+        """Those of them that only the report looks at."""
+        return [camera for camera in self.cameras(wildcards) if camera in self.plan.held_out]
+
+    def judged_cameras(self, wildcards: Any) -> list[str]:
+        """Those whose photos are compared with pictures: the held-out ones, or for want of them those of training."""
+        return self.held_out(wildcards) or self.training(wildcards)
+
+    def plated(self, wildcards: Any) -> list[str]:
+        """Those in front of whose clean plates people stand out."""
+        return [camera for camera in self.plan.sight.plated if camera in self.training(wildcards)]
+
+    def films(self, wildcards: Any) -> list[str]:
+        """Every film; none of held-out cameras where none of them is left."""
+        return [film for film in self.plan.films if film != "heldout" or self.held_out(wildcards)]
+
+    def drawn(self, wildcards: Any) -> list[str]:
+        """Every film, and "train": the training cameras themselves."""
+        return ["train", *self.films(wildcards)]
+
+    def heldout_film(self, wildcards: Any) -> list[str]:
+        """The film of the held-out cameras, where there is one."""
+        return [film for film in self.films(wildcards) if film == "heldout"]
+
+    def judged(self, wildcards: Any) -> list[str]:
+        """What is compared with photos: that film, or for want of it the training cameras."""
+        return self.heldout_film(wildcards) or ["train"]
+
     # ---- what cameras saw of people ----
 
     def first_detection(self, wildcards: Any) -> list[str]:
@@ -33,7 +75,7 @@ class Files(Brought):
 
     def first_detections(self, wildcards: Any) -> list[str]:
         """The same of every training camera."""
-        cameras = self.plan.training if self._somebody else []
+        cameras = self.training(wildcards) if self._somebody else []
         return [f"results/{wildcards.scene}/tracks/{camera}.npz" for camera in cameras]
 
     def detection(self, wildcards: Any) -> list[str]:
@@ -42,14 +84,14 @@ class Files(Brought):
 
     def detections(self, wildcards: Any) -> list[str]:
         """The same of every training camera after the second look."""
-        cameras = self.plan.training if self._somebody else []
+        cameras = self.training(wildcards) if self._somebody else []
         return [self._looked_at(self._scene(wildcards), camera) for camera in cameras]
 
     def compared(self, wildcards: Any) -> list[str]:
         """The same as association compares it: with pelvises at the scene's depth where that is asked for."""
         if not (self._somebody and self.plan.lifted):
             return self.detections(wildcards)
-        return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.plan.training]
+        return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
     @property
     def _somebody(self) -> bool:
@@ -133,7 +175,7 @@ class Files(Brought):
 
     def filmed_people(self, wildcards: Any) -> list[str]:
         """Training cameras, if anybody was found whom they can show."""
-        return self.plan.training if self.people(wildcards) else []
+        return self.training(wildcards) if self.people(wildcards) else []
 
     def masks(self, wildcards: Any) -> list[str]:
         """Person masks of every training camera; none when there are no people."""
@@ -149,7 +191,7 @@ class Files(Brought):
         """Footage of the training cameras, where their first pictures are trained on in the plates' place."""
         if self.config["background"]["photos"] == "plates":
             return []
-        return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.plan.training]
+        return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.training(wildcards)]
 
     def first_masks(self, wildcards: Any) -> list[str]:
         """Who is in those pictures; none when there are no people."""
@@ -158,7 +200,9 @@ class Files(Brought):
     def key_frames(self, wildcards: Any) -> list[str]:
         """Footage of the training cameras, where a network is shown their first pictures with the people in them."""
         shown = self.config["views"]["key_frames"] == "first_frames" and self.plan.networks.views != "warp"
-        return [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.plan.training] if shown else []
+        return (
+            [f"results/{wildcards.scene}/capture/{camera}.mkv" for camera in self.training(wildcards)] if shown else []
+        )
 
     def key_masks(self, wildcards: Any) -> list[str]:
         """Who is in those pictures; none when there are no people."""
@@ -207,7 +251,9 @@ class Files(Brought):
 
     def segments(self, wildcards: Any) -> list[str]:
         """Gaps between cameras that get new views; none unless the survey calls for views."""
-        return self.plan.segments if self.verdict("view_synthesis", wildcards) == "on" else []
+        if self.verdict("view_synthesis", wildcards) != "on":
+            return []
+        return self.plan.segments[: len(self.plan.segments) + len(self.training(wildcards)) - len(self.plan.training)]
 
     def views(self, wildcards: Any) -> list[str]:
         """The new views of every segment."""

@@ -181,6 +181,7 @@ def cameras(doctor: Any, sheet: str) -> str:
     header = ["camera", "keypoints off their projection, as calibrated", "as used"]
     return (
         html.heading("Cameras", lead)
+        + "".join(f"<p><b>{html.text(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
         + (html.table(header, rows, numeric=(1, 2)) if rows else "")
         + html.figure(sheet, "contact sheet of all cameras")
         + html.folded("Everything the doctor found", found)
