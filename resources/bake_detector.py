@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bake ``resources/detector/*.onnx`` from BlazePose's TFLite files.
 
-    python resources/bake_detector.py pose_detection.tflite resources/detector/pose_detection.onnx      (and the
-    landmarks' likewise)
+    python resources/bake_detector.py pose_detection.tflite resources/detector/pose_detection.onnx [OLDER.onnx]
+    (and the landmarks' likewise)
 
 Needs tensorflow-cpu, tf2onnx, onnx and onnxruntime in an environment of their own, never the package's. The detector
 stores 38 tensors sparsely, which ONNX cannot: they are made dense by TFLite's own interpreter first. Weights stay in
 half precision, as in the original, and are cast when the network is loaded. Prints the largest difference to the
-original on one random picture.
+original on one random picture, and that to an older file where one is named.
 """
 
 from __future__ import annotations
@@ -97,7 +97,20 @@ def halved(model: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
-def main(source: Path, target: Path) -> None:
+def answers(file: Path, picture: np.ndarray) -> list[np.ndarray]:
+    """What an ONNX file gives on ``picture``."""
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    return session.run(None, {session.get_inputs()[0].name: picture})
+
+
+def compared(name: str, ours: list[np.ndarray], theirs: list[np.ndarray]) -> None:
+    """Print by how much each of ``ours`` differs from that of ``theirs`` with its shape."""
+    for mine in ours:
+        gaps = [float(np.abs(mine - other).max()) for other in theirs if other.shape == mine.shape]
+        print(f"{name} {mine.shape}: off by {min(gaps):.2g} of {np.abs(mine).max():.3g}")
+
+
+def main(source: Path, target: Path, older: Path | None = None) -> None:
     """Convert, halve, write and compare."""
     edge = 224 if "detection" in source.name else 256
     picture = np.random.default_rng(0).random((1, edge, edge, 3)).astype(np.float32)
@@ -105,11 +118,11 @@ def main(source: Path, target: Path) -> None:
     tflite_utils.tensor_util = DenseTensors(dense)
     model, _ = tf2onnx.convert.from_tflite(str(source), opset=OPSET)
     onnx.save(halved(model), str(target))
-    session = onnxruntime.InferenceSession(str(target), providers=["CPUExecutionProvider"])
-    for mine in session.run(None, {session.get_inputs()[0].name: picture}):
-        gaps = [float(np.abs(mine - theirs).max()) for theirs in expected if theirs.shape == mine.shape]
-        print(f"{target.name} {mine.shape}: off by {min(gaps):.2g} of {np.abs(mine).max():.3g}")
+    made = answers(target, picture)
+    compared(f"{target.name} against {source.name}", made, expected)
+    if older:
+        compared(f"{target.name} against {older}", made, answers(older, picture))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(*map(Path, sys.argv[1:]))
