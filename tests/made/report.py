@@ -34,6 +34,15 @@ def poses_of_nobody(folder: Path) -> Path:
     return folder / "poses.json"
 
 
+LEFT_OUT = {
+    "name": "r0",
+    "seconds": 2.53,
+    "cameras": ["left", "right"],
+    "reason": "it has no <depth>",
+    "lines": ["left\t3\tp0", "right\t1\tp0"],
+}
+
+
 def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Path = Path("none")) -> Path:
     """Write the scene, its scores and its page into ``folder``; returns it. ``lpips`` holds LPIPS' weights."""
     cameras = write_scene(folder, root, people=0)
@@ -72,6 +81,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
     )
     write_json(folder / "cameras/refinement.json", {"median_px": 0.5})
     cv2.imwrite(str(folder / "cameras/refinement.png"), np.full((60, 90, 3), 128, np.uint8))
+    write_json(folder / "people/association.json", {"left_out": [LEFT_OUT]})
     section = default_settings("report")
     common = {"scene": "made", "manifest": folder / "capture/manifest.json", "model": folder / "cameras/images.txt"}
     shot = {"render": [folder / "render/heldout.mkv"], "render_path": [folder / "render/heldout.json"]}
@@ -118,6 +128,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         fits=[],
         detections=[],
         identities=[],
+        association=[folder / "people/association.json"],
         linked=[],
         benchmarks=folder / "none",
         logs=folder / "logs",

@@ -143,6 +143,7 @@ rule report_page:
         fits=files.fits,
         detections=files.detections,
         identities=files.identities,
+        association=files.association,
         paper=files.bundled("resources/paper/results.tsv"),
         solvers=files.bundled("resources/solvers.tsv"),
         poster="results/{scene}/deliver/player.jpg",

@@ -158,6 +158,7 @@ def run(
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
+    association: list[Path],
     linked: list[Path],
     benchmarks: Place,
     logs: Place,
@@ -206,6 +207,7 @@ def run(
         names = [person.name for person in bodies]
         whose, found = read_identities(identities[0]), [read_detections(path) for path in detections]
         body.append(timeline.strip(timeline.frames_seen(found, whose, names, capture.frames), names))
+    body += [sections.left_out(read_json(path)["left_out"]) for path in association]
     if masks:
         body.append(html.row(mask_pictures(training_videos, masks, capture.frames // 2, width), min(len(masks), 4)))
     body.append(

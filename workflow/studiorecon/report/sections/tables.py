@@ -170,6 +170,30 @@ def people(metrics: Mapping[str, Any]) -> str:
     return "".join(parts)
 
 
+def left_out(those: Sequence[Mapping[str, Any]]) -> str:
+    """The short list of whom association left out, why, and what takes each of them in: ``left_out`` of
+    people/association.json. Nothing where there are none."""
+    if not those:
+        return ""
+    lead = (
+        "Two cameras or more agreed on each of these for a second, or for half of a shorter clip, and they are not in "
+        "the scene; people/review.html has their pictures. If one of them is somebody, copy people/identities.tsv "
+        "into the dataset folder and put the lines below into it, in place of those of the same tracks."
+    )
+    rows = [
+        [
+            one["name"],
+            f"{one['seconds']:.1f} s",
+            ", ".join(one["cameras"]),
+            one["reason"],
+            html.folded(f"{len(one['lines'])} lines", "\n".join(one["lines"])),
+        ]
+        for one in those
+    ]
+    header = ["who", "for", "seen by", "why not", "takes them in"]
+    return html.heading("Left out", lead) + html.table(header, rows, raw=(4,))
+
+
 def cameras(doctor: Any, sheet: str) -> str:
     """The camera doctor's sheet and what it found."""
     found = json.dumps(doctor, indent=1, sort_keys=True)
