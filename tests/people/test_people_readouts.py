@@ -91,9 +91,9 @@ def test_the_step_finds_it_and_keypoints_come_back_to_where_they_were(
     assert doubted[cameras[-1].name] == took_s[cameras[-1].name]
     assert any(doubted[c.name] for c in cameras[:-1]), "what is not believed was measured all the same"
     assert not any(took_s[c.name] for c in cameras[:-1])
-    moved = with_all_rows_at_once(one, took_s[cameras[-1].name] * FPS, cameras[-1].wh[1])
+    moved = with_all_rows_at_once(one, took_s[cameras[-1].name], cameras[-1].wh[1], FPS)
     wanted = straight.pixels[-1, 0]
     both = np.isfinite(wanted).all(-1) & np.isfinite(one.keypoints[..., :2]).all(-1)
     before, after = (np.abs(d.keypoints[..., :2] - wanted)[both].mean() for d in (one, moved))
     assert after < 0.6 * before, (before, after)
-    assert with_all_rows_at_once(one, 0.0, 100) is one
+    assert with_all_rows_at_once(one, 0.0, 100, FPS) is one

@@ -12,8 +12,9 @@ from studiorecon.scene.capture import Footage
 from studiorecon.scene.clocks import Clocks
 from studiorecon.scene.people import Detections
 
-# Neighbours further apart than this many working frames are not joined: nobody knows what happened between them.
-_FARTHEST = 2.5
+# Neighbours further apart than this, seconds, are not joined, unless they are next to each other: nobody knows what
+# happened between them. A hand that swings leaves the straight line by a centimetre in that time.
+_FARTHEST_S, _NEXT_FRAMES = 0.1, 1.25
 _SAME = 1e-9
 # A cubic reaches two frames to either side.
 _MARGIN = 2
@@ -55,26 +56,26 @@ def at_working_moments(seen: Detections, clocks: Clocks, height_px: float) -> De
     late, readout = clocks.late_frames(seen.camera), clocks.of(seen.camera).readout_s * clocks.fps
     if not late.any() and not readout:
         return seen
-    return replace(seen, keypoints=_along_tracks(seen, late[seen.frame], readout, height_px))
+    return replace(seen, keypoints=_along_tracks(seen, late[seen.frame], readout, height_px, clocks.fps))
 
 
-def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float) -> np.ndarray:
+def _along_tracks(seen: Detections, late: np.ndarray, readout: float, height_px: float, fps: float) -> np.ndarray:
     """(D, K, 3) the keypoints of ``seen`` at its frames, of pictures that come ``late`` (D,) frames after them."""
     keypoints = seen.keypoints.copy()
     for track in np.unique(seen.track):
         mine = np.flatnonzero(seen.track == track)
         mine = mine[np.argsort(seen.frame[mine], kind="stable")]
         frame, times = seen.frame[mine], seen.frame[mine] + late[mine]
-        keypoints[mine] = _resampled(seen.keypoints[mine], times, seen.keypoints[mine], frame, readout, height_px)
+        keypoints[mine] = _resampled(seen.keypoints[mine], times, seen.keypoints[mine], frame, readout, height_px, fps)
     return keypoints
 
 
-def with_all_rows_at_once(seen: Detections, readout_frames: float, height_px: float) -> Detections:
-    """``seen`` at its own frames, as a camera would have it that takes no ``readout_frames`` from its first row to the
-    last of ``height_px``: each keypoint moved along its track, as in ``on_common_clock``."""
-    if not readout_frames:
+def with_all_rows_at_once(seen: Detections, readout_s: float, height_px: float, fps: float) -> Detections:
+    """``seen`` at its own frames, as a camera would have it that takes no ``readout_s`` from its first row to the last
+    of ``height_px``: each keypoint moved along its track, as in ``on_common_clock``."""
+    if not readout_s:
         return seen
-    return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_frames, height_px))
+    return replace(seen, keypoints=_along_tracks(seen, np.zeros(len(seen.frame)), readout_s * fps, height_px, fps))
 
 
 def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detections:
@@ -108,16 +109,23 @@ def on_common_clock(seen: Detections, clocks: Clocks, height_px: float) -> Detec
             frame[own],
             clock.readout_s * clocks.fps,
             height_px,
+            clocks.fps,
         )
     return moved
 
 
 def _resampled(
-    samples: np.ndarray, times: np.ndarray, nearest: np.ndarray, wanted: np.ndarray, readout: float, height_px: float
+    samples: np.ndarray,
+    times: np.ndarray,
+    nearest: np.ndarray,
+    wanted: np.ndarray,
+    readout: float,
+    height_px: float,
+    fps: float,
 ) -> np.ndarray:
     """(W, K, 3) keypoints of one track at times ``wanted`` (W,) from ``samples`` (D, K, 3) at ``times`` (D,), all in
     working frames."""
-    found = nearest.copy()
+    found, farthest = nearest.copy(), max(_FARTHEST_S * fps, _NEXT_FRAMES)
     for k in range(samples.shape[1]):
         there = np.flatnonzero((samples[:, k, 2] > 0) & np.isfinite(samples[:, k, :2]).all(-1))
         asked = np.flatnonzero((nearest[:, k, 2] > 0) & np.isfinite(nearest[:, k, :2]).all(-1))
@@ -126,13 +134,15 @@ def _resampled(
         points = samples[there, k, :2]
         when = times[there] + readout * (points[:, 1] / height_px - 0.5)
         when = np.maximum.accumulate(when + _SAME * np.arange(len(when)))
-        found[asked, k, :2] = _interpolated(points, when, nearest[asked, k, :2], wanted[asked])
+        found[asked, k, :2] = _interpolated(points, when, nearest[asked, k, :2], wanted[asked], farthest)
     return found
 
 
-def _interpolated(points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """(W, 2) points at times ``wanted``; ``nearest`` where no two of ``points`` (D, 2) at ``when`` (D,) lie about it
-    closely enough."""
+def _interpolated(
+    points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wanted: np.ndarray, farthest: float
+) -> np.ndarray:
+    """(W, 2) points at times ``wanted``; ``nearest`` where no two of ``points`` (D, 2) at ``when`` (D,), at most
+    ``farthest`` from each other, lie about it."""
     last = len(when) - 1
     after = np.searchsorted(when, wanted)
     exact = np.isclose(when[np.minimum(after, last)], wanted, rtol=0, atol=1e-6)
@@ -140,7 +150,7 @@ def _interpolated(points: np.ndarray, when: np.ndarray, nearest: np.ndarray, wan
     right, left = np.clip(after, 1, max(last, 1)), np.clip(after, 1, max(last, 1)) - 1
     if not last:
         return np.where(exact[:, None], points[np.minimum(after, last)], nearest)
-    inside &= when[right] - when[left] <= _FARTHEST
+    inside &= when[right] - when[left] <= farthest
     share = (wanted - when[left]) / np.maximum(when[right] - when[left], _SAME)
     line = points[left] + share[:, None] * (points[right] - points[left])
     outer = np.stack([np.clip(i, 0, last) for i in (left - 1, left, right, right + 1)])

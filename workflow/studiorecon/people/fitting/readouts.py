@@ -27,8 +27,8 @@ _MOMENTS = 60
 _CLEAR, _HALF_CLEAR = 3.0, 1.5
 # Rows of video sensors take 5 to 33 ms; no frame lasts shorter than its readout.
 _LONGEST_S, _LONGEST_FRAMES = 0.04, 1.05
-# Less than this, at 1280 wide, is not worth moving anything for; who moves slower than so much a frame tells nothing.
-_SHIFT_PX, _SLOWEST_PX, _AT_WIDTH = 1.0, 2.0, 1280.0
+# Less than this, at 1280 wide, is not worth moving anything for; who moves slower than so much a second tells nothing.
+_SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 
 def readouts(pixels: np.ndarray, cameras: Sequence[Camera], fps: float) -> list[Readout]:
@@ -56,9 +56,9 @@ def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Causes:
 def _doubt(view: int, camera: Camera, fps: float, whole: Causes, halves: Sequence[Causes]) -> str:
     """Why the readout of a camera is not used; "" where it is."""
     to_width = _AT_WIDTH / max(camera.wh)
-    speed_px = whole.speed_px[0] * to_width
-    if not speed_px >= _SLOWEST_PX:
-        return f"people move by {speed_px:.1f} px per frame (at {_AT_WIDTH:.0f} wide), which tells nothing"
+    speed_px_s = whole.speed_px[0] * to_width * fps
+    if not speed_px_s >= _SLOWEST_PX_S:
+        return f"people move by {speed_px_s:.0f} px per second (at {_AT_WIDTH:.0f} wide), which tells nothing"
     value, sigma = float(whole.readout[view]), float(whole.readout_sigma[view])
     if not abs(value) > _CLEAR * sigma:
         return "no readout is needed to explain what people do"
