@@ -441,12 +441,14 @@ def test_a_consistent_skeleton_of_nobody_is_rejected_by_the_pictures(tmp_path, p
 
 def test_pictures_that_confirm_nobody_contradict_nobody_and_one_camera_is_enough_for_somebody(people_settings):
     limits, nan = people_settings(associate.Settings).evidence, float("nan")
-    assert evidence.absent(np.array([[0.2, 0.2], [0.3, 0.3]]), limits) == [False, False]
-    assert evidence.absent(np.array([[0.2, 0.2], [0.9, 0.9], [nan, nan]]), limits) == [True, False, False]
-    assert evidence.absent(np.array([[0.2, 0.2, 0.9], [0.9, 0.9, 0.9]]), limits) == [False, False]
-    assert evidence.absent(np.array([[0.2, 0.2], [0.9, nan]]), limits) == [False, False], (
-        "only one of the cameras shows changes at all"
-    )
+
+    def absent(*shares):
+        return evidence.absent(np.array(shares), np.full((len(shares), len(shares[0]), 4), nan), limits)
+
+    assert absent([0.2, 0.2], [0.3, 0.3]) == [False, False]
+    assert absent([0.2, 0.2], [0.9, 0.9], [nan, nan]) == [True, False, False]
+    assert absent([0.2, 0.2, 0.9], [0.9, 0.9, 0.9]) == [False, False]
+    assert absent([0.2, 0.2], [0.9, nan]) == [False, False], "only one of the cameras shows changes at all"
 
 
 def test_somebody_who_stands_among_walkers_is_a_person_however_keypoints_wander(tmp_path, people_settings, two_people):

@@ -10,6 +10,9 @@ checkpoint people_associate:
         detections=files.compared,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         corrected=files.corrected,
+        calibration="results/{scene}/calibration/calibration.json",
+        found=files.found,
+        plates=files.own_plates,
     output:
         people="results/{scene}/people/with_keypoints.tsv" if PLAN.sight.plated else "results/{scene}/people/people.tsv",
         identities="results/{scene}/people/identities.tsv",
@@ -75,6 +78,9 @@ if PLAN.sight.detected:
             detections=files.first_detections,
             videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
             corrected=[],
+            calibration="results/{scene}/calibration/calibration.json",
+            found=files.first_found,
+            plates=files.own_plates,
         output:
             people="results/{scene}/people/first/people.tsv",
             identities="results/{scene}/people/first/identities.tsv",

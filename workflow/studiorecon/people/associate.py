@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.camera_files.calibration import lens_of
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.people.association.acceptance import TrackVerdict, identities_from_keypoints
 from studiorecon.people.association.affinity import AssociationLimits
+from studiorecon.people.association.confirmation import Witness
 from studiorecon.people.association.corrected import read_corrected, rows_of
 from studiorecon.people.association.evidence import EvidenceLimits
 from studiorecon.people.association.left_out import LeftOut, tell
@@ -55,6 +57,9 @@ def run(
     identities: Written,
     association: Written,
     who: Written,
+    calibration: Path | None = None,
+    found: list[Path] | None = None,
+    plates: list[Path] | None = None,
 ) -> None:
     """Write ``people`` (people.tsv, in order of appearance) and ``identities`` (camera, track → person, empty =
     rejected).
@@ -63,9 +68,11 @@ def run(
     a change of one person's tracks is no change of another's: <person>.tsv, that person's lines of ``identities``; and
     readouts.json, by how much every camera's rows look one after the other (in readouts.doubted.json with those that
     are not believed, for whoever forces the effect).
-    ``corrected`` is the user's own identities.tsv, or nothing: it is taken as it stands.
+    ``corrected`` is the user's own identities.tsv, or nothing: it is taken as it stands. The detector's files
+    ``found`` with their masks, and the user's clean ``plates``, each <camera>.npz or .png of the cameras that have one,
+    confirm people who change no picture; ``calibration`` says where in the footage they are.
     """
-    cameras, found = read_model(model.parent), read_manifest(manifest)
+    cameras, footage = read_model(model.parent), read_manifest(manifest)
     given: Sequence[Detections] = [read_detections(p) for p in detections] or [_nobody(c.name) for c in cameras]
     if not detections:
         say("no camera has keypoints: people are looked for in the visual hull alone")
@@ -88,11 +95,14 @@ def run(
         say(f"{len(rows)} people as corrected in {corrected[0]}")
     else:
         limits = settings.association, settings.triangulation, settings.evidence
-        verdicts, rows, missed = identities_from_keypoints(*limits, cameras, given, videos, found.frames, found.fps)
+        witnesses = _witnesses(cameras, footage, calibration, found or [], plates or [])
+        verdicts, rows, missed = identities_from_keypoints(
+            *limits, cameras, given, videos, footage.frames, footage.fps, witnesses
+        )
         table = {key: verdict.person for key, verdict in verdicts.items()}
     if detections and not rows and not any(len(d.frame) for d in given):
         warn(
-            f"nobody was found in any camera: {found.frames} frames each of "
+            f"nobody was found in any camera: {footage.frames} frames each of "
             f"{', '.join(d.camera for d in given)} were looked at; if "
             "somebody is there, bring keypoints of another detector; write people: 0 "
             "into capture.yaml if the room is empty"
@@ -109,9 +119,11 @@ def run(
     write_identities(identities, table)
     newcomer = f"p{max((int(row[0][1:]) for row in rows), default=-1) + 1}"
     told = [
-        {"name": one.name, "reason": one.reason, "tracks": one.tracks, "lines": one.lines(newcomer)} for one in missed
+        {"name": one.name, "seconds": one.seconds, "cameras": one.cameras, "reason": one.reason}
+        | {"tracks": one.tracks, "lines": one.lines(newcomer)}
+        for one in missed
     ]
-    rows_look = _readouts(given, table, cameras, found)
+    rows_look = _readouts(given, table, cameras, footage)
     write_json(
         association,
         _as_json(verdicts, given, bool(corrected))
@@ -128,6 +140,19 @@ def run(
     write_readouts(who / "readouts.json", rows_look)
     write_readouts(who / "readouts.doubted.json", rows_look, doubted=True)
     tell(missed, newcomer)
+
+
+def _witnesses(
+    cameras: Sequence[Camera], footage: Manifest, calibration: Path | None, found: list[Path], plates: list[Path]
+) -> list[Witness | None]:
+    """What every camera has beside its film; None where that is nothing."""
+    masks, pictures = ({path.stem: path for path in paths} for paths in (found, plates))
+    return [
+        Witness(lens_of(calibration, c.name), footage.of(c.name), masks.get(c.name), pictures.get(c.name))
+        if calibration and (c.name in masks or c.name in pictures)
+        else None
+        for c in cameras
+    ]
 
 
 def _readouts(

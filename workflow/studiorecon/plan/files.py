@@ -93,6 +93,23 @@ class Files(Brought):
             return self.detections(wildcards)
         return [f"results/{self._scene(wildcards)}/people/lifted/{camera}.npz" for camera in self.training(wildcards)]
 
+    def first_found(self, wildcards: Any) -> list[str]:
+        """The detector's files, with masks, of the training cameras in which it looked."""
+        return [f"results/{self._scene(wildcards)}/detect/found/{camera}.npz" for camera in self._detected]
+
+    def found(self, wildcards: Any) -> list[str]:
+        """The same after the second look."""
+        return [f"results/{self._scene(wildcards)}/people/seen/{camera}.npz" for camera in self._detected]
+
+    def own_plates(self, wildcards: Any) -> list[str]:
+        """Plates of the training cameras of whose empty room the user has brought a picture."""
+        brought = [camera for camera in self.plan.training if camera in self.plan.dataset.plates]
+        return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought] if self._somebody else []
+
+    @property
+    def _detected(self) -> list[str]:
+        return [camera for camera in self.plan.training if camera in self.plan.sight.detected and self._somebody]
+
     @property
     def _somebody(self) -> bool:
         return bool(self.plan.people and self.plan.sight.somebody)
@@ -119,6 +136,10 @@ class Files(Brought):
     def identities(self, wildcards: Any) -> list[str]:
         """Whose every track is; none when the room is known to be empty."""
         return [f"results/{wildcards.scene}/people/identities.tsv"] if self.plan.people else []
+
+    def association(self, wildcards: Any) -> list[str]:
+        """Why every track is whose it is, and who was left out; none when the room is known to be empty."""
+        return [f"results/{wildcards.scene}/people/association.json"] if self.plan.people else []
 
     def people_with_keypoints(self, wildcards: Any) -> list[str]:
         """Ids of the people that association found; none, without asking, when the room is known to be empty."""

@@ -13,9 +13,11 @@ import numpy as np
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.people.association.affinity import AssociationLimits
+from studiorecon.people.association.confirmation import Confirmation, Witness, confirmed
 from studiorecon.people.association.evidence import (
     EvidenceLimits,
     absent,
+    limb_counts,
     motion_support,
     sampled_frames,
     steps_m,
@@ -66,22 +68,22 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
 
 
 def supports(
-    groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], limits: EvidenceLimits
-) -> np.ndarray:
-    """(G, V) share of the places every group's joints left or reached that changed in the pictures, NaN where too
-    little moved."""
+    groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float, limits: EvidenceLimits
+) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the places every group's joints left or reached that changed in the pictures, NaN where too little
+    moved: of all joints (G, V), and of each arm and leg (G, V, 4)."""
     picked = [sampled_frames(group.frames, limits.frames) for group in groups]
     points_m = np.stack([group.points_m for group in groups])
-    least = [steps_m(group.points_m, limits) for group in groups]
+    least = [steps_m(group.points_m, fps, limits) for group in groups]
     wanted = set(np.concatenate(picked).tolist())
-    counts = np.zeros((len(groups), len(cameras), 2), dtype=int)
+    counts = np.zeros((len(groups), len(cameras), points_m.shape[2], 2), dtype=int)
     for v, camera in enumerate(progress(cameras, "cameras")):
         pictures = {t: picture for t, picture in enumerate(read_frames(videos[v], 0, max(wanted) + 1)) if t in wanted}
         for g, frames in enumerate(picked):
             counts[g, v] = motion_support(
                 [pictures[t] for t in frames.tolist()], points_m[:, frames], g, least[g], camera, limits
             )
-    return np.stack([view_shares(views) for views in counts])
+    return view_shares(counts.sum(2)), view_shares(limb_counts(counts))
 
 
 def name_people(groups: Sequence[Group]) -> list[int]:
@@ -101,16 +103,24 @@ def identities_from_keypoints(
     videos: list[Path],
     frames: int,
     fps: float,
+    witnesses: Sequence[Witness | None] = (),
 ) -> tuple[dict[tuple[str, int], TrackVerdict], list[tuple[str, int, str, float, str]], list[LeftOut]]:
     """Of everybody the keypoints of two cameras or more agree on: a verdict for every (camera, track), the lines of
     people.tsv, and whom they leave out.
+
+    ``witnesses``: what every camera has beside its film, asked of whom the pictures contradict.
     """
     groups = group_tracks(given, cameras, frames, fps, association, triangulation)
     margins = track_margins(groups, given, cameras, association)
     why = [judge(group, cameras, frames, fps, association) for group in groups]
     likely = [g for g, reason in zip(groups, why) if not reason]
     if likely and videos and evidence.frames:
-        contradicted = iter(_contradicted(supports(likely, cameras, videos, evidence), cameras, evidence))
+        shares, limbs = supports(likely, cameras, videos, fps, evidence)
+        told = [
+            confirmed(group, given, cameras, videos, witnesses, evidence) if gone else None
+            for group, gone in zip(likely, absent(shares, limbs, evidence))
+        ]
+        contradicted = iter(_contradicted(shares, told, cameras, evidence))
         why = [reason or next(contradicted) for reason in why]
     why = _without_ghosts(groups, why, given, cameras, fps, triangulation)
     rejected = [(g, reason) for g, reason in zip(groups, why) if reason]
@@ -173,17 +183,27 @@ def _without_ghosts(
     return out
 
 
-def _contradicted(shares: np.ndarray, cameras: Sequence[Camera], limits: EvidenceLimits) -> list[str]:
+def _contradicted(
+    shares: np.ndarray,
+    told: Sequence[Sequence[Confirmation | None] | None],
+    cameras: Sequence[Camera],
+    limits: EvidenceLimits,
+) -> list[str]:
     """For everybody how the pictures contradict the keypoints, from the shares (G, V) that changed; "" where they do
-    not."""
+    not (``told`` is None), or where what cameras ``told`` beside confirms somebody."""
     reasons = []
-    for share, gone in zip(shares, absent(shares, limits)):
+    for share, others in zip(shares, told):
+        if others is None:
+            reasons.append("")
+            continue
         seen = ", ".join(f"{s:.0%} ({c.name})" for s, c in zip(share, cameras) if np.isfinite(s))
-        reasons.append(
-            f"the pictures show nobody there: of the places that its joints moved over only {seen} changed"
-            if gone
-            else ""
-        )
+        reason = f"the pictures show nobody there: of the places that its joints moved over only {seen} changed"
+        by = [c.name for c, other in zip(cameras, others) if other is not None and other.confirms(limits)]
+        if by:
+            say(f"of the places that somebody's joints moved over only {seen} changed; {', '.join(by)} confirm them")
+        elif told_more := _nor([other for other in others if other is not None]):
+            reason = f"{reason}, {told_more}"
+        reasons.append("" if by else reason)
     if np.isfinite(shares).any() and not (np.nan_to_num(shares) >= limits.present_share).any():
         listed = ", ".join(f"{s:.0%}" for s in shares[np.isfinite(shares)])
         say(
@@ -191,6 +211,15 @@ def _contradicted(shares: np.ndarray, cameras: Sequence[Camera], limits: Evidenc
             "places that their joints moved over changed"
         )
     return reasons
+
+
+def _nor(told: Sequence[Confirmation]) -> str:
+    """What else does not confirm somebody, as the end of a sentence; "" where nothing else was there to do so."""
+    masks = max((one.covered for one in told if np.isfinite(one.covered)), default=float("nan"))
+    plates = max((one.differs for one in told if np.isfinite(one.differs)), default=float("nan"))
+    parts = [f"the detector's masks cover {masks:.0%}" * bool(np.isfinite(masks))]
+    parts.append(f"{plates:.0%} differ from a clean plate" * bool(np.isfinite(plates)))
+    return " and ".join(part for part in parts if part)
 
 
 def _tracks(group: Group, cameras: Sequence[Camera]) -> str:

@@ -29,9 +29,10 @@ _NOISES, _FAINTEST = 6.0, 10.0
 _PLACE_M, _LIMB_M, _TRUNK_M = 0.03, 0.05, 0.15
 # Other people count as so much wider: clothes, hair, shadows.
 _CLOTHED = 2.0
-# A joint has moved when it did by so many deviations of its wandering from picture to picture, taken where nine tenths
-# are below.
-_WANDERINGS = 4.0
+# A joint has moved when it did by so many deviations of its wandering, taken where nine tenths are below. It wanders
+# where it leaves the cubic through its places so far apart in time, seconds: landmarks drift for longer than a picture
+# lasts, and within that time an arm that swings is a cubic.
+_WANDERINGS, _WANDERING_S = 4.0, 0.1
 _LEAST_PLACES = 20
 _LEAST_VIEWS = 2
 _AT = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
@@ -39,6 +40,9 @@ _LIMBS = [
     (_AT[f"{s}_{a}"], _AT[f"{s}_{b}"])
     for s in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+]
+_LIMB_ENDS = [
+    (_AT[f"{s}_{a}"], _AT[f"{s}_{b}"]) for s in ("left", "right") for a, b in (("elbow", "wrist"), ("knee", "ankle"))
 ]
 _TRUNK = [
     (_AT[f"{a}_{i}"], _AT[f"{b}_{j}"])
@@ -64,7 +68,9 @@ class EvidenceLimits:
         difference: grey levels (of 255) by which the picture must have changed there; less in cameras with little
             noise.
         absent_share, present_share: below the first on average nobody is there, unless one camera is above the second:
-            there somebody is.
+            there somebody is; so is somebody of whom a single limb is above it.
+        covered_share, presence: nor is somebody doubted of whom the mask of one camera's network covers at least this
+            share, where it is at least so sure that somebody is there.
     """
 
     frames: int = 8
@@ -72,6 +78,8 @@ class EvidenceLimits:
     difference: float = 28
     absent_share: float = 0.5
     present_share: float = 0.75
+    covered_share: float = 0.75
+    presence: float = 0.9
 
 
 def sampled_frames(frames: np.ndarray, wanted: int) -> np.ndarray:
@@ -82,16 +90,19 @@ def sampled_frames(frames: np.ndarray, wanted: int) -> np.ndarray:
     return distinct[evenly_spread(len(distinct), wanted)]
 
 
-def steps_m(points_m: np.ndarray, limits: EvidenceLimits) -> np.ndarray:
-    """(K,) how far each of the points (T, K, 3) must have moved to count, metres: well beyond how it wanders from frame
-    to frame.
+def steps_m(points_m: np.ndarray, fps: float, limits: EvidenceLimits) -> np.ndarray:
+    """(K,) how far each of the points (T, K, 3) must have moved to count, metres: well beyond how it wanders, whatever
+    the frame rate.
 
     Noise and hasty motion alike: either way a smaller step says nothing about where somebody is.
     """
-    bent = points_m[:-2] - 2 * points_m[1:-1] + points_m[2:]
-    size = np.linalg.norm(bent, axis=-1)
+    weights = (1, -4, 6, -4, 1)
+    apart = max(1, min(round(_WANDERING_S * fps), (len(points_m) - 1) // (len(weights) - 1)))
+    count = max(len(points_m) - (len(weights) - 1) * apart, 0)
+    left = sum(w * points_m[k * apart : k * apart + count] for k, w in enumerate(weights))
+    size = np.linalg.norm(left, axis=-1) / np.linalg.norm(weights)
     known = [column[np.isfinite(column)] for column in size.T]
-    wandering = np.array([np.quantile(k, 0.9) / np.sqrt(6) if len(k) else 0.0 for k in known])
+    wandering = np.array([np.quantile(k, 0.9) if len(k) else 0.0 for k in known])
     return np.maximum(limits.step_m, _WANDERINGS * wandering)
 
 
@@ -103,34 +114,58 @@ def motion_support(
     camera: Camera,
     limits: EvidenceLimits,
 ) -> np.ndarray:
-    """(2,) how many places that a joint of person ``who`` left or reached show a change, and how many places there are.
+    """(12, 2) how many places that each joint of person ``who`` left or reached show a change, and how many places
+    there are.
 
     ``pictures`` are (H, W, 3) uint8 of ``camera``, ``points_m`` (G, F, 12, 3) everybody's stable keypoints in each of
     them, NaN where unknown; ``step_m`` (12,) is how far each must have moved. Every two pictures are compared, after a
     little blur and without their median colour (exposure).
     """
-    blurred = [cv2.GaussianBlur(p, (0, 0), _BLUR_PX).astype(np.float32) for p in pictures]
-    smooth = [b - np.median(b[::4, ::4], axis=(0, 1)) for b in blurred]
+    smooth = [even(picture) for picture in pictures]
     pixels, depth = camera.project(points_m)
     pixels = np.where(depth[..., None] > 0, pixels, np.nan)
     metre_px = camera.intrinsics[0, 0] / np.maximum(
         np.nan_to_num(_middle(depth[..., None])[..., 0], nan=np.inf), 1e-6
     )  # (G, F)
-    counts, own = np.zeros(2, dtype=int), points_m[who]
+    counts, own = np.zeros((len(STABLE_KEYPOINTS), 2), dtype=int), points_m[who]
     rest = np.arange(len(points_m)) != who
     for a, b in combinations(range(len(pictures)), 2):
         moved = np.linalg.norm(own[a] - own[b], axis=-1) > step_m
         if not moved.any():
             continue
         apart = np.abs(smooth[a] - smooth[b]).max(-1)
-        threshold = float(np.clip(_NOISES * 1.4826 * np.median(apart[::4, ::4]), _FAINTEST, limits.difference))
+        threshold = threshold_of(apart, limits)
         for here, other in ((a, b), (b, a)):
             places = pixels[who, here, moved]
             uncovered = _outside(places, pixels[who, [other]], metre_px[who, [other]])
             for t in (a, b):
                 uncovered &= _outside(places, pixels[rest, t], _CLOTHED * metre_px[rest, t])
             radius = max(1, round(_PLACE_M * float(metre_px[who, here])))
-            counts += _changed(apart, places[uncovered], radius, threshold)
+            counts[np.flatnonzero(moved)[uncovered]] += changed(apart, places[uncovered], radius, threshold)
+    return counts
+
+
+def even(picture: np.ndarray) -> np.ndarray:
+    """(H, W, 3) float32 of a picture (H, W, 3) uint8 after a little blur, without its median colour (exposure)."""
+    blurred = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX).astype(np.float32)
+    return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
+
+
+def threshold_of(apart: np.ndarray, limits: EvidenceLimits) -> float:
+    """Grey levels from which a difference (H, W) of two pictures, NaN where unknown, is a change."""
+    usual = float(np.nanmedian(apart[::4, ::4])) if np.isfinite(apart[::4, ::4]).any() else 0.0
+    return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, limits.difference))
+
+
+def places_changed(apart: np.ndarray, points_m: np.ndarray, camera: Camera, limits: EvidenceLimits) -> np.ndarray:
+    """(N, 2) of points (N, 3), NaN unknown: whether the difference ``apart`` (H, W; NaN unknown) of two pictures of
+    ``camera`` shows a change there, and whether it can tell, as 0 and 1."""
+    pixels, depth = camera.project(points_m)
+    there = np.isfinite(pixels).all(-1) & (depth > 0)
+    counts = np.zeros((len(points_m), 2), dtype=int)
+    if there.any():
+        radius = max(1, round(_PLACE_M * float(camera.intrinsics[0, 0] / np.median(depth[there]))))
+        counts[there] = changed(apart, pixels[there], radius, threshold_of(apart, limits))
     return counts
 
 
@@ -157,29 +192,36 @@ def _outside(places: np.ndarray, skeletons: np.ndarray, metre_px: np.ndarray) ->
     return free
 
 
-def _changed(apart: np.ndarray, places: np.ndarray, radius: int, threshold: float) -> np.ndarray:
-    """(2,) how many of the places (N, 2) inside the picture show a change within ``radius`` pixels, and how many are
-    inside."""
-    columns, rows = np.floor(places).astype(int).reshape(-1, 2).T
-    inside = (columns >= 0) & (columns < apart.shape[1]) & (rows >= 0) & (rows < apart.shape[0])
-    around = [
-        apart[max(r - radius, 0) : r + radius + 1, max(c - radius, 0) : c + radius + 1]
-        for r, c in zip(rows[inside], columns[inside])
-    ]
-    return np.array([sum(float(part.max()) > threshold for part in around), int(inside.sum())])
+def changed(apart: np.ndarray, places: np.ndarray, radius: int, threshold: float) -> np.ndarray:
+    """(N, 2) whether the difference ``apart`` (H, W; NaN unknown) exceeds ``threshold`` within ``radius`` pixels of
+    each place (N, 2), and whether anything is known there, as 0 and 1."""
+    counts = np.zeros((len(places), 2), dtype=int)
+    for k, (column, row) in enumerate(np.floor(places).astype(int)):
+        if 0 <= column < apart.shape[1] and 0 <= row < apart.shape[0]:
+            part = apart[max(row - radius, 0) : row + radius + 1, max(column - radius, 0) : column + radius + 1]
+            known = part[np.isfinite(part)]
+            if len(known):
+                counts[k] = float(known.max()) > threshold, 1
+    return counts
 
 
 def view_shares(counts: np.ndarray) -> np.ndarray:
-    """(V,) supported share of every view from (V, 2) counts; NaN with fewer than twenty places to judge."""
-    judged = counts[:, 1] >= _LEAST_PLACES
-    return np.where(judged, counts[:, 0] / np.maximum(counts[:, 1], 1), np.nan)
+    """(...,) supported share from (..., 2) counts; NaN with fewer than twenty places to judge."""
+    judged = counts[..., 1] >= _LEAST_PLACES
+    return np.where(judged, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
 
 
-def absent(shares: np.ndarray, limits: EvidenceLimits) -> list[bool]:
-    """For every person, from the shares (G, V) of every view, whether the pictures say that nobody is there.
+def limb_counts(counts: np.ndarray) -> np.ndarray:
+    """(..., 4, 2) counts of arms and legs, from those of the joints (..., 12, 2): elbow and wrist, knee and ankle."""
+    return np.stack([counts[..., list(ends), :].sum(-2) for ends in _LIMB_ENDS], axis=-2)
 
-    Only where two views can judge, none of them confirms, and the same views confirm somebody else: videos that are
-    badly lit, or out of step with the keypoints, contradict everybody, and then contradict nobody.
+
+def absent(shares: np.ndarray, limbs: np.ndarray, limits: EvidenceLimits) -> list[bool]:
+    """For every person, from the shares of every view, of all joints (G, V) and of each limb (G, V, 4), whether the
+    pictures say that nobody is there.
+
+    Only where two views can judge, none of them confirms, not even one limb, and the same views confirm somebody else:
+    videos that are badly lit, or out of step with the keypoints, contradict everybody, and then contradict nobody.
     """
     out = []
     for g, own in enumerate(shares):
@@ -187,6 +229,7 @@ def absent(shares: np.ndarray, limits: EvidenceLimits) -> list[bool]:
         trusted = (np.nan_to_num(others, nan=0.0) >= limits.present_share).any(0)
         judged = np.isfinite(own) & trusted
         seen = own[np.isfinite(own)]
-        doubted = judged.sum() >= _LEAST_VIEWS and not (seen >= limits.present_share).any()
+        confirmed = (seen >= limits.present_share).any() or (np.nan_to_num(limbs[g]) >= limits.present_share).any()
+        doubted = judged.sum() >= _LEAST_VIEWS and not confirmed
         out.append(bool(doubted and seen.mean() < limits.absent_share))
     return out
