@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.background.refinement import Refinement, refined_targets, refinement_cameras
-from studiorecon.geometry.path import scene_centre
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.images.transfer import Transfer
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rendering import Rendering

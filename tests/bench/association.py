@@ -38,7 +38,7 @@ from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, DetectionOptions, read_description
 from studiorecon.studio.detections import detect
 from studiorecon.studio.gait import Path as Walked
-from studiorecon.studio.motion import NEVER, MotionPart, perform
+from studiorecon.studio.performance import NEVER, MotionPart, perform
 from studiorecon.studio.room import room
 from studiorecon.studio.tracing import Tracer
 from studiorecon.tracks import keypoints as detections

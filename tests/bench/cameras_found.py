@@ -34,7 +34,7 @@ from studiorecon.detect import people as detect
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.from_people import bone_factor
+from studiorecon.rig.from_tracks import bone_factor
 from studiorecon.rig.given_lengths import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json

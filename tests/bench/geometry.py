@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from studiorecon.geometry.camera_path import between
 from studiorecon.geometry.distortion import distort, undistort
-from studiorecon.geometry.path import between
 from studiorecon.geometry.rotations import exp
 from studiorecon.geometry.smoothing import smooth_rotations
 from studiorecon.geometry.triangulation import triangulate, unit_px

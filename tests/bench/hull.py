@@ -22,7 +22,7 @@ import yaml
 from studiorecon.body.person_files import read_person
 from studiorecon.geometry import rotations
 from studiorecon.people import fit
-from studiorecon.people.silhouettes.people import read_standing
+from studiorecon.people.silhouettes.silhouette_people import read_standing
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.files import write_json
 from studiorecon.studio import capture

@@ -31,7 +31,7 @@ from typing import Any
 import cv2
 import numpy as np
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model

@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model

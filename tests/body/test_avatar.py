@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from studiorecon.body.avatar.files import Avatar, read_avatar, write_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar, write_avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel, upright_global_orientation

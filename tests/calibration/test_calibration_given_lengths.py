@@ -20,7 +20,7 @@ from studiorecon.rig.given_lengths import GivenLengths, stature_m
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.studio.description import RESOURCES, read_description
-from studiorecon.studio.motion import shape
+from studiorecon.studio.performance import shape
 
 from tests.defaults import loaded
 from tests.made.take import after_similarity, made_take

@@ -22,7 +22,7 @@ from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.held_out import Sighted, judged
+from studiorecon.rig.held_out_pose import Sighted, judged
 from studiorecon.rig.stale import moves
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from studiorecon.clocks import offsets as clocks_step
 from studiorecon.clocks.agreement import Pair, Proposal, judged, solved
-from studiorecon.clocks.motion import compare
+from studiorecon.clocks.motion_clock import compare
 from studiorecon.clocks.people_lag import lag_of
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.keypoints.retiming import on_common_clock

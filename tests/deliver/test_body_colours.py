@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.gltf import write_glb

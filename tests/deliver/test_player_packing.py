@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.deliver import player

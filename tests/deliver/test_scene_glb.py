@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import scipy
 from scipy.spatial.transform import Rotation
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver import scene_glb
 from studiorecon.deliver.finished import read_finished

@@ -18,13 +18,13 @@ from studiorecon.depth.layout.furniture import around
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.depth.layout.visibility import kept_from
 from studiorecon.depth.layout.yaw import matched_yaw
-from studiorecon.depth.shared import Assumed
 from studiorecon.depth.stereo.matching import plane_depth
-from studiorecon.depth.stereo.pictures import Picture
 from studiorecon.depth.stereo.planes import wall_yaw
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
-from studiorecon.geometry.path import with_pose
+from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.settings import load

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from studiorecon.depth.stereo.free_space import back_to_the_shell, looked_through
 from studiorecon.depth.stereo.passes import Labelled
-from studiorecon.geometry.path import look_at
+from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.depth import aligned, network
-from studiorecon.depth.shared import Assumed
+from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.plate import write_plate

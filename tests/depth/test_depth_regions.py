@@ -14,7 +14,7 @@ from studiorecon.depth import refine
 from studiorecon.depth.layout.primitives import write_primitives
 from studiorecon.depth.stereo.patches import UNSEEN
 from studiorecon.depth.stereo.photo_inconsistency import surface_cost, unexplained
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.stereo.regions import Regions, explain_regions, world_plane
 from studiorecon.footage.exr import read_depth
 from studiorecon.scene.camera import Camera

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from studiorecon.depth.layout.furniture import allowed, around, furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
-from studiorecon.depth.layout.sheet import sheet
+from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
-from studiorecon.depth.stereo.evidence import Explained, colour_odds
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.photo_cost import Explained, colour_odds
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
 

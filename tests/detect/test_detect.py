@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, anchors
+from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.following import newcomers, people_in
-from studiorecon.detector.pictures import Region, sampled
 from studiorecon.detector.windows import changed, grid, small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.source import open_source, stills

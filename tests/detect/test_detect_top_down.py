@@ -12,8 +12,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
+from studiorecon.detector.crops import Region
 from studiorecon.detector.following import believed
-from studiorecon.detector.pictures import Region
 from studiorecon.detector.top_down import TopDown, crop_of, from_heat, from_rows, second_network
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS

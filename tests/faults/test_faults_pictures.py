@@ -14,16 +14,16 @@ from studiorecon.background import hole_filling as room
 from studiorecon.background.seeding import seeds_from_depth
 from studiorecon.body.person_boxes import people_regions
 from studiorecon.camera_files.colmap import write_model
-from studiorecon.clocks import motion
+from studiorecon.clocks import motion_clock
 from studiorecon.depth import given
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.geometry.bundle import BundleSettings
-from studiorecon.geometry.surface import depth_breaks
+from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.images.exposure import compare
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.transfer import Transfer, carried_over, source
-from studiorecon.masks import evidence
+from studiorecon.masks import log_odds
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.room import RoomBox
 from studiorecon.survey import coverage, exposures
@@ -246,7 +246,7 @@ def test_capture_clocks_are_compared_or_called_undetermined(fault: float) -> Non
     energy = np.abs(np.convolve(rng.normal(size=300), np.ones(3), "same"))
     broken = with_faults(energy, fault)[0]
     for other in (broken, energy):
-        lag = motion.compare(other, energy, 30.0)
+        lag = motion_clock.compare(other, energy, 30.0)
         assert lag.rows == 0
         assert np.isfinite(lag.correlation)
         assert lag.reason or lag.valid
@@ -276,12 +276,12 @@ def test_cameras_are_refined_and_points_placed_from_the_rest(fault: float) -> No
 
 @FAULTS
 def test_masks_a_colour_difference_is_finite_and_local(fault: float) -> None:
-    settings = evidence.DifferenceSettings()
+    settings = log_odds.DifferenceSettings()
     rgb, _ = look(VIEWS[0])
     picture = rgb.copy()
     picture[30:50, 60:90] = [0.9, 0.1, 0.1]
     broken, hit = with_faults(picture, fault)
-    right = evidence.colour_difference(picture, rgb, settings)
-    found = evidence.colour_difference(np.nan_to_num(broken, posinf=0.0), rgb, settings)
+    right = log_odds.colour_difference(picture, rgb, settings)
+    found = log_odds.colour_difference(np.nan_to_num(broken, posinf=0.0), rgb, settings)
     assert np.isfinite(found).all()
     np.testing.assert_allclose(found[~hit.any(axis=-1)], right[~hit.any(axis=-1)], atol=1e-4)

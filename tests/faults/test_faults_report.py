@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.report.metrics import keypoints, measures, motion, truth
+from studiorecon.report.metrics import jitter, measures, pck, truth
 from studiorecon.report.metrics.bodies import compare_bodies
 from studiorecon.report.metrics.bootstrap import Bootstrap
 
@@ -89,7 +89,7 @@ def test_joints_and_poses(fault: float) -> None:
         compare_bodies({"p0": (fitted, valid)}, {"p0": true}),
         compare_bodies({"p0": (broken, valid)}, {"p0": true}),
     )
-    jumpy = motion.jitter(broken, poses, valid, 30.0)
+    jumpy = jitter.jitter(broken, poses, valid, 30.0)
     if fault == 0:
         assert found["mpjpe_world_mm"] == pytest.approx(clean["mpjpe_world_mm"], rel=0.5)
         assert (found["people"]["p0"]["not_finite"], jumpy["not_finite"]) == (0, 0)
@@ -97,7 +97,7 @@ def test_joints_and_poses(fault: float) -> None:
         assert found["people"]["p0"]["not_finite"] == jumpy["not_finite"] == frames.sum() > 0
         assert found["mpjpe_world_mm"] == pytest.approx(clean["mpjpe_world_mm"], rel=0.01)
         assert jumpy["pose_deg_f2"] == pytest.approx(0, abs=1e-9)
-        assert jumpy["joints_mm_f2"] == pytest.approx(motion.jitter(fitted, poses, ~frames, 30.0)["joints_mm_f2"])
+        assert jumpy["joints_mm_f2"] == pytest.approx(jitter.jitter(fitted, poses, ~frames, 30.0)["joints_mm_f2"])
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -109,8 +109,8 @@ def test_keypoints(fault: float) -> None:
         found, where = (points.copy(), rng.random(24) < 0.01)
         found[where] = fault
         lost += int(where.sum())
-        pictures.append(([found], [keypoints.TruePerson(points, np.ones(24, bool), (80.0, 80.0))]))
-    result = keypoints.score(pictures)
+        pictures.append(([found], [pck.TruePerson(points, np.ones(24, bool), (80.0, 80.0))]))
+    result = pck.score(pictures)
     assert result["pck_0.05"] == pytest.approx(1 - lost / 2400)
     assert result["detection_rate"] == 1.0
     assert result["missing"] == (0 if fault == 0 else lost)

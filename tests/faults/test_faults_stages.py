@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.clocks.motion import compare, motion_energy
+from studiorecon.clocks.motion_clock import compare, motion_energy
 from studiorecon.images.regions import dilated
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studiorecon.geometry.path import (
+from studiorecon.geometry.camera_path import (
     arc,
     axis_miss_rad,
     azimuths_rad,

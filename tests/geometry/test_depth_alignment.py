@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from studiorecon.geometry.depth_alignment import Alignment, align_depth, shared_alignment
-from studiorecon.geometry.surface import depth_breaks
+from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.images.warp import sample
 
 SCALE, SHIFT_M = 2.0, 0.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from studiorecon.geometry import rotations, smoothing
-from studiorecon.geometry.path import look_at
+from studiorecon.geometry.camera_path import look_at
 
 
 def about_z(degrees: float | np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import look_at, with_pose
-from studiorecon.geometry.surface import depth_breaks, points_and_normals
+from studiorecon.geometry.camera_path import look_at, with_pose
+from studiorecon.geometry.depth_surface import depth_breaks, points_and_normals
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import FACES, RoomBox, read_room, write_room
 

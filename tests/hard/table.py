@@ -120,7 +120,7 @@ def pairs(text: str) -> list[str]:
 
 
 def module_path(module: str) -> Path:
-    """The file of ``geometry.path`` under the package."""
+    """The file of ``geometry.camera_path`` under the package."""
     return PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
 
 

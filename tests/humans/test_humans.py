@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import scipy
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
@@ -36,8 +36,15 @@ from studiorecon.humans.crops import (
     mask_inset_px,
     silhouette,
 )
-from studiorecon.humans.motion import RefinedMotion
-from studiorecon.humans.surface import fill_unseen, gaussians_on, mirrored, neighbours, sample_surface, vertex_samples
+from studiorecon.humans.refined_motion import RefinedMotion
+from studiorecon.humans.surface_samples import (
+    fill_unseen,
+    gaussians_on,
+    mirrored,
+    neighbours,
+    sample_surface,
+    vertex_samples,
+)
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import from_entry, write_decisions
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.humans import train

@@ -17,8 +17,8 @@ from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.crops import OUTSIDE, PERSON, Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed
-from studiorecon.humans.motion import RefinedMotion
-from studiorecon.humans.surface import gaussians_on, sample_surface
+from studiorecon.humans.refined_motion import RefinedMotion
+from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.humans.train import Settings
 from studiorecon.humans.training import PersonInTraining
 from studiorecon.images.metrics import psnr

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.body.avatar.files import Avatar, write_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.humans.crops import IGNORED, Crop, judged, looks_of
 from studiorecon.humans.result_cache import keep, mark_of, still_stands

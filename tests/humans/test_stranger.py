@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack

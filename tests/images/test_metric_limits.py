@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from studiorecon.geometry import rotations
 from studiorecon.images import metrics
-from studiorecon.report.metrics import keypoints, measures, motion, truth
+from studiorecon.report.metrics import jitter, measures, pck, truth
 
 from tests.made.scene import ring
 
@@ -181,8 +181,8 @@ def test_the_seen_test_is_relative_to_the_training_depth_and_its_sensitivity_is_
 POINTS = np.stack([np.linspace(10, 50, 24), np.linspace(10, 90, 24)], axis=1)
 
 
-def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> keypoints.TruePerson:
-    return keypoints.TruePerson(POINTS + away_px, np.ones(24, bool), box_wh)
+def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> pck.TruePerson:
+    return pck.TruePerson(POINTS + away_px, np.ones(24, bool), box_wh)
 
 
 @pytest.mark.parametrize(
@@ -200,9 +200,9 @@ def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> 
     ],
 )
 def test_keypoints_are_wrong_skipped_or_counted_as_defined(
-    found: list[np.ndarray], people: list[keypoints.TruePerson], pck: float | None, rate: float | None, skipped: int
+    found: list[np.ndarray], people: list[pck.TruePerson], pck: float | None, rate: float | None, skipped: int
 ) -> None:
-    result = keypoints.score([(found, people)])
+    result = pck.score([(found, people)])
     assert (result["pck_0.05"], result["detection_rate"], result["skipped"]) == (pck, rate, skipped)
     assert "longer side" in result["side"], "a score without its scale means nothing (U58)"
 
@@ -215,7 +215,7 @@ def test_constant_speed_with_a_gap_has_no_jitter(filler: float) -> None:
     x = np.arange(20.0)[:, None, None] * np.array([0.03, 0.01, 0.0]) + np.zeros((20, 24, 1))
     valid = np.arange(20) != 9
     x[9] = filler
-    found = motion.jitter(x, np.where(valid[:, None], 0.1, filler) + np.zeros((20, 72)), valid, 30.0)
+    found = jitter.jitter(x, np.where(valid[:, None], 0.1, filler) + np.zeros((20, 72)), valid, 30.0)
     assert found["joints_mm_f2"] == pytest.approx(0, abs=1e-9)
     assert found["pose_deg_f2"] == pytest.approx(0, abs=1e-9)
     assert (found["used"], found["skipped"]) == (15, 3)
@@ -228,7 +228,7 @@ def test_a_steady_turn_through_half_a_turn_has_no_jitter(case: str) -> None:
     principal = rotations.log(rotations.exp(turn))
     assert np.abs(np.diff(np.degrees(principal), n=2, axis=0)).max() > 300
     poses = np.tile(principal, (1, 24))
-    found = motion.jitter(np.zeros((61, 24, 3)), poses, np.ones(61, bool), 30.0)
+    found = jitter.jitter(np.zeros((61, 24, 3)), poses, np.ones(61, bool), 30.0)
     assert found["pose_deg_f2"] < 1e-9
 
 
@@ -236,13 +236,13 @@ def test_a_steady_turn_through_half_a_turn_has_no_jitter(case: str) -> None:
 def test_jitter_of_known_noise_and_of_free_fall_is_what_it_should_be(case: str) -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 0.001, (3000, 24, 3))
-    found = motion.jitter(noise, np.zeros((3000, 72)), np.ones(3000, bool), 30.0)
+    found = jitter.jitter(noise, np.zeros((3000, 72)), np.ones(3000, bool), 30.0)
     # Second differences have a deviation of √6 mm per axis; the mean length of such a vector is √(8/π) of that: 3.91
     # mm/f².
     assert found["joints_mm_f2"] == pytest.approx(np.sqrt(6) * np.sqrt(8 / np.pi), rel=0.01)
     time_s = np.arange(60)[:, None, None] / 30
     fall = -0.5 * 9.81 * time_s**2 * np.array([0, 0, 1.0]) + np.zeros((60, 24, 3))
-    found = motion.jitter(fall, np.zeros((60, 72)), np.ones(60, bool), 30.0)
+    found = jitter.jitter(fall, np.zeros((60, 72)), np.ones(60, bool), 30.0)
     assert (found["root_mm_f2"], found["root_m_s2"]) == (pytest.approx(10.9, abs=0.01), pytest.approx(9.81))
 
 

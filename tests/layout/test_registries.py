@@ -63,7 +63,7 @@ def test_the_configuration_and_its_schema_know_every_effect(schema: dict[str, An
 
 def test_rules_ask_for_effects_and_files_that_are_listed() -> None:
     """The plan names them itself: importing the list costs a second at every start."""
-    plan = (ROOT / "workflow/studiorecon/plan/files.py").read_text(encoding="utf-8")
+    plan = (ROOT / "workflow/studiorecon/plan/rule_files.py").read_text(encoding="utf-8")
     artefacts = {effect.name: effect.artefact.file for effect in EARLY if effect.artefact}
     asked = re.findall(r'self\.verdict\("(\w+)", wildcards\)(?:.*\n.*"?survey/([\w.]+)"\])?', plan)
     assert {name for name, _ in asked} <= {effect.name for effect in EARLY}

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.video import to_bytes, write_lossless
-from studiorecon.humans.surface import gaussians_on, sample_surface
+from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.images.metrics import psnr
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest

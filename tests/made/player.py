@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.body.avatar.files import Avatar
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel

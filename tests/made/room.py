@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.video import to_bytes
-from studiorecon.geometry.path import look_at, with_pose
+from studiorecon.geometry.camera_path import look_at, with_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 

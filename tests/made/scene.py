@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from studiorecon.body.avatar.files import Avatar, write_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.footage.streams import writing

@@ -17,7 +17,7 @@ from studiorecon.images.plate import write_plate
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks import segment as step
-from studiorecon.masks.evidence import colour_difference
+from studiorecon.masks.log_odds import colour_difference
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.factors import write_factors

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import between
+from studiorecon.geometry.camera_path import between
 from studiorecon.models.adapters import gen3c
 from studiorecon.models.adapters.gen3c import chunks, depth_scale, order, postprocess, preprocess
 from studiorecon.models.adapters.gen3c_request import CHUNK, check_evidence, check_form, evidence, splat

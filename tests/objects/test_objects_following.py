@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.objects.following import FollowSettings, ObjectTrack, followed
+from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, followed
 from studiorecon.objects.residual import ResidualRegion
 from studiorecon.objects.sightings import Sighting
 from studiorecon.scene.camera import Camera

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
-from studiorecon.calibration.checks import page as doctor
+from studiorecon.calibration.checks import doctor_page as doctor
 from studiorecon.pages import html, running, skeleton
 from studiorecon.people import review
 

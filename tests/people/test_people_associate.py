@@ -19,8 +19,8 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
 from studiorecon.people import associate
-from studiorecon.people.association import evidence
-from studiorecon.people.silhouettes.people import read_standing
+from studiorecon.people.association import picture_change
+from studiorecon.people.silhouettes.silhouette_people import read_standing
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, Manifest, write_footage, write_manifest
 from studiorecon.scene.files import write_json
@@ -443,7 +443,7 @@ def test_pictures_that_confirm_nobody_contradict_nobody_and_one_camera_is_enough
     limits, nan = people_settings(associate.Settings).evidence, float("nan")
 
     def absent(*shares):
-        return evidence.absent(np.array(shares), np.full((len(shares), len(shares[0]), 4), nan), limits)
+        return picture_change.absent(np.array(shares), np.full((len(shares), len(shares[0]), 4), nan), limits)
 
     assert absent([0.2, 0.2], [0.3, 0.3]) == [False, False]
     assert absent([0.2, 0.2], [0.9, 0.9], [nan, nan]) == [True, False, False]

@@ -18,11 +18,11 @@ from studiorecon.body.person_files import read_person
 from studiorecon.geometry import rotations
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.people import fit
-from studiorecon.people.silhouettes import following, hull, person_masks, upright
+from studiorecon.people.silhouettes import hull, person_masks, tracking, upright
 from studiorecon.people.silhouettes.contour import Silhouette, Targets
 from studiorecon.people.silhouettes.foreground import FOREGROUND, UNKNOWN
 from studiorecon.people.silhouettes.mask_video import FilmTargets, LabelFilm
-from studiorecon.people.silhouettes.people import SilhouettePerson, read_standing, write_standing
+from studiorecon.people.silhouettes.silhouette_people import SilhouettePerson, read_standing, write_standing
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera
 
@@ -257,7 +257,7 @@ def test_one_arm_hangs_while_the_other_is_up(body: BodyModel, cameras, options) 
     folded = true.local.copy()
     folded[0, 18] = rotations.exp(np.array([0.0, -2.3, 0.0]))
     start = State(folded, trans, np.zeros(10), 0.0, np.zeros((0, 3)))
-    found = surface.joints(following.arms_settled(surface, targets, start))
+    found = surface.joints(tracking.arms_settled(surface, targets, start))
     assert np.linalg.norm(surface.joints(start) - joints, axis=-1)[20] > 0.2
     assert np.linalg.norm(found - joints, axis=-1)[[18, 19, 20, 21]].max() < 0.12
 
@@ -272,7 +272,7 @@ def test_legs_that_start_exchanged_come_out_right(body: BodyModel, cameras, opti
     walk = upright.UprightWalk(FilmTargets(film), dict(enumerate(trans[:, :2])), FPS / 4)
     surface = Silhouette(body, cameras, options.hull.contour)
     true = State(rotations.exp(poses.reshape(-1, 24, 3)), trans, np.zeros(10), 0.0, np.zeros((0, 3)))
-    first = following.legs_exchanged(true.at(np.arange(frames) == 2))
+    first = tracking.legs_exchanged(true.at(np.arange(frames) == 2))
 
     def knees_off_mm(found: dict) -> np.ndarray:
         joints = np.stack([surface.joints(found[t][0]) for t in range(frames)])
@@ -281,8 +281,8 @@ def test_legs_that_start_exchanged_come_out_right(body: BodyModel, cameras, opti
         )
 
     # Each frame by itself fits either way; one way alone keeps the start's.
-    assert knees_off_mm(following.follow(surface, walk, 2, first, both_legs=False)).max() > 100
-    assert knees_off_mm(following.follow(surface, walk, 2, first)).max() < 100
+    assert knees_off_mm(tracking.follow(surface, walk, 2, first, both_legs=False)).max() > 100
+    assert knees_off_mm(tracking.follow(surface, walk, 2, first)).max() < 100
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import fit
-from studiorecon.people.fitting.surface import skin_px, surface_of
+from studiorecon.people.fitting.surface_points import skin_px, surface_of
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 

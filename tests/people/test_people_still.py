@@ -14,7 +14,7 @@ from studiorecon.images.plate import write_plate
 from studiorecon.people import associate
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.association.confirmation import Witness
-from studiorecon.people.association.evidence import EvidenceLimits, absent, limb_counts, steps_m
+from studiorecon.people.association.picture_change import EvidenceLimits, absent, limb_counts, steps_m
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections

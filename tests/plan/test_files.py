@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.selection import selected
-from studiorecon.plan.files import Files
 from studiorecon.plan.make import make_plan
+from studiorecon.plan.rule_files import Files
 from studiorecon.plan.told import section, settings, shot_settings, shown_settings
 from studiorecon.scene.people import write_people
 

@@ -9,7 +9,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.geometry.bundle import BundleSettings
-from studiorecon.geometry.path import axis_miss_rad, between, order_around, scene_centre
+from studiorecon.geometry.camera_path import axis_miss_rad, between, order_around, scene_centre
 from studiorecon.geometry.triangulation import triangulate
 from studiorecon.keypoints.correspondence import groups_of
 from studiorecon.scene.camera import Camera

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged
+from studiorecon.geometry.depth_surface import points_and_normals
 from studiorecon.geometry.rotations import to_quaternion
-from studiorecon.geometry.surface import points_and_normals
 from studiorecon.images.exposure import Overlap, solve_gains
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.regions import dilated, signed_distance_px, without_holes, without_islands

@@ -18,8 +18,8 @@ from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.depth import room as room_step
 from studiorecon.depth.layout.box import Votes
-from studiorecon.depth.stereo.pictures import Picture
 from studiorecon.depth.stereo.planes import hypotheses, rig_centre
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.geometry import rotations
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.keypoints.layouts import LAYOUTS

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frame, read_stack, write_lossless
-from studiorecon.geometry.path import scene_centre
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.render import shot as render_shot
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import Composite, blocked, classes_of, millimetres, truth_levels

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person

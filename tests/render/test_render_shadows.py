@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon import settings as settings_module
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.capsules import occluder
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person

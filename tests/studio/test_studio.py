@@ -24,7 +24,7 @@ from studiorecon.footage.video import read_stack
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera
-from studiorecon.studio import capture, motion, rig
+from studiorecon.studio import capture, performance, rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import CALIBRATION_FILES, DEFAULTS, planned_dataset, read_description
@@ -186,8 +186,8 @@ def test_the_room_does_not_flicker_where_nobody_is(plain: Path):
 @pytest.mark.parametrize("number", range(4))
 def test_feet_stand_on_the_floor_and_do_not_slide(body: BodyModel, number: int):
     times = np.arange(75) / 30
-    betas = motion.shape(3, number)
-    poses, trans = motion.perform(motion.PARTS[number], body, betas, times)
+    betas = performance.shape(3, number)
+    poses, trans = performance.perform(performance.PARTS[number], body, betas, times)
     vertices = body.vertices(poses, betas, trans)
     lowest = vertices[..., 2].min(axis=1)
     assert lowest.min() > -0.008
@@ -204,7 +204,9 @@ def test_feet_stand_on_the_floor_and_do_not_slide(body: BodyModel, number: int):
 
 def test_the_first_person_passes_close_behind_the_second(body: BodyModel):
     times = np.arange(120) / 30
-    first, second = (motion.perform(motion.PARTS[k], body, motion.shape(3, k), times)[1][:, :2] for k in (0, 1))
+    first, second = (
+        performance.perform(performance.PARTS[k], body, performance.shape(3, k), times)[1][:, :2] for k in (0, 1)
+    )
     gap = np.linalg.norm(first - second, axis=1)
     assert 0.45 < gap.min() < 1.0
 
@@ -277,8 +279,8 @@ def test_sync_offset_moves_the_people_of_training_cameras(tmp_path: Path, body: 
     assert max(abs(v) for v in offsets.values()) > 0.1
     d, view = read_description(folder / "studio.yaml"), cameras_of(folder)["cam1"]
     times = (np.arange(2) + offsets["cam1"]) / d.fps
-    betas = motion.shape(3, 0)
-    poses, trans = motion.perform(motion.PARTS[0], body, betas, times)
+    betas = performance.shape(3, 0)
+    poses, trans = performance.perform(performance.PARTS[0], body, betas, times)
     truth, _ = view.project(body.keypoints(LAYOUTS["body_25"].keypoints, poses, betas, trans)[0])
     errors = [np.abs(k[k[:, 2] > 0, :2] + 0.5 - truth[k[:, 2] > 0]).max() for k in keypoints(folder, "cam1", 0)]
     assert min(errors) < 1e-3

@@ -171,7 +171,7 @@ def test_what_the_command_line_says_is_read_as_what_it_is(house: House, dataset:
 
 def test_a_captures_calibration_is_judged_on_request(house: House, dataset: Path) -> None:
     asked = on(house, dataset).plan("plan")
-    assert asked["planner_advise"] == 1
+    assert asked["placement_advise"] == 1
     assert not [rule for rule in asked if rule.split("_")[0] in ("depth", "background", "humans", "render")]
 
 

@@ -19,7 +19,7 @@ from studiorecon.plan.command import command
 from studiorecon.plan.dataset import beside
 from studiorecon.plan.dates import refuse_future
 from studiorecon.plan.decisions import one_of
-from studiorecon.plan.files import Files
+from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.networks import images_of
 from studiorecon.schema import mistakes, typed

@@ -11,7 +11,7 @@ order to read.
 Stages (never import each other; no rule takes an input of a later one):
 ``detect, clocks, calibration, capture, tracks, plates, cameras, people, depth, survey, objects, masks, views,
 background, humans, render, enhance, deliver, report``. Beside them ``studio`` films synthetic captures with their
-truth, ``planner`` says where to put cameras, ``sweep`` measures what accuracy costs.
+truth, ``placement`` says where to put cameras, ``sweep`` measures what accuracy costs.
 
 Foundations (never import a stage, and of one another only those before): ``pages`` (for people to read), ``scene``
 (nouns and their files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``,

@@ -170,7 +170,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _plan(options: argparse.Namespace) -> int:
     if options.folder is not None:
-        return _snakemake("plan", _capture(options.folder), options, "planner/advice.svg")
+        return _snakemake("plan", _capture(options.folder), options, "placement/advice.svg")
     if options.room is None:
         raise UserError(
             "give the room, studiorecon plan --room 6x5x2.8 --cameras 4 --hfov 65, or the folder of a capture"
@@ -186,7 +186,9 @@ def _plan(options: argparse.Namespace) -> int:
         "--resolution",
         options.resolution,
     ]
-    return step_main(["planner.place", *words, "--picture", str(picture), "--plan", str(picture.with_suffix(".json"))])
+    return step_main(
+        ["placement.place", *words, "--picture", str(picture), "--plan", str(picture.with_suffix(".json"))]
+    )
 
 
 def _capture(folder: Path) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.deliver.finished import FinishedScene, read_finished
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES

@@ -19,9 +19,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.binding import surface_weights
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.body.avatar.files import Avatar
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.model import BodyModel
 from studiorecon.footage.streams import writing

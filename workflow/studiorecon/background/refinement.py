@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.geometry.path import azimuths_rad, look_at, order_around, scene_centre, with_pose
+from studiorecon.geometry.camera_path import azimuths_rad, look_at, order_around, scene_centre, with_pose
 from studiorecon.images.transfer import ResidualSource, Transfer, carried_over, source
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rendering import Rendering

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from studiorecon.geometry.surface import points_and_normals
+from studiorecon.geometry.depth_surface import points_and_normals
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs

@@ -20,7 +20,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.calibration.checks import clocks, sanity
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks.advice import light_of, of_footage, verdict
-from studiorecon.calibration.checks.page import page
+from studiorecon.calibration.checks.doctor_page import page
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.errors import UserError
 from studiorecon.footage.source import glimpses, open_source
@@ -30,11 +30,11 @@ from studiorecon.images.encoded import png
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
+from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.odd_one_out import odd_one_out
-from studiorecon.rig.sheet import contact_sheet
 from studiorecon.rig.stale import moves, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks

@@ -30,7 +30,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import progress, say, warn
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.held_out import Judged, Sighted, judged
+from studiorecon.rig.held_out_pose import Judged, Sighted, judged
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.clocks import read_clocks

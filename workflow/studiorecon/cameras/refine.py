@@ -30,12 +30,12 @@ from studiorecon.rig.bundle import (
     lenses_called_for,
     straightened,
 )
+from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.gravity import tell_tilt
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
 from studiorecon.rig.odd_one_out import odd_one_out, warn_of_odd
-from studiorecon.rig.sheet import contact_sheet
 from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest

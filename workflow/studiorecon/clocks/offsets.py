@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from studiorecon.camera_files.calibration import read_lenses
-from studiorecon.clocks import motion as sync
+from studiorecon.clocks import motion_clock as sync
 from studiorecon.clocks import sound
 from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, contradicted, judged, reference_of, solved
 from studiorecon.clocks.people_clock import people_pair

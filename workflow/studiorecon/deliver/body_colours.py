@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from scipy.spatial import KDTree
 
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.scene.gaussians import SH_C0
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError

@@ -14,7 +14,7 @@ from studiorecon.deliver.finished import FinishedScene
 from studiorecon.deliver.packing import Bytes, along_a_curve
 from studiorecon.deliver.player_motion import changes, moments, rigid, skeleton, skin
 from studiorecon.geometry import rotations
-from studiorecon.geometry.path import scene_centre
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
 from studiorecon.scene.gaussians import Gaussians

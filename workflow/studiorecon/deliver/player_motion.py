@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.body.avatar.files import Avatar
 from studiorecon.deliver.packing import Bytes, whole_shares
 from studiorecon.geometry import rotations
 from studiorecon.scene.provenance import MEASURED

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.deliver.body_colours import body_colours
 from studiorecon.deliver.finished import read_finished
 from studiorecon.deliver.gltf import linear, unflipped

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.depth.shared import Assumed, Near
+from studiorecon.depth.sweep_settings import Assumed, Near
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.footage.stills import decoded

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.depth.shared import Near
+from studiorecon.depth.sweep_settings import Near
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.images.warp import sample

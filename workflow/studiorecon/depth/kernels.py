@@ -12,9 +12,9 @@ import numpy as np
 from studiorecon.depth.layout.furniture import allowed
 from studiorecon.depth.layout.primitives import Primitive, in_front
 from studiorecon.depth.layout.visibility import kept_from
-from studiorecon.depth.stereo.evidence import Explained
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox

@@ -19,12 +19,12 @@ from numba import njit
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
-from studiorecon.depth.shared import Assumed
-from studiorecon.depth.stereo.evidence import Explained
 from studiorecon.depth.stereo.free_space import back_to_the_shell
 from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures
+from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.stereo.regions import explain_regions
+from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.stills import read_plate

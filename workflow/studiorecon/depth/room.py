@@ -19,11 +19,11 @@ from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout.furniture import furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, write_primitives
-from studiorecon.depth.layout.sheet import sheet
+from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.visibility import seen_through, walked
-from studiorecon.depth.shared import FirstLook
 from studiorecon.depth.stereo.passes import PassSettings, explain, plane_depths, plane_scores
-from studiorecon.depth.stereo.pictures import Picture, equalised, read_pictures, surface_gains
+from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures, surface_gains
+from studiorecon.depth.sweep_settings import FirstLook
 from studiorecon.errors import UserError
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say

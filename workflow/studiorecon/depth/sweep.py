@@ -15,11 +15,11 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.yaw import matched_yaw
-from studiorecon.depth.shared import FirstLook, Matching
 from studiorecon.depth.stereo.labelling import label
 from studiorecon.depth.stereo.matching import UNKNOWN
-from studiorecon.depth.stereo.pictures import Picture, equalised, floor_and_gains, read_pictures
 from studiorecon.depth.stereo.planes import hypotheses, rig_centre, wall_yaw
+from studiorecon.depth.stereo.plates import Picture, equalised, floor_and_gains, read_pictures
+from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz

@@ -2,7 +2,7 @@
 """The embedded detector of people: BlazePose on full pictures. In come a camera's frames; out come people with 33
 landmarks, masks and a track.
 
-``windows`` says where in a picture somebody is looked for, ``pictures`` cuts that out, ``blazepose`` runs the two
+``windows`` says where in a picture somebody is looked for, ``crops`` cuts that out, ``blazepose`` runs the two
 networks there, ``top_down`` a network of the user's own behind them, ``following`` goes through a camera's frames.
 """
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from studiorecon.detector.pictures import Region, opened, sampled
+from studiorecon.detector.crops import Region, opened, sampled
 from studiorecon.detector.top_down import TopDown
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS

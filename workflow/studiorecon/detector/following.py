@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from studiorecon.detector.blazepose import LANDMARKS, PRESENT, BlazePose, Landmarks
-from studiorecon.detector.pictures import Region
+from studiorecon.detector.crops import Region
 from studiorecon.detector.windows import changed, grid
 from studiorecon.keypoints.tracking import distance_shares
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.pictures import Region, opened, sampled
+from studiorecon.detector.crops import Region, opened, sampled
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from studiorecon.detector.pictures import Region
+from studiorecon.detector.crops import Region
 
 # Edges of the windows as shares of the picture's longer side, and how far each moves, as a share of its own edge.
 _SCALES = ((1.0, 1.0), (0.6, 0.5), (0.35, 0.5))

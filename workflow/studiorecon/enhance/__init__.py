@@ -5,5 +5,5 @@ In reading order: ``backends`` (what improves a picture, what finds flow), ``ali
 on the current one), ``injection`` (how much of them enters it), ``recursion`` (a clip, picture by picture), ``photos``
 (the training photos beside their renders), ``pilot`` (does this film call for any of it?). Steps: ``shot`` (a film of
 a scene), ``folder`` (pictures of anybody), ``sheet`` (how one picture was made), ``comparison`` (before and after).
-``shared``: settings of several steps.
+``injection_settings``: settings of several steps.
 """

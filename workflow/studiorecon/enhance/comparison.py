@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.enhance.shared import Film
+from studiorecon.enhance.injection_settings import Film
 from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frames, write_watchable

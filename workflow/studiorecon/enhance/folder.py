@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from studiorecon.enhance.backends import flow_of, network
+from studiorecon.enhance.injection_settings import Enhancing, Injecting
 from studiorecon.enhance.recursion import enhanced, stands_still
-from studiorecon.enhance.shared import Enhancing, Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from studiorecon.enhance.backends import flow_of
+from studiorecon.enhance.injection_settings import Injecting
 from studiorecon.enhance.recursion import Blend, blend, for_path, history_of
-from studiorecon.enhance.shared import Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames_from, to_bytes
 from studiorecon.images.encoded import write_png

@@ -15,10 +15,10 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged, flow_of, network
 from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.injection_settings import Carrying, Enhancing, Film, Injecting
 from studiorecon.enhance.photos import Training, training_of
 from studiorecon.enhance.pilot import called_for, flicker, worth
 from studiorecon.enhance.recursion import enhanced, for_path, stands_still
-from studiorecon.enhance.shared import Carrying, Enhancing, Film, Injecting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import Writer, writing

@@ -8,6 +8,6 @@ reading order:
 * ``distortion`` (inner loop: ``distortion_kernels``), ``lens``: from a real lens's pixels to the pinhole's;
 * ``triangulation`` (inner loops: ``triangulation_kernels``, ``triangulation_dlt``), ``relative_pose``, ``bundle``,
   ``scale``: from pixels of several cameras to points, poses and metres; ``groups``: what belongs together;
-* ``surface``, ``depth_alignment``, ``lifting``, ``floor``: what a depth map says;
-* ``path``: camera paths between cameras.
+* ``depth_surface``, ``depth_alignment``, ``lifting``, ``floor``: what a depth map says;
+* ``camera_path``: camera paths between cameras.
 """

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.surface import depth_breaks
+from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from studiorecon.body.avatar.posing import Posing
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.humans.colours import in_view, nearest_surface, sampled
 from studiorecon.humans.crops import OUTSIDE, PERSON, Crop
-from studiorecon.humans.motion import RefinedMotion
+from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 

@@ -17,8 +17,8 @@ import scipy
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
-from studiorecon.humans.shared import Started
-from studiorecon.humans.surface import gaussians_on, started
+from studiorecon.humans.start_settings import Started
+from studiorecon.humans.surface_samples import gaussians_on, started
 from studiorecon.progress import say
 from studiorecon.scene.gaussians import sh_from_rgb
 from studiorecon.scene.gaussians_ply import write_ply

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.body.avatar.files import written_from
+from studiorecon.body.avatar.avatar_files import written_from
 from studiorecon.humans.crops import Crop
 from studiorecon.scene.files import complete
 from studiorecon.splatting.train.checkpoint import fingerprint

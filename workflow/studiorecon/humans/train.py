@@ -2,7 +2,7 @@
 """One person as Gaussians in the body's rest pose, trained on every training camera's frames.
 
 Writes ``humans/<person>.ply`` (canonical Gaussians) and ``humans/<person>.npz`` (skinning, refined motion, provenance;
-see ``body/avatar/files.py``).
+see ``body/avatar/avatar_files.py``).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 
 from studiorecon import code
 from studiorecon.arrays import evenly_spread
+from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.avatar.control_points import ControlPoints
-from studiorecon.body.avatar.files import Avatar, write_avatar
 from studiorecon.body.avatar.posing import MAX_SH_DEGREE, Posing
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.avatar.weight_grid import build_weight_grid, strongest
@@ -30,9 +30,9 @@ from studiorecon.humans.colours import look, nearest_surface
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed, was_drifting
 from studiorecon.humans.filmed import read_crops
-from studiorecon.humans.motion import RefinedMotion
+from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.result_cache import keep, mark_of, still_stands
-from studiorecon.humans.surface import (
+from studiorecon.humans.surface_samples import (
     SurfaceSamples,
     fill_unseen,
     gaussians_on,

@@ -9,7 +9,7 @@ from typing import Literal
 
 from studiorecon.configuration.setting import setting
 from studiorecon.humans.appearance import OverTime
-from studiorecon.humans.shared import Started
+from studiorecon.humans.start_settings import Started
 from studiorecon.humans.training import GaussianLimits, Growing, Losses, Rates
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE, thresholds
 

@@ -21,7 +21,7 @@ from studiorecon.body.avatar.posing import Posing
 from studiorecon.configuration.setting import setting
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.crops import IGNORED, PERSON, Crop
-from studiorecon.humans.motion import RefinedMotion
+from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.device import rasteriser as rasteriser_on

@@ -29,7 +29,9 @@ from studiorecon.footage.video import read_frames, read_stack, to_float, write_l
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks.detector_masks import DetectorMasks, seen_in
-from studiorecon.masks.evidence import (
+from studiorecon.masks.given import identified, read_given
+from studiorecon.masks.grabcut import CutSettings, cut_unknown
+from studiorecon.masks.log_odds import (
     DifferenceSettings,
     Plate,
     body_evidence,
@@ -37,8 +39,6 @@ from studiorecon.masks.evidence import (
     difference_evidence,
     unrest_of,
 )
-from studiorecon.masks.given import identified, read_given
-from studiorecon.masks.grabcut import CutSettings, cut_unknown
 from studiorecon.masks.loose_objects import without_things
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.progress import progress, say

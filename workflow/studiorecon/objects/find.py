@@ -24,7 +24,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate, shrink
 from studiorecon.footage.video import read_frames
 from studiorecon.objects import carving
-from studiorecon.objects.following import FollowSettings, ObjectTrack, followed, held, linked
+from studiorecon.objects.object_tracks import FollowSettings, ObjectTrack, followed, held, linked
 from studiorecon.objects.residual import LooseSettings, ResidualRegion, difference, regions, states, unrest
 from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, kept_apart, looks_at, made, misfit, skin
 from studiorecon.objects.rotation import NEVER_DB, TurnSettings, turned

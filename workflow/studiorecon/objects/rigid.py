@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.footage.video import to_float
 from studiorecon.images.warp import sample
-from studiorecon.objects.following import ObjectTrack
+from studiorecon.objects.object_tracks import ObjectTrack
 from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_of
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians

@@ -17,7 +17,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.geometry import rotations
 from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
 from studiorecon.objects.carving import reach_m, skin, volume_m3
-from studiorecon.objects.following import ObjectTrack
+from studiorecon.objects.object_tracks import ObjectTrack
 from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimpse, moved
 from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, looks_at, made
 from studiorecon.scene.camera import Camera

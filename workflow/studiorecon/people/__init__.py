@@ -5,5 +5,5 @@ In come cameras, detections and plates; out come ``people.tsv``, ``identities.ts
 in the order of the data: ``second_look`` (pictures once more, where ``expected`` says somebody must be),
 ``lift`` (pelvises at the scene's depth, on request), ``associate``, ``without_keypoints``, ``fit``; for people to look
 at: ``review``, ``overlay``. Below them: ``association`` (tracks to persons), ``fitting`` (points to fit a body to),
-``silhouettes`` (people without keypoints). ``shared``: settings of several steps.
+``silhouettes`` (people without keypoints). ``fit_settings``: settings of several steps.
 """

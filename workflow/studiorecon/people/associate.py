@@ -19,10 +19,10 @@ from studiorecon.people.association.acceptance import TrackVerdict, identities_f
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.confirmation import Witness
 from studiorecon.people.association.corrected import read_corrected, rows_of
-from studiorecon.people.association.evidence import EvidenceLimits
 from studiorecon.people.association.left_out import LeftOut, tell
+from studiorecon.people.association.picture_change import EvidenceLimits
+from studiorecon.people.fit_settings import Triangulated
 from studiorecon.people.fitting.readouts import readouts
-from studiorecon.people.shared import Triangulated
 from studiorecon.progress import say, warn
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera

@@ -24,12 +24,12 @@ from studiorecon.errors import UserError
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.keypoints.layouts import OTHER_SIDE
 from studiorecon.keypoints.retiming import with_all_rows_at_once
+from studiorecon.people.fit_settings import Hulled, Smoothed, Triangulated
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import limb_ratio, size_of
 from studiorecon.people.fitting.points import Points, lift, observations
-from studiorecon.people.fitting.surface import surface_of
-from studiorecon.people.shared import Hulled, Smoothed, Triangulated
-from studiorecon.people.silhouettes.people import SilhouettePerson, follow_standing, read_standing
+from studiorecon.people.fitting.surface_points import surface_of
+from studiorecon.people.silhouettes.silhouette_people import SilhouettePerson, follow_standing, read_standing
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest

@@ -18,7 +18,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.pages import skeleton
-from studiorecon.people.association.evidence import sampled_frames
+from studiorecon.people.association.picture_change import sampled_frames
 from studiorecon.progress import progress
 from studiorecon.scene.files import read_json, read_table, write_text
 from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, read_detections, read_identities

@@ -35,7 +35,7 @@ from studiorecon.people.expected import (
     expected,
     planned,
 )
-from studiorecon.people.shared import Triangulated
+from studiorecon.people.fit_settings import Triangulated
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest

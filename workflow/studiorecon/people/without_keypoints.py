@@ -13,9 +13,9 @@ from pathlib import Path
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.people.shared import Hulled
+from studiorecon.people.fit_settings import Hulled
 from studiorecon.people.silhouettes.foreground import open_view
-from studiorecon.people.silhouettes.people import find_standing, write_standing
+from studiorecon.people.silhouettes.silhouette_people import find_standing, write_standing
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import add_people, read_people

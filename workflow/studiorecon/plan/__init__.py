@@ -12,7 +12,8 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``budget``: the preset that ``budget_min`` buys, by ``workload`` (how much is asked of every rule) and ``prices``;
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``told``: which settings a step is told, with what ``survey.force`` decides;
-* ``brought``, ``files``: the files that rules take where these hang on the plan, on who was found or on the survey.
+* ``brought``, ``rule_files``: the files that rules take where these hang on the plan, on who was found or on the
+  survey.
 
-Decodes no pictures and compiles nothing: Snakemake reads it at every start. (``planner`` is about where cameras stand.)
+Decodes no pictures and compiles nothing: Snakemake reads it at every start.
 """

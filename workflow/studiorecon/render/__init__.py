@@ -8,5 +8,5 @@
 * what is drawn: ``composite``, ``replacement``, ``shading`` with ``room_light``, ``lamps`` and ``occlusion``, by
   ``canvas``;
   ``statistics`` keeps account.
-``shared``: settings of several steps.
+``draw_settings``: settings of several steps.
 """

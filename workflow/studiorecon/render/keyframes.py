@@ -13,7 +13,7 @@ import scipy
 
 from studiorecon import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import look_at, scene_centre, with_pose
+from studiorecon.geometry.camera_path import look_at, scene_centre, with_pose
 from studiorecon.render.moves import camera_named
 from studiorecon.render.shots import usual_focal
 from studiorecon.render.subjects import Subjects, Target

@@ -18,7 +18,7 @@ import numpy as np
 from studiorecon.footage.exr import write_channels
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas, Layers
-from studiorecon.render.shared import Drawn
+from studiorecon.render.draw_settings import Drawn
 from studiorecon.render.shot import read_composite
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Written

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import scene_centre
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.avatar.binding import bind
-from studiorecon.body.avatar.files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.progress import say

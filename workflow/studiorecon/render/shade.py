@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.body.avatar.files import read_avatar
+from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.progress import progress, say
 from studiorecon.render.room_light import read_light

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.body.avatar.files import Avatar
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.capsules import Occluder, occluder
 from studiorecon.geometry import rotations
 from studiorecon.geometry.floor import FLOOR_M

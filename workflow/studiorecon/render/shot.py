@@ -12,22 +12,22 @@ from pathlib import Path
 
 import numpy as np
 
-from studiorecon.body.avatar.files import Avatar, read_avatar
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import to_bytes, write_lossless
-from studiorecon.geometry.path import scene_centre
+from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.progress import progress, say
 from studiorecon.render.canvas import Canvas
 from studiorecon.render.composite import TRUTH_LEVELS, Composite, millimetres, truth_levels
+from studiorecon.render.draw_settings import Drawn
 from studiorecon.render.planning import plan
 from studiorecon.render.replacement import replaced
 from studiorecon.render.room_light import read_light
 from studiorecon.render.shading import shading
-from studiorecon.render.shared import Drawn
 from studiorecon.render.statistics import PictureStatistics, angles_deg, obstacles, shares, write_ledger
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from studiorecon.geometry.path import look_at
+from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
 

@@ -32,6 +32,7 @@ from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
 from studiorecon.report.metrics.films import first_frames
 from studiorecon.report.metrics.folders import digest
 from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.jitter import jitter
 from studiorecon.report.metrics.measures import (
     NAMES,
     REGIONS,
@@ -42,7 +43,6 @@ from studiorecon.report.metrics.measures import (
     summaries,
     unmeasured,
 )
-from studiorecon.report.metrics.motion import jitter
 from studiorecon.report.metrics.truth import read_views, regions, true_joints
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera

@@ -22,7 +22,7 @@ from studiorecon.detector.windows import grid
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.films import first_frames
-from studiorecon.report.metrics.keypoints import TruePerson, score
+from studiorecon.report.metrics.pck import TruePerson, score
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.signature import Written

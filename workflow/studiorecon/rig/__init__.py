@@ -5,12 +5,11 @@ In come cameras and detections nobody has named; out come cameras, the world's u
 is.
 
 * ``correspondences``: points that several cameras see; ``gravity``: up and the floor;
-* ``from_people``: cameras from nothing but people; ``arrangement``: the best of what that finds, and who is not in it;
-  ``self_calibration``: made exact, with their focal lengths and, by
-  ``room_turns``, the room's straight edges; ``given_lengths``: their metres; ``certainty``: how well they are known;
-* ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out``: those that only judge;
-  ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that all
-  others contradict; ``body_points``: people's keypoints by their names; ``residuals``: why their rays do not meet;
-  ``human_size``: another unit than metres; ``sheet``: the picture of
-  it all.
+* ``from_tracks``: cameras from nothing but people; ``arrangement``: the best of what that finds, and who is not in it;
+  ``self_calibration``: made exact, with their focal lengths and, by ``room_turns``, the room's straight edges;
+  ``given_lengths``: their metres; ``certainty``: how well they are known;
+* ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out_pose``: those that only
+  judge; ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that
+  all others contradict; ``body_points``: people's keypoints by their names; ``residuals``: why their rays do not meet;
+  ``human_size``: another unit than metres; ``contact_sheet``: the picture of it all.
 """

@@ -18,7 +18,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.geometry.bundle import without_drift
 from studiorecon.geometry.rotations import angle
 from studiorecon.geometry.triangulation import Limits
-from studiorecon.rig.from_people import Rig, Sightings, rigs, sightings
+from studiorecon.rig.from_tracks import Rig, Sightings, rigs, sightings
 from studiorecon.rig.stale import moves
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

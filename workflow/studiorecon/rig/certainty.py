@@ -15,7 +15,7 @@ import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior, without_drift
 from studiorecon.geometry.triangulation import Limits, Triangulated
-from studiorecon.rig.from_people import Rig, adjusted, places_of_joints
+from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.rig.stale import HALF_OF_THE_JOINTS, moves
 

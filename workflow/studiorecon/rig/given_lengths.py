@@ -16,7 +16,7 @@ from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
 from studiorecon.geometry.triangulation import Triangulated
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.from_people import bone_factor
+from studiorecon.rig.from_tracks import bone_factor
 from studiorecon.scene.camera import Camera
 
 # Limbs of people of one height differ by about this, as a share, and so does what a detector takes for joints.

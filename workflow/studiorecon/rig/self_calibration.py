@@ -11,7 +11,7 @@ import numpy as np
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement
-from studiorecon.rig.from_people import Rig, Sightings, adjusted, settled
+from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
 from studiorecon.rig.room_turns import RoomTurn, room_turns
 
 _ROUNDS = 6

@@ -23,7 +23,7 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.from_people import rigs, sightings
+from studiorecon.rig.from_tracks import rigs, sightings
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

@@ -12,7 +12,7 @@ from studiorecon.scene.people import Person
 from studiorecon.studio.clothing import OUTFITS, dressed
 from studiorecon.studio.description import Description
 from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
-from studiorecon.studio.motion import PARTS, perform, shape
+from studiorecon.studio.performance import PARTS, perform, shape
 
 UNOWNED = 255  # mask value of what moves and is nobody: ball and stick
 _BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82

@@ -6,5 +6,5 @@ effect, and the files that later steps divide out of the pictures. In the order 
 * ``effects``: one file per effect, and the list of them;
 * ``evidence``: what they are measured on, and what several of them ask: ``clips`` (pictures over time),
   ``exposures`` and ``specularity`` (colours of surfaces that cameras share), ``stillness`` (shifts and light),
-  ``motion`` (lens, clock, readout), ``resolution``, ``coverage``, ``scene_change``.
+  ``speed`` (lens, clock, readout), ``resolution``, ``coverage``, ``scene_change``.
 """

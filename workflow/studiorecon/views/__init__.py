@@ -4,5 +4,5 @@ pictures with the support that photos give them.
 
 ``path`` (where from) → ``synthesize`` (``forward``: photos carried through their depth). By a network instead:
 ``request``, ``generate``, ``fitted``, with ``frame`` for its picture size and ``first_moment`` for people in its views.
-``shared``: settings of several steps.
+``warp_settings``: settings of several steps.
 """

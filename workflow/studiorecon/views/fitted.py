@@ -26,8 +26,8 @@ from studiorecon.signature import Written
 from studiorecon.views.first_moment import Standing
 from studiorecon.views.forward import WarpSource, blend
 from studiorecon.views.frame import frame_of
-from studiorecon.views.shared import Made, Warping
 from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
+from studiorecon.views.warp_settings import Made, Warping
 
 
 @dataclass(frozen=True)

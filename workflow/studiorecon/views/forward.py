@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from studiorecon.geometry.surface import depth_breaks
+from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.scene.camera import Camera
 
 # Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.

@@ -18,7 +18,7 @@ from studiorecon.models.protocols import ViewSynthesizer
 from studiorecon.progress import say
 from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Place, Written
-from studiorecon.views.shared import Made
+from studiorecon.views.warp_settings import Made
 
 _FPS = 24.0
 

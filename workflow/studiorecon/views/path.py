@@ -16,7 +16,7 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import axis_miss_rad, between, order_around, scene_centre
+from studiorecon.geometry.camera_path import axis_miss_rad, between, order_around, scene_centre
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest

@@ -25,8 +25,8 @@ from studiorecon.signature import Written
 from studiorecon.views.first_moment import Standing, first_pictures
 from studiorecon.views.forward import WarpSource
 from studiorecon.views.frame import Frame, frame_of
-from studiorecon.views.shared import Made, Warping
 from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
+from studiorecon.views.warp_settings import Made, Warping
 
 
 @dataclass(frozen=True)

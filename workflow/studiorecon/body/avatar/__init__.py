@@ -3,5 +3,5 @@
 
 ``weight_grid`` and ``binding`` tie Gaussians to the body, ``posing`` moves them and brings gradients back,
 ``temporal`` (told where and when by ``encoding``, asked at ``control_points``) changes their looks over time, ``drift``
-reads it at the moments of a film, ``files`` keeps all of it.
+reads it at the moments of a film, ``avatar_files`` keeps all of it.
 """

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
 # Scores below this are other surfaces, not this one: they would drag the mean that places a plane.

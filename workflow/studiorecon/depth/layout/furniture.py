@@ -12,8 +12,8 @@ from numba import njit
 from studiorecon.depth.layout.primitives import Primitive
 from studiorecon.depth.layout.proposals import fronts, standing, tops
 from studiorecon.depth.layout.visibility import kept_from
-from studiorecon.depth.stereo.evidence import Explained
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)

@@ -15,8 +15,8 @@ from itertools import product
 import cv2
 import numpy as np
 
-from studiorecon.depth.stereo.evidence import Explained
 from studiorecon.depth.stereo.kernels import UNSEEN
+from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.scene.room import RoomBox
 
 _CELL_M = 0.06

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from studiorecon.depth.stereo.pictures import Picture
 from studiorecon.depth.stereo.planes import rig_centre
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.stills import shrink
 
 # A coarse look is enough: a wall 4° off is 20 cm off three metres along, some two pixels at this width.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plane-sweep stereo. In come plates and planes; out come costs, and one plane or depth per pixel.
 
-``pictures`` and ``planes`` (what is compared and tried) → ``matching`` (the cost of a plane) → ``labelling`` (one
-plane per pixel) → ``passes`` (the second pass, without hidden cameras). For furniture: ``evidence`` with ``kernels``.
+``plates`` and ``planes`` (what is compared and tried) → ``matching`` (the cost of a plane) → ``labelling`` (one
+plane per pixel) → ``passes`` (the second pass, without hidden cameras). For furniture: ``photo_cost`` with ``kernels``.
 For what neither explains: ``photo_inconsistency``, ``regions`` with ``patches``; ``free_space`` takes back what
 floats.
 """

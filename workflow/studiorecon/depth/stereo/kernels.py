@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops of ``evidence``: colours of one camera's surfaces in the others, windowed correlation over a surface,
-one solid on trial.
+"""Compiled loops of ``photo_cost``: colours of one camera's surfaces in the others, windowed correlation over a
+surface, one solid on trial.
 
 Arrays are (V, H, W) for V views; a solid is eight numbers (``solids.Solid.numbers``).
 """

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from studiorecon.depth.shared import Matching
 from studiorecon.depth.stereo.labelling import label
 from studiorecon.depth.stereo.matching import UNKNOWN, plane_homography, plane_inverse_depth
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.sweep_settings import Matching
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 

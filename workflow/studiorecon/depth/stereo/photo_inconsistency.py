@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.patches import UNSEEN
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.images.warp import sample
 
 # Superpixels are this share of the picture's width wide: one texture's detail, and a piece of furniture's side.

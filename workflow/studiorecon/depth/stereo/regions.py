@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.depth.stereo.labelling import label
 from studiorecon.depth.stereo.patches import UNSEEN, best_plane, region_cost
 from studiorecon.depth.stereo.photo_inconsistency import LEAST_PIXELS, SIZES, surface_cost, unexplained
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.stills import shrink
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox

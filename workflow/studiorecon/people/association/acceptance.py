@@ -14,7 +14,10 @@ from studiorecon.footage.video import read_frames
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.confirmation import Confirmation, Witness, confirmed
-from studiorecon.people.association.evidence import (
+from studiorecon.people.association.ghosts import FOUND_TWICE, deep_points_m, found_twice, why_nobody
+from studiorecon.people.association.grouping import Group, group_tracks, torso_m, track_margins
+from studiorecon.people.association.left_out import LeftOut, left_out
+from studiorecon.people.association.picture_change import (
     EvidenceLimits,
     absent,
     limb_counts,
@@ -23,9 +26,6 @@ from studiorecon.people.association.evidence import (
     steps_m,
     view_shares,
 )
-from studiorecon.people.association.ghosts import FOUND_TWICE, deep_points_m, found_twice, why_nobody
-from studiorecon.people.association.grouping import Group, group_tracks, torso_m, track_margins
-from studiorecon.people.association.left_out import LeftOut, left_out
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

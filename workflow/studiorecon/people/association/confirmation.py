@@ -19,14 +19,14 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
-from studiorecon.people.association.evidence import (
+from studiorecon.people.association.grouping import Group
+from studiorecon.people.association.picture_change import (
     EvidenceLimits,
     even,
     places_changed,
     sampled_frames,
     view_shares,
 )
-from studiorecon.people.association.grouping import Group
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections

@@ -20,7 +20,7 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, OTHER_SIDE
 from studiorecon.people.silhouettes.contour import Silhouette, Targets
 from studiorecon.people.silhouettes.facing import Facing, compare, witness
-from studiorecon.people.silhouettes.following import arms_settled, follow
+from studiorecon.people.silhouettes.tracking import arms_settled, follow
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.

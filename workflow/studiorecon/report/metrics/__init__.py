@@ -3,6 +3,6 @@
 
 * pictures: ``measures``, ``distance`` (LPIPS), ``folders`` (any method's), ``films`` (where a camera's
   view begins), ``truth`` (a synthetic studio's);
-* people: ``bodies``, ``identities`` and ``identity_scores``, ``keypoints``, ``motion``;
+* people: ``bodies``, ``identities`` and ``identity_scores``, ``pck``, ``jitter``;
 * ``rendered_effects``: what the audit decides; ``bootstrap``: intervals; ``definitions``: what every number means.
 """

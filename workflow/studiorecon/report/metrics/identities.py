@@ -15,7 +15,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.images.warp import sample
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.report.metrics.identity_scores import identity_scores
-from studiorecon.report.metrics.keypoints import TruePerson, score
+from studiorecon.report.metrics.pck import TruePerson, score
 from studiorecon.report.metrics.truth import TrueView, true_pixels
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

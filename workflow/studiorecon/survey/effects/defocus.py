@@ -11,7 +11,7 @@ from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, Estimate, median
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.motion import AT_WIDTH
+from studiorecon.survey.speed import AT_WIDTH
 
 # The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
 _AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100

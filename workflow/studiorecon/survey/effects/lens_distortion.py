@@ -9,7 +9,7 @@ from studiorecon.geometry.statistics import largest
 from studiorecon.scene.camera import Camera
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.motion import AT_WIDTH, by_camera
+from studiorecon.survey.speed import AT_WIDTH, by_camera
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from studiorecon.geometry.statistics import largest
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.motion import AT_WIDTH, by_camera, too_slow
+from studiorecon.survey.speed import AT_WIDTH, by_camera, too_slow
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from studiorecon.geometry.statistics import largest
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.motion import by_camera, too_slow
+from studiorecon.survey.speed import by_camera, too_slow
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:

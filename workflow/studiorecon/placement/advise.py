@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``planner.advise``: what the cameras of a finished calibration see of their room, and which of them to move where."""
+"""``placement.advise``: what the cameras of a finished calibration see of their room, and which to move where."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
-from studiorecon.planner.figures import Judge
-from studiorecon.planner.picture import advised, drawn, lines_of
-from studiorecon.planner.placing import advice
-from studiorecon.planner.room import room_about
+from studiorecon.placement.figures import Judge
+from studiorecon.placement.picture import advised, drawn, lines_of
+from studiorecon.placement.placing import advice
+from studiorecon.placement.room import room_about
 from studiorecon.progress import say
 from studiorecon.scene.files import complete, write_json
 from studiorecon.signature import Written

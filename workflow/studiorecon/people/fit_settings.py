@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from studiorecon.configuration.setting import setting
 from studiorecon.geometry.smoothing import Smoothing
 from studiorecon.people.fitting.points import Triangulation
-from studiorecon.people.silhouettes.people import HullSettings
+from studiorecon.people.silhouettes.silhouette_people import HullSettings
 
 
 @dataclass(frozen=True)

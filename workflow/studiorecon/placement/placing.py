@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import look_at
-from studiorecon.planner.figures import Judge
-from studiorecon.planner.room import Room
+from studiorecon.geometry.camera_path import look_at
+from studiorecon.placement.figures import Judge
+from studiorecon.placement.room import Room
 from studiorecon.scene.camera import Camera
 
 # From the walls to a camera on its tripod or clamp, and below the ceiling.

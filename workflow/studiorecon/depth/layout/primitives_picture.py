@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.layout.primitives import Primitive
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox

@@ -2,28 +2,28 @@
 # Part of no other target. Where to put cameras before filming needs no dataset: studiorecon plan --room 6x5x2.8
 
 
-rule planner_advise:
+rule placement_advise:
     input:
         model=MODEL,
     output:
-        picture="results/{scene}/planner/advice.svg",
-        plan="results/{scene}/planner/advice.json",
+        picture="results/{scene}/placement/advice.svg",
+        plan="results/{scene}/placement/advice.json",
     log:
-        "logs/{scene}/planner/advise.log",
+        "logs/{scene}/placement/advise.log",
     benchmark:
-        "benchmarks/{scene}/planner/advise.tsv"
+        "benchmarks/{scene}/placement/advise.tsv"
     container:
         image("core")
     threads: 1
     resources:
         mem_mb=500,
     params:
-        code=code("planner.advise"),
+        code=code("placement.advise"),
     shell:
-        command("planner.advise")
+        command("placement.advise")
 
 
 rule plan:
     input:
-        f"results/{PLAN.scene}/planner/advice.svg",
+        f"results/{PLAN.scene}/placement/advice.svg",
     localrule: True

@@ -9,9 +9,9 @@ from html import escape
 
 import numpy as np
 
-from studiorecon.planner.figures import Figures, Judge
-from studiorecon.planner.placing import Move
-from studiorecon.planner.room import HEAD_M, HIPS_M, WIDTH_M
+from studiorecon.placement.figures import Figures, Judge
+from studiorecon.placement.placing import Move
+from studiorecon.placement.room import HEAD_M, HIPS_M, WIDTH_M
 from studiorecon.scene.camera import Camera
 
 _MAP_PX, _GAP_PX, _TOP_PX, _LINE_PX = 430, 50, 92, 19

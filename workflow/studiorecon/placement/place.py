@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``planner.place``: where to put cameras in a room before anything is filmed, what they will see, and one picture of
+"""``placement.place``: where to put cameras in a room before anything is filmed, what they will see, and one picture of
 it."""
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ import re
 from pathlib import Path
 
 from studiorecon.errors import UserError
-from studiorecon.planner.figures import Judge
-from studiorecon.planner.picture import drawn, lines_of
-from studiorecon.planner.placing import lens, placed
-from studiorecon.planner.room import read_room
+from studiorecon.placement.figures import Judge
+from studiorecon.placement.picture import drawn, lines_of
+from studiorecon.placement.placing import lens, placed
+from studiorecon.placement.room import read_room
 from studiorecon.progress import say
 from studiorecon.scene.files import complete, write_json
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.planner.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, blocked
+from studiorecon.placement.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, blocked
 from studiorecon.scene.camera import Camera
 
 # Deviation of a detector's point per coordinate, as a share of the person's height in the picture: networks look at a

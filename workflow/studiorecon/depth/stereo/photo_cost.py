@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, gains
-from studiorecon.depth.stereo.pictures import Picture
+from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
 # A face of the shell whose pixels match this well, and so many of them, say what its colours are.

@@ -22,11 +22,11 @@ from studiorecon.configuration.setting import setting
 from studiorecon.people.silhouettes import hull, upright
 from studiorecon.people.silhouettes.contour import ContourSettings, Silhouette
 from studiorecon.people.silhouettes.facing import Facing
-from studiorecon.people.silhouettes.following import follow
 from studiorecon.people.silhouettes.foreground import ForegroundSettings, SilhouetteView, labels, pictures
 from studiorecon.people.silhouettes.hull import HullLimits, HullTrack
 from studiorecon.people.silhouettes.mask_video import FilmTargets, LabelFilm
 from studiorecon.people.silhouettes.person_masks import silhouettes
+from studiorecon.people.silhouettes.tracking import follow
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""planner: the predicted error is what noise makes of it, advice is worth what it says, and symmetric rooms get
+"""placement: the predicted error is what noise makes of it, advice is worth what it says, and symmetric rooms get
 symmetric rigs."""
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import pytest
 from studiorecon import command
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
-from studiorecon.geometry.path import look_at
+from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate
-from studiorecon.planner import advise, place
-from studiorecon.planner.figures import Judge, errors_m, information, seen
-from studiorecon.planner.placing import advice, in_words, lens, placed, stood
-from studiorecon.planner.room import TALL_M, WIDTH_M, Room, blocked, read_room, room_about
+from studiorecon.placement import advise, place
+from studiorecon.placement.figures import Judge, errors_m, information, seen
+from studiorecon.placement.placing import advice, in_words, lens, placed, stood
+from studiorecon.placement.room import TALL_M, WIDTH_M, Room, blocked, read_room, room_about
 from studiorecon.scene.camera import Camera
 
 ROOM = read_room("6x5x2.8")

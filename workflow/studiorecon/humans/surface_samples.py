@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from studiorecon.humans.shared import Started
+from studiorecon.humans.start_settings import Started
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
 
