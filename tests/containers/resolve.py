@@ -28,13 +28,14 @@ from studiorecon.models.containers import instructions
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = tuple(yaml.safe_load((ROOT / "envs/images.yaml").read_text(encoding="utf-8")))
-# What is in the name of a base image → its Python.
+# What is in the name of a base image → its Python, and the glibc that wheels may ask for. Python's images are Debian's:
+# the older glibc of those in use.
 BASES = {
-    "python:3.10-": "3.10",
-    "python:3.11-": "3.11",
-    "ubuntu22.04": "3.10",
-    "ubuntu24.04": "3.12",
-    "cosmos-": "3.12",
+    "python:3.10-": ("3.10", "2_36"),
+    "python:3.11-": ("3.11", "2_36"),
+    "ubuntu22.04": ("3.10", "2_35"),
+    "ubuntu24.04": ("3.12", "2_39"),
+    "cosmos-": ("3.12", "2_39"),
 }
 # Not built here: parts compiled against CUDA, which want a compiler and torch before they say what they need.
 COMPILED = ("transformer-engine", "pytorch3d", "apex", "simple-knn", "diff-gaussian-rasterization", "sam2", "BasicSR")
@@ -58,6 +59,7 @@ class Recipe:
     commit), and what is left out, with the reason."""
 
     python: str
+    glibc: str
     wanted: list[str] = field(default_factory=list)
     checkouts: list[tuple[str, str]] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
@@ -68,10 +70,10 @@ def recipe(name: str) -> Recipe:
     folder = ROOT / "envs" / name
     steps = instructions((folder / "Containerfile").read_text(encoding="utf-8"))
     base = next(rest for keyword, rest in steps if keyword == "ARG")
-    pythons = [python for part, python in BASES.items() if part in base]
-    if len(pythons) != 1:
+    known = [about for part, about in BASES.items() if part in base]
+    if len(known) != 1:
         raise ValueError(f"envs/{name}: which Python has {base}?")
-    made = Recipe(pythons[0])
+    made = Recipe(*known[0])
     cloned: dict[str, str] = {}
     for command in (c for keyword, rest in steps if keyword == "RUN" for c in rest.split("&&")):
         words = shlex.split(command)
@@ -108,7 +110,7 @@ def resolved(made: Recipe) -> tuple[str, str]:
     done = subprocess.run(
         [
             *("uv", "pip", "compile", "--quiet", "--no-header", "--no-annotate"),
-            *("--python-version", made.python, "--python-platform", "x86_64-manylinux_2_36", "-"),
+            *("--python-version", made.python, "--python-platform", f"x86_64-manylinux_{made.glibc}", "-"),
         ],
         input="\n".join(made.wanted),
         text=True,

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from studiorecon.errors import UserError
 from studiorecon.models.adapters.lpips import TRUNKS, Lpips, Net, normalised, read_lpips
-from studiorecon.splatting.train.perceptual import PerceptualSettings, perceptual
+from studiorecon.splatting.train.perceptual import PerceptualSettings, perceptual, perceptual_of_tensors
+from studiorecon.splatting.train.targets import Target
+from studiorecon.splatting.train.terms import LpipsTerm, TensorView
 
+from tests.made.cameras import look_at
 from tests.made.vgg import random_weights
 
 VGG = TRUNKS["vgg"]
@@ -98,6 +101,46 @@ def test_where_the_paper_weighs_it_a_photo_counts_as_often_as_its_pixels_do() ->
     np.testing.assert_allclose(weighed[1], 3 * plain[1], rtol=1e-5)
     nothing = perceptual(network, SETTINGS, rendered, target, 0 * weight, np.random.default_rng(0), True)
     assert nothing[0] == 0
+
+
+@pytest.mark.parametrize("weighed", [False, True])
+@pytest.mark.parametrize("crop_px", [0, 24])
+def test_tensors_on_a_device_give_what_pictures_on_the_cpu_do(crop_px: int, weighed: bool) -> None:
+    import torch
+
+    network, settings = Lpips(*random_weights(torch.float32)), replace(SETTINGS, crop_px=crop_px)
+    rendered, target = pictures((40, 48))
+    weight = np.where(np.arange(48) < 30, np.float32(3), np.float32(0)) * np.ones((40, 1), np.float32)
+    target[:, 36:] = np.nan
+    loss, gradient = perceptual(network, settings, rendered, target, weight, np.random.default_rng(2), weighed)
+    moved = torch.tensor(rendered.transpose(2, 0, 1), requires_grad=True)
+    wanted = torch.nan_to_num(torch.tensor(target.transpose(2, 0, 1)))
+    found = perceptual_of_tensors(
+        network, settings, moved, wanted, torch.tensor(weight), np.random.default_rng(2), weighed
+    )
+    found.backward()
+    assert found.item() == pytest.approx(loss, rel=1e-5)
+    np.testing.assert_allclose(moved.grad.numpy().transpose(1, 2, 0), gradient, atol=1e-5 * np.abs(gradient).max())
+
+
+def test_a_device_that_trains_sends_nothing_to_the_cpu() -> None:
+    """Tensors of the meta device have no values to send: what asks for one raises."""
+    import torch
+
+    weights = ({name: value.to("meta") for name, value in part.items()} for part in random_weights(torch.float32))
+    view = TensorView(
+        Target(look_at("c", np.array([4.0, 0, 1]), [0, 0, 1]).resized((40, 32)), np.zeros((32, 40, 3), np.float32)),
+        0,
+        np.random.default_rng(0),
+        *(torch.zeros(shape, device="meta", requires_grad=True) for shape in ((32, 40, 3), (32, 40), (32, 40))),
+        torch.zeros((3, 32, 40), device="meta"),
+        torch.zeros((32, 40), device="meta"),
+        None,
+        "view",
+    )
+    loss = LpipsTerm(replace(SETTINGS, every=1), Lpips(*weights), True).on_cuda(view)
+    loss.backward()
+    assert view.rgb.grad.device.type == "meta"
 
 
 def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:

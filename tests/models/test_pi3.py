@@ -218,7 +218,7 @@ def test_upstreams_network_with_random_weights_keeps_its_contract(monkeypatch: p
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1, atol=1e-4)
     # A network that has learnt nothing sees edges everywhere, and is not believed.
     with pytest.raises(UserError, match="the network is sure of"):
-        postprocess(points, np.ones_like(sure), poses, [(56, 70)] * 3, ["a", "b", "c"], False)
+        postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], False)
 
 
 @pytest.mark.parametrize("lacks", ["", "decoder.weight"])

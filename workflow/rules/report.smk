@@ -94,11 +94,13 @@ rule report_evaluate:
     threads: 1  # of two, all but LPIPS would leave one idle
     resources:
         mem_mb=1500,
+        gpu=PLAN.networks.drawing_gpus if PLAN.networks.lpips("report") != "none" else 0,
     params:
         settings=settings("report.evaluate"),
         code=code("report.evaluate"),
         calibrator=PLAN.networks.cameras or "none",
         lpips=PLAN.networks.lpips("report"),
+        device=config["device"],
     shell:
         command("report.evaluate")
 

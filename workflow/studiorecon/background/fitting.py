@@ -60,7 +60,7 @@ class Training:
             span=span,
             threads=self.threads,
             label="background",
-            network=_network(self.settings, self.lpips, self.threads),
+            network=_network(self.settings, self.lpips, self.threads, self.device),
             checkpoint=checkpoint,
             previews=self.previews,
             device=self.device,
@@ -96,11 +96,11 @@ class Training:
         return targets
 
 
-def _network(settings: Settings, lpips: Path, threads: int) -> Perceptual | None:
-    """The network of the perceptual term; None when its weight is 0."""
+def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:
+    """The network of the perceptual term where Gaussians are drawn; None when its weight is 0."""
     if settings.training.lpips.weight == 0:
         say("LPIPS is off (background.training.lpips.weight is 0)")
         return None
     from studiorecon.models.adapters.lpips import read_lpips
 
-    return read_lpips(lpips, threads, without="set background.training.lpips.weight to 0")
+    return read_lpips(lpips, threads, without="set background.training.lpips.weight to 0", device=device)

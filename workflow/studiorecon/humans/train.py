@@ -248,7 +248,7 @@ def run(
         device,
         settings.densify,
     )
-    terms = terms_of(losses, _network(settings, lpips, threads))
+    terms = terms_of(losses, _network(settings, lpips, threads, device))
     span = 0, settings.iterations
     train(subject, terms, span, rng, label=person, checkpoint=checkpoint, previews=working)
     if subject.adam.refused:
@@ -329,11 +329,11 @@ def _appearance(
     return Appearance(settings.temporal, network, seen, judge)
 
 
-def _network(settings: Settings, lpips: Path, threads: int) -> Perceptual | None:
-    """The network of the perceptual term; None when its weight is 0."""
+def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:
+    """The network of the perceptual term where Gaussians are drawn; None when its weight is 0."""
     if settings.losses.lpips.weight == 0:
         say("LPIPS is off (humans.losses.lpips.weight is 0)")
         return None
     from studiorecon.models.adapters.lpips import read_lpips
 
-    return read_lpips(lpips, threads, without="set humans.losses.lpips.weight to 0")
+    return read_lpips(lpips, threads, without="set humans.losses.lpips.weight to 0", device=device)

@@ -50,6 +50,7 @@ from studiorecon.scene.capture import common_start, read_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Place, Written
+from studiorecon.splatting.device import resolve
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
@@ -140,9 +141,10 @@ def score_pictures(
     settings: Settings,
     lpips: Path,
     threads: int,
+    device: str = "cpu",
 ) -> dict[str, Any]:
-    """Measures of every version against the photos of ``cameras``."""
-    distance = opened(settings.lpips, lpips, threads, "set report.lpips to none")
+    """Measures of every version against the photos of ``cameras``; LPIPS on ``device``."""
+    distance = opened(settings.lpips, lpips, threads, "set report.lpips to none", device)
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(cameras, "cameras"):
         masks = regions_of(camera) if regions_of is not None else repeat({})
@@ -203,12 +205,14 @@ def run(
     truth: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
     calibrator: str = "none",
+    device: str = "cpu",
     threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
     training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``recognition``
-    is whom a detector finds in the films, ``lpips`` is the folder of LPIPS' weights, ``calibrator`` the network that
-    found the cameras, held-out ones too, from a picture of each."""
+    is whom a detector finds in the films, ``lpips`` is the folder of the weights of LPIPS, which runs on ``device``,
+    ``calibrator`` the network that found the cameras, held-out ones too, from a picture of each."""
+    where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
     exact = truth[0] if truth else None
@@ -231,7 +235,7 @@ def run(
     with one_thread():
         footage = {video.stem: video for video in videos}
         found = (
-            score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, lpips, threads)
+            score_pictures(capture.frames, cameras, footage, versions, regions_of, settings, lpips, threads, where)
             if versions
             else {}
         )

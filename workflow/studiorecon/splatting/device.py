@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 Device = Literal["cpu", "cuda"]
 
 
-def resolve(setting: str) -> Device:
-    """``setting`` (auto, cpu or cuda) as the device that will be used; says which, once per call.
+def resolve(setting: str, what: str = "Gaussians are drawn") -> Device:
+    """``setting`` (auto, cpu or cuda) as the device that will be used; says which, and for what, once per call.
 
     auto takes CUDA where gsplat is installed and torch finds a device; without gsplat torch is not even imported.
     Raises UserError when cuda is asked for and cannot be had.
@@ -29,7 +29,7 @@ def resolve(setting: str) -> Device:
     if setting == "cuda" and missing:
         raise UserError(f"device: cuda needs {missing}; or set device: auto")
     device: Device = "cpu" if setting == "cpu" or missing else "cuda"
-    say(f"Gaussians are drawn on the {'CUDA device by gsplat' if device == 'cuda' else 'CPU'}")
+    say(f"{what} on the {'CUDA device' if device == 'cuda' else 'CPU'}")
     return device
 
 

@@ -27,8 +27,9 @@ from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, Weig
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX
 
 
-def _card(name: str, title: str, net: str, file: str, weights: str, download: str, size_gb: float) -> Card:
-    """LPIPS on one of torchvision's networks, whose download carries the start of its checksum in its name."""
+def _card(name: str, title: str, net: str, file: str, weights: str, download: str, size_gb: float, sha256: str) -> Card:
+    """LPIPS on one of torchvision's networks, whose download carries the start of its checksum in its name;
+    ``sha256``: of the heads in lpips 0.1.4's wheel."""
     heads = f"weights/v0.1/{net}.pth"
     return Card(
         name=name,
@@ -45,19 +46,39 @@ def _card(name: str, title: str, net: str, file: str, weights: str, download: st
                 sha256=download.removesuffix(".pth").rpartition("-")[2],
             ),
             WeightFile(
-                f"lpips/lpips_{net}.pth", f"package lpips 0.1.4, {heads}", remote=f"lpips:{heads}", how="package"
+                f"lpips/lpips_{net}.pth",
+                f"package lpips 0.1.4, {heads}",
+                remote=f"lpips:{heads}",
+                how="package",
+                sha256=sha256,
             ),
         ),
         runtime=Runtime("vision", ">=3.10", ">=2.4", (), "lpips 0.1.4"),
-        memory=Memory(None, "runs on a CPU; 2 GB on a GPU at 1280×704"),
+        memory=Memory(None, "runs where the Gaussians are drawn (device); 2 GB on a GPU at 1280×704, our estimate"),
         tried="random weights",
         unchecked="a GPU",
     )
 
 
-VGG = _card("lpips", "VGG16", "vgg", "vgg16", "VGG16_Weights.IMAGENET1K_V1", "vgg16-397923af.pth", 0.55)
+VGG = _card(
+    "lpips",
+    "VGG16",
+    "vgg",
+    "vgg16",
+    "VGG16_Weights.IMAGENET1K_V1",
+    "vgg16-397923af.pth",
+    0.55,
+    "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868",
+)
 ALEX = _card(
-    "lpips_alex", "AlexNet", "alex", "alexnet", "AlexNet_Weights.IMAGENET1K_V1", "alexnet-owt-7be5be79.pth", 0.24
+    "lpips_alex",
+    "AlexNet",
+    "alex",
+    "alexnet",
+    "AlexNet_Weights.IMAGENET1K_V1",
+    "alexnet-owt-7be5be79.pth",
+    0.24,
+    "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0",
 )
 CARDS = (VGG, ALEX)
 
@@ -109,8 +130,8 @@ class Lpips:
     """The distance, from state dicts named as torchvision's networks (``features.N.weight``) and LPIPS' heads
     (``linN.model.1.weight``).
 
-    It computes in the dtype of the weights. Raises KeyError for a missing entry and ValueError for one of a wrong
-    shape.
+    It computes where the weights are and in their dtype. Raises KeyError for a missing entry and ValueError for one of
+    a wrong shape.
     """
 
     def __init__(self, features: Mapping[str, Any], heads: Mapping[str, Any], net: Net = "vgg") -> None:
@@ -133,8 +154,8 @@ class Lpips:
             self._heads.append(head.reshape(1, before, 1, 1))
 
     def distance(self, rendered: Any, target: Any) -> Any:
-        """The distance of two tensors (1, 3, h, w) in [0, 1], which are first rescaled to [−1, 1] (U12); sides
-        at least 16."""
+        """The distance of two tensors (1, 3, h, w) in [0, 1] that lie where the weights do, which are first rescaled to
+        [−1, 1] (U12); sides at least 16."""
         total = 0.0
         for ours, theirs, head in zip(self._features(2 * rendered - 1), self._features(2 * target - 1), self._heads):
             total = total + (head * (normalised(ours) - normalised(theirs)) ** 2).sum(dim=1).mean()
@@ -163,21 +184,22 @@ class Lpips:
         if min(truth.shape[:2]) < SMALLEST_MEASURED_PX:
             return None
         with torch.inference_mode():
-            pair = (torch.from_numpy(np.ascontiguousarray(p.transpose(2, 0, 1)))[None] for p in (prediction, truth))
-            return self.distance(*(picture.to(self._heads[0].dtype) / 255 for picture in pair)).item()
+            return self.distance(*(self._tensor(picture) / 255 for picture in (prediction, truth))).item()
 
     def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
         """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
         import torch
 
-        kind = self._heads[0].dtype
-        ours, theirs = (
-            torch.from_numpy(np.ascontiguousarray(p.transpose(2, 0, 1)))[None].to(kind) for p in (rendered, target)
-        )
-        ours.requires_grad_(True)
+        ours, theirs = self._tensor(rendered).requires_grad_(True), self._tensor(target)
         distance = self.distance(ours, theirs)
         (gradient,) = torch.autograd.grad(distance, ours)
-        return distance.item(), np.ascontiguousarray(gradient[0].numpy().transpose(1, 2, 0).astype(np.float32))
+        return distance.item(), np.ascontiguousarray(gradient[0].cpu().numpy().transpose(1, 2, 0).astype(np.float32))
+
+    def _tensor(self, picture: np.ndarray) -> Any:
+        """(1, 3, h, w) of (h, w, 3), where and as the weights are."""
+        import torch
+
+        return torch.from_numpy(np.ascontiguousarray(picture.transpose(2, 0, 1)))[None].to(self._heads[0])
 
 
 def normalised(features: Any) -> Any:
@@ -186,8 +208,11 @@ def normalised(features: Any) -> Any:
     return features / (features.square().sum(dim=1, keepdim=True) + NORM_EPSILON).sqrt()
 
 
-def read_lpips(folder: Path, threads: int, net: Net = "vgg", without: str = "leave LPIPS out") -> Lpips:
-    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder`` (``TRUNKS`` has the files' names).
+def read_lpips(
+    folder: Path, threads: int, net: Net = "vgg", without: str = "leave LPIPS out", device: str = "cpu"
+) -> Lpips:
+    """The network from torchvision's state dict and LPIPS v0.1's heads in ``folder`` (``TRUNKS`` has the files' names),
+    on a torch ``device``.
 
     Raises UserError that names the file which is missing or unusable; ``without`` says what to do to go on without
     LPIPS.
@@ -207,7 +232,10 @@ def read_lpips(folder: Path, threads: int, net: Net = "vgg", without: str = "lea
     for path in paths:
         try:
             read.append(
-                {name: value.float() for name, value in torch.load(path, map_location="cpu", weights_only=True).items()}
+                {
+                    n: value.float().to(device)
+                    for n, value in torch.load(path, map_location="cpu", weights_only=True).items()
+                }
             )
         except Exception as error:
             raise UserError(

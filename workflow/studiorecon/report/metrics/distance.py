@@ -21,11 +21,11 @@ def no_flip(every: int) -> str:
     return f"pictures are under {SMALLEST_PX} pixels a side" if available() else NO_PACKAGE
 
 
-def opened(net: Net, weights: Path, threads: int, without: str) -> PerceptualDistance | None:
-    """LPIPS on ``net``, or None when none is wanted; UserError when its files are not in the folder ``weights``, with
-    how to go on ``without``."""
+def opened(net: Net, weights: Path, threads: int, without: str, device: str = "cpu") -> PerceptualDistance | None:
+    """LPIPS on ``net`` and a torch ``device``, or None when none is wanted; UserError when its files are not in the
+    folder ``weights``, with how to go on ``without``."""
     if net == "none":
         return None
     from studiorecon.models.adapters.lpips import read_lpips
 
-    return read_lpips(weights, threads, net, without)
+    return read_lpips(weights, threads, net, without, device)

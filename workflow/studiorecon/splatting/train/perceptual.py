@@ -8,11 +8,14 @@ The network is behind a Protocol, so that who trains without it needs neither to
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from studiorecon.configuration.setting import setting
+
+if TYPE_CHECKING:
+    import torch
 
 SMALLEST_PX = 16
 """A VGG16 halves a picture four times: below this side there is nothing left to compare."""
@@ -45,6 +48,9 @@ class Perceptual(Protocol):
 
     def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
         """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
+
+    def distance(self, rendered: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        """The same of two tensors (1, 3, h, w) where the network lies, as a () tensor that carries gradients."""
 
 
 def crop_of(hw: tuple[int, int], crop_px: int, rng: np.random.Generator) -> tuple[slice, slice]:
@@ -84,3 +90,29 @@ def perceptual(
         strength *= float(weight[rows, columns][used].mean(dtype=np.float64)) if used.any() else 0.0
     gradient[rows, columns] = np.where(used[..., None], slope * np.float32(strength), 0)
     return strength * distance, gradient
+
+
+def perceptual_of_tensors(
+    network: Perceptual,
+    settings: PerceptualSettings,
+    rendered: torch.Tensor,
+    wanted: torch.Tensor,
+    weight: torch.Tensor,
+    rng: np.random.Generator,
+    weighed: bool = False,
+) -> torch.Tensor:
+    """``perceptual`` of tensors on the device that draws: ``rendered`` and ``wanted`` (3, H, W), ``weight`` (H, W),
+    0 = masked, where ``wanted`` is finite. Nothing leaves the device."""
+    import torch
+
+    rows, columns = crop_of((weight.shape[0], weight.shape[1]), settings.crop_px, rng)
+    if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
+        return rendered.new_zeros(())
+    counted = weight[rows, columns]
+    used, theirs = counted > 0, wanted[:, rows, columns]
+    theirs = torch.where(used, theirs, theirs.clamp(0, 1))
+    ours = torch.where(used, rendered[:, rows, columns], theirs)
+    strength: float | torch.Tensor = settings.weight * settings.every
+    if weighed:
+        strength = strength * counted.sum() / used.sum().clamp_min(1)
+    return strength * network.distance(ours[None], theirs[None])

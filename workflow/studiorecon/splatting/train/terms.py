@@ -20,7 +20,7 @@ import numpy as np
 from studiorecon.splatting.cpu.alpha_loss import DENSITY_OFFSET, density_terms, silhouette_terms
 from studiorecon.splatting.cpu.planes import DEPTH_ALPHA_MIN
 from studiorecon.splatting.cpu.ssim import C1, C2, window
-from studiorecon.splatting.train.perceptual import Perceptual, PerceptualSettings, perceptual
+from studiorecon.splatting.train.perceptual import Perceptual, PerceptualSettings, perceptual, perceptual_of_tensors
 from studiorecon.splatting.train.photometric import Memory, Photometric, PreparedTarget, flat
 from studiorecon.splatting.train.targets import Target
 
@@ -262,25 +262,23 @@ class LpipsTerm:
     network: Perceptual | None
     weighed: bool = False
 
-    def _of(self, rendered: np.ndarray, view: PlaneView | TensorView) -> tuple[float, np.ndarray] | None:
-        if self.network is None or view.iteration % self.settings.every != 0:
-            return None
-        target = view.target
-        return perceptual(self.network, self.settings, rendered, target.rgb, target.weight, view.rng, self.weighed)
-
     def on_cpu(self, view: PlaneView) -> float:
-        found = self._of(np.ascontiguousarray(view.planes[:3].transpose(1, 2, 0)), view)
-        if found is None:
+        if self.network is None or view.iteration % self.settings.every != 0:
             return 0.0
-        view.gradient[:3] += found[1].transpose(2, 0, 1)
-        return found[0]
+        rendered, target = np.ascontiguousarray(view.planes[:3].transpose(1, 2, 0)), view.target
+        value, by_rgb = perceptual(
+            self.network, self.settings, rendered, target.rgb, target.weight, view.rng, self.weighed
+        )
+        view.gradient[:3] += by_rgb.transpose(2, 0, 1)
+        return value
 
     def on_cuda(self, view: TensorView) -> torch.Tensor:
-        found = self._of(view.rgb.detach().cpu().numpy(), view)
-        if found is None:
+        if self.network is None or view.iteration % self.settings.every != 0:
             return view.rgb.new_zeros(())
-        by_rgb = view.rgb.new_tensor(found[1])
-        return found[0] + (by_rgb * (view.rgb - view.rgb.detach())).sum()
+        rendered = view.rgb.permute(2, 0, 1)
+        return perceptual_of_tensors(
+            self.network, self.settings, rendered, view.wanted_rgb, view.weight, view.rng, self.weighed
+        )
 
 
 WEIGHED: dict[str, Callable[[float], Term]] = {"mask": Silhouette, "density": Density, "depth": Depth}
