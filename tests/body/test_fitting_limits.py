@@ -282,6 +282,20 @@ def test_the_papers_alternation_reaches_the_same_body_slowly(body: BodyModel) ->
     assert np.abs(np.swapaxes(fits[1].rotations, -1, -2) @ fits[1].rotations - np.eye(3)).max() < 1e-12
 
 
+def test_the_papers_fit_of_a_long_clip_is_that_of_its_parts(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, trans = moderate(5)
+    points, surface = body.keypoints(NAMES, poses, np.zeros(10), trans), skin(body, poses, np.zeros(10), trans, 100)
+    points[2, 5:] = np.nan
+    settings = replace(SETTINGS, beta_weight=10.0, tolerance=0.0, iterations=4)
+    whole = paper_solver.fit(body, NAMES, points, np.zeros((5, 25)), settings, surface)
+    monkeypatch.setattr(paper_solver, "_AT_ONCE", 2 * 24 * 3 * 125)
+    parts = paper_solver.fit(body, NAMES, points, np.zeros((5, 25)), settings, surface)
+    assert parts.iterations == 4
+    np.testing.assert_array_equal(parts.valid, whole.valid)
+    for name in ("rotations", "trans_m", "frame_betas", "betas", "residual_m"):
+        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), atol=1e-9)
+
+
 @pytest.mark.parametrize("layout", ["body_25b", "smpl24"], ids="M04-{}".format)
 def test_unobserved_twist_is_marked(body: BodyModel, layout: str) -> None:
     # M04. Naive: joints 0.000 mm off and 28° wrong, silently. No keypoint tells how hands or the spine's parts turn.

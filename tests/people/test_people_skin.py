@@ -13,12 +13,15 @@ from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.models import smpl
 from studiorecon.people import fit
+from studiorecon.people.fitting import surface_points
 from studiorecon.people.fitting.surface_points import skin_px, surface_of
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
 from tests.made.scene import ring
+from tests.made.smpl import write_smpl
 
 FRAMES = 6
 # The network's own error per picture: degrees per joint, deviations of the shape.
@@ -65,6 +68,10 @@ def cameras() -> list[Camera]:
 
 @pytest.fixture(scope="module")
 def found(body: BodyModel, truth, cameras: list[Camera]) -> list[Detections]:
+    return seen_by_a_network(body, truth, cameras)
+
+
+def seen_by_a_network(body: BodyModel, truth, cameras: list[Camera]) -> list[Detections]:
     """What a network says in every camera: true keypoints but few, and a body that is off anew in every picture."""
     poses, betas, trans = truth
     rng, layout = np.random.default_rng(7), LAYOUTS["comotion27"]
@@ -110,10 +117,18 @@ def joints_off_m(body: BodyModel, truth, cameras, found, settings: fit.Settings)
     """Mean error of the joints after the step's own arithmetic."""
     names, keypoints = fit.observations("p0", found, whose(found), body, FRAMES)
     points = fit.lift(names, keypoints, cameras, settings.triangulation, settings.fit.unverified_sigma_m)
-    surface = surface_of(
-        "p0", found, whose(found), cameras, body, FRAMES, settings.triangulation, settings.fit.unverified_sigma_m
+    skin = surface_of(
+        "p0",
+        found,
+        whose(found),
+        cameras,
+        body,
+        FRAMES,
+        settings.triangulation,
+        settings.fit.unverified_sigma_m,
+        settings.fit.vertices,
     )
-    person, _ = fit.fit_person("p0", points, body, 24.0, settings, surface if settings.fit.vertex_weight > 0 else None)
+    person, _ = fit.fit_person("p0", points, body, 24.0, settings, skin if settings.fit.vertex_weight > 0 else None)
     return float(np.linalg.norm(person.joints - body.joints(*truth), axis=-1).mean())
 
 
@@ -147,6 +162,26 @@ def test_surfaces_help_where_keypoints_are_few(
     assert with_skin < 0.6 * without, f"{1000 * with_skin:.0f} mm with the surface, {1000 * without:.0f} mm without"
 
 
+def test_with_smpls_file_every_vertex_counts_where_the_paper_has_it(
+    root: Path, tmp_path: Path, cameras: list[Camera], settings: fit.Settings, truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The paper's preset: SMPL's own file, the paper's solver, and all 6,890 vertices of a network's bodies."""
+    smpl.run(write_smpl(tmp_path / "SMPL_NEUTRAL.pkl", BodyModel.load(root / "resources/body.npz")), tmp_path / "b.npz")
+    body = BodyModel.load(tmp_path / "b.npz")
+    found = seen_by_a_network(body, truth, cameras)
+    about = (FRAMES, settings.triangulation, settings.fit.unverified_sigma_m)
+    some, every = (surface_of("p0", found, whose(found), cameras, body, *about, count) for count in (100, 0))
+    assert len(every.vertices) == body.vertex_count == 6890
+    np.testing.assert_allclose(every.points_m[:, some.vertices], some.points_m, atol=1e-6)
+    monkeypatch.setattr(surface_points, "_AT_ONCE", 2 * 6890)
+    parts = surface_of("p0", found, whose(found), cameras, body, *about, 0)
+    np.testing.assert_allclose(parts.points_m, every.points_m, atol=1e-6)
+    papers = replace(settings.fit, solver="paper", beta_weight=10.0, vertices=0, vertex_weight=1.0, iterations=5)
+    without = replace(papers, vertex_weight=0.0)
+    off_m = [joints_off_m(body, truth, cameras, found, replace(settings, fit=f)) for f in (papers, without)]
+    assert off_m[0] < off_m[1], f"{1000 * off_m[0]:.0f} mm with the vertices, {1000 * off_m[1]:.0f} mm without"
+
+
 def test_without_bodies_and_in_another_shape_space_there_is_no_surface(
     body: BodyModel,
     cameras: list[Camera],
@@ -154,7 +189,7 @@ def test_without_bodies_and_in_another_shape_space_there_is_no_surface(
     settings: fit.Settings,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    about = (FRAMES, settings.triangulation, settings.fit.unverified_sigma_m)
+    about = (FRAMES, settings.triangulation, settings.fit.unverified_sigma_m, 100)
     keypoints = [replace(d, body_pose=None, pelvis=None, body_root=None, body_shape=None) for d in found]
     assert surface_of("p0", keypoints, whose(found), cameras, body, *about) is None
     assert capsys.readouterr().out == ""

@@ -6,7 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from studiorecon.body.model import BodyModel
 
+from tests.made.smpl import write_smpl
 from tests.workflow.conftest import ROOT, House
 
 PRESETS = [str(ROOT / f"config/presets/{name}.yaml") for name in ("paper", "networks")]
@@ -23,10 +25,17 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def registered(house: House) -> None:
+    """SMPL's file where who registered puts it."""
+    write_smpl(house.folder / "resources/weights/smpl/SMPL_NEUTRAL.pkl", BodyModel.load(ROOT / "resources/body.npz"))
+
+
 def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path) -> None:
     plan = House(house.folder, str(videos)).plan("--configfile", *PRESETS)
     assert {"calibration_network": 1, "detect_people": 5, "tracks_bodies": 4}.items() <= plan.items()
     assert {"depth_network": 1, "depth_aligned": 4, "capture_frames": 5}.items() <= plan.items()
+    assert plan["body_plain"] == 1
     # Pelvises at the scene's depth: association waits for them.
     assert plan["people_lift"] == 4
     # What hangs on who is found is planned when association has run.

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from studiorecon.configuration.sections import SECTIONS, _class, defaults
+from studiorecon.configuration.sections import SECTIONS, _class, defaults, general
 from studiorecon.configuration.setting import Setting, plain
 from studiorecon.configuration.written import value_text
 from studiorecon.home import CONFIGURATION
@@ -39,6 +39,12 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("splatting.train.schedule:TrainingSettings", "position_lr_start", 1.6e-4, "learning rate, appendix C"),
     ("splatting.train.schedule:TrainingSettings", "position_lr_end", 1.6e-6, "learning rate, appendix C"),
     ("splatting.train.schedule:TrainingSettings", "densify_every", 500, "densification, appendix C"),
+    (
+        "splatting.train.schedule:TrainingSettings",
+        "densify_from",
+        500,
+        "the first of every 500 iterations, appendix C; U54",
+    ),
     ("splatting.train.schedule:TrainingSettings", "densify_gradient", 2e-4, "gradient threshold, appendix C"),
     ("background.refinement:Refinement", "at", 0.5, "iteration 3,500 of 7,000, appendix C"),
     ("background.refinement:Refinement", "height", 0.15, "±15 % of the scene's radius, appendix C"),
@@ -73,6 +79,7 @@ Numbers that no setting turns; a test holds them to the paper's.
 
 def spoken_of() -> Iterator[tuple[str, Setting]]:
     """Every setting of which the paper speaks, by its dotted name."""
+    yield from ((setting.name, setting) for setting in general() if setting.described.paper)
     for section in SECTIONS:
         yield from _inside(section.settings(), section.name)
 

@@ -107,7 +107,7 @@ class Growing:
     Attributes:
         every: steps from one time to the next. ``gradient``: mean screen gradient, in half widths of the crop, above
             which a Gaussian is cloned or split. ``prune_opacity``: fainter ones are removed.
-        scale: share of the body's height above which one is split rather than cloned. ``cap``: most there may be.
+        scale: share of the body's height above which one is split rather than cloned.
     """
 
     use: Literal["none", "gradient"] = setting(
@@ -121,7 +121,9 @@ class Growing:
     gradient: float = 0.0002
     prune_opacity: float = 0.005
     scale: float = 0.01
-    cap: int = 100000
+    cap: int = setting(
+        100000, "Most Gaussians of one person; 0 = no limit.", minimum=0, paper="no limit, appendix D", letter=0
+    )
 
     def watched(self, done: int, iterations: int) -> bool:
         """Whether it goes on after ``done`` steps; what is added after the last one would be untrained."""

@@ -88,6 +88,13 @@ class BodyFit:
         paper="every vertex as much as a joint; U33",
         letter=1.0,
     )
+    vertices: int = setting(
+        100,
+        "Surface points that stand for the whole skin, of sources that bring bodies; 0 = every vertex of the model.",
+        minimum=0,
+        paper="every vertex, Eq. 4; U33",
+        letter=0,
+    )
     shape: Literal["shared", "per_frame"] = setting(
         "shared", "Whether the frames share one shape.", paper="per_frame; U39", letter="per_frame"
     )
@@ -307,6 +314,7 @@ def run(
             footage.frames,
             settings.triangulation,
             settings.fit.unverified_sigma_m,
+            settings.fit.vertices,
         )
     fitted, result = fit_person(person, points, body_model, footage.fps, settings, surface)
     residual_mm, sigma_mm = 1000 * np.nanmedian(result.residual_m), 1000 * np.median(fitted.sigma[fitted.valid])

@@ -106,6 +106,20 @@ class Effect:
         return Decision(self.name, self.statistic, None, None, None, "undetermined", reason)
 
 
+PAPERS: Mapping[str, str] = {
+    "view_synthesis": "on",
+    "temporal_appearance": "on",
+    "enhancement": "on",
+    "injection": "on",
+    "exposure": "off",
+    "changing_light": "off",
+    "dynamic_objects": "off",
+    "moving_shadows": "off",
+    "rolling_shutter": "off",
+}
+"""What the paper always does, and what it has not."""
+
+
 def thresholds(effects: Iterable[Effect]) -> Any:
     """The setting of a dataclass that holds other thresholds than the effects' own, of those that have one to set."""
     known = {
@@ -126,6 +140,8 @@ def force(effects: Iterable[Effect]) -> Any:
     return setting(
         {},
         'Decisions made beforehand, e.g. {exposure: "on", view_synthesis: "off"}.',
+        paper="views, temporal network, enhancement and injection always; nothing else that a scene may call for",
+        letter=PAPERS,
         shape={
             "type": "object",
             "propertyNames": {

@@ -27,7 +27,7 @@ from studiorecon.body.model import BodyModel
 if TYPE_CHECKING:
     from jaxtyping import Bool, Num
 
-_PER_FRAME = (
+PER_FRAME = (
     "rotations",
     "trans_m",
     "frame_betas",
@@ -38,6 +38,7 @@ _PER_FRAME = (
     "part_sigma_rad",
     "residual_m",
 )
+"""Fields of ``Fit`` with an entry per frame."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +273,7 @@ def _fit_each_frame(
         fit(body, names, points_m[t : t + 1], sigma_m[t : t + 1], alone, chosen(surface, slice(t, t + 1)))
         for t in frames
     ]
-    stacked: dict[str, Any] = {name: np.concatenate([getattr(f, name) for f in fits]) for name in _PER_FRAME}
+    stacked: dict[str, Any] = {name: np.concatenate([getattr(f, name) for f in fits]) for name in PER_FRAME}
     known = [f for f in fits if f.valid.all()]
     out = replace(nothing_known(len(points_m), len(names), body.shapes, stacked["valid"]), **stacked)
     if not known:

@@ -26,6 +26,8 @@ from studiorecon.geometry import rotations
 # Pull towards no turn, as a share of the lever arms' sum of squares: it decides only about turns that the points do not
 # see.
 _STAY = 1e-9
+# Frames are fitted together as long as what joints carry of their points fits here (numbers; 320 MB each array).
+_AT_ONCE = 40_000_000
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,35 @@ def fit(
     per axis, and ``turn_sigma_rad`` stays infinite. About 20 ms a frame. Raises ValueError as ``fitting.fit`` does.
     """
     fitting.check(names, points_m, sigma_m, settings, surface)
+    frames = len(points_m)
+    of_frame = 24 * 3 * (points_m.shape[1] + (0 if surface is None else len(surface.vertices)))
+    at_once = max(1, _AT_ONCE // of_frame)
+    parts = []
+    for first in range(0, frames, at_once):
+        own = np.arange(frames) // at_once == first // at_once
+        parts.append(_together(body, names, points_m[own], sigma_m[own], settings, fitting.chosen(surface, own)))
+    if len(parts) == 1:
+        return parts[0]
+    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fitting.PER_FRAME}
+    valid = whole["valid"]
+    return replace(
+        parts[0],
+        **whole,
+        betas=np.median(whole["frame_betas"][valid], axis=0) if valid.any() else parts[0].betas,
+        iterations=max(part.iterations for part in parts),
+        converged=all(part.converged for part in parts if part.valid.any()),
+    )
+
+
+def _together(
+    body: BodyModel,
+    names: list[str],
+    points_m: np.ndarray,
+    sigma_m: np.ndarray,
+    settings: FitSettings,
+    surface: SurfacePoints | None,
+) -> Fit:
+    """``fit`` of frames that fit into memory at once."""
     frames, count = points_m.shape[:2]
     seen = np.isfinite(points_m).all(-1) & np.isfinite(sigma_m)
     first = start(body, names, np.where(seen[..., None], points_m, 0.0), seen)

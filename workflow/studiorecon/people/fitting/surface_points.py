@@ -21,8 +21,8 @@ from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
-# Vertices that stand for the whole surface.
-_POINTS = 100
+# Points that are triangulated at once: what those of a minute take would fill gigabytes.
+_AT_ONCE = 500_000
 
 
 def surface_of(
@@ -34,11 +34,13 @@ def surface_of(
     frames: int,
     settings: Triangulation,
     unverified_sigma_m: float,
+    count: int,
 ) -> SurfacePoints | None:
     """Triangulated points of the skin, where networks brought bodies; None where they did not, or for another shape
     space than theirs.
 
-    ``cameras`` belong to the ``detections``. Shapes of SMPL mean nothing in another body's shape space.
+    ``cameras`` belong to the ``detections``. Shapes of SMPL mean nothing in another body's shape space. ``count``
+    vertices stand for all; 0 = all of them.
     """
     seen = [
         d.body_pose is not None and d.body_root is not None and d.body_shape is not None and d.pelvis is not None
@@ -52,24 +54,38 @@ def surface_of(
             "only their joints count, not their surfaces"
         )
         return None
-    vertices = body.proxy_vertices[
-        np.linspace(0, len(body.proxy_vertices) - 1, min(_POINTS, len(body.proxy_vertices))).astype(int)
-    ]
-    pixels = np.full((len(detections), frames, len(vertices), 3), np.nan)
-    pixels[..., 2] = 0.0
-    for view, (found, camera) in enumerate(zip(detections, cameras)):
-        if not seen[view]:
-            continue
-        for d in range(len(found.frame)):
-            frame, sure = int(found.frame[d]), float(found.keypoints[d, :, 2].max(initial=0.0))
-            assert found.pelvis is not None
-            mine = identities.get((found.camera, int(found.track[d])), "") == person and 0 <= frame < frames
-            if mine and sure > pixels[view, frame, :, 2].max() and np.isfinite(found.pelvis[d]).all():
-                pixels[view, frame] = np.column_stack(
+    among = body.proxy_vertices
+    vertices = among[np.linspace(0, len(among) - 1, min(count or len(among), len(among))).astype(int)]
+    chosen = [_surest(person, d, identities, frames) if own else {} for d, own in zip(detections, seen)]
+    at_once, points_m, sigma_m = max(1, _AT_ONCE // len(vertices)), [], []
+    for first in range(0, frames, at_once):
+        span = range(first, min(first + at_once, frames))
+        pixels = np.full((len(detections), len(span), len(vertices), 3), np.nan)
+        pixels[..., 2] = 0.0
+        for view, (found, camera, mine) in enumerate(zip(detections, cameras, chosen)):
+            for frame in mine.keys() & set(span):
+                d, sure = mine[frame]
+                pixels[view, frame - first] = np.column_stack(
                     [skin_px(found, d, camera, body, vertices), np.full(len(vertices), sure)]
                 )
-    points = lift([], pixels, list(cameras), settings, unverified_sigma_m)
-    return SurfacePoints(vertices, points.points_m, points.sigma_m)
+        points = lift([], pixels, list(cameras), settings, unverified_sigma_m)
+        points_m.append(points.points_m)
+        sigma_m.append(points.sigma_m)
+    return SurfacePoints(vertices, np.concatenate(points_m), np.concatenate(sigma_m))
+
+
+def _surest(
+    person: str, found: Detections, identities: Mapping[tuple[str, int], str], frames: int
+) -> dict[int, tuple[int, float]]:
+    """Frame → which detection of the person has the surest keypoint there, and how sure it is; the first of equals."""
+    surest: dict[int, tuple[int, float]] = {}
+    assert found.pelvis is not None
+    for d in range(len(found.frame)):
+        frame, sure = int(found.frame[d]), float(found.keypoints[d, :, 2].max(initial=0.0))
+        mine = identities.get((found.camera, int(found.track[d])), "") == person and 0 <= frame < frames
+        if mine and sure > surest.get(frame, (-1, 0.0))[1] and np.isfinite(found.pelvis[d]).all():
+            surest[frame] = d, sure
+    return surest
 
 
 def skin_px(found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def grow(
 ) -> Growth:
     """Prunes opacities below ``prune_opacity``, then clones (longest axis up to ``large_m``) or splits (longer) those
     whose mean screen gradient (N,) exceeds ``threshold``, the strongest first, while there are fewer than ``cap``. The
-    order of the kept ones is kept.
+    order of the kept ones is kept. A ``cap`` of 0 is none.
     """
     kept = (
         gaussians.logit_opacities >= np.log(prune_opacity / (1 - prune_opacity))
@@ -88,7 +88,7 @@ def grow(
     )
     strength = np.where(kept, mean_gradient, 0)
     chosen = np.flatnonzero(strength > threshold)
-    room = max(0, cap - int(kept.sum()))
+    room = max(0, cap - int(kept.sum())) if cap else len(chosen)
     chosen = np.sort(chosen[np.argsort(-strength[chosen], kind="stable")][:room])
     longest = np.exp(gaussians.log_scales[chosen].max(axis=1))
     split, cloned = chosen[longest > large_m], chosen[longest <= large_m]

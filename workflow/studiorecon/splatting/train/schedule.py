@@ -85,7 +85,13 @@ class TrainingSettings:
         paper="gradient, appendix C",
         letter="gradient",
     )
-    cap: int = setting(300000, "Most Gaussians that densification may lead to.", minimum=1)
+    cap: int = setting(
+        300000,
+        "Most Gaussians that densification may lead to; 0 = no limit.",
+        minimum=0,
+        paper="no limit, appendix C",
+        letter=0,
+    )
     densify_every: int = 500
     densify_from: int = 500
     densify_until: int = setting(
