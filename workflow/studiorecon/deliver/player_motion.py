@@ -12,7 +12,6 @@ from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.deliver.packing import Bytes, whole_shares
 from studiorecon.geometry import rotations
-from studiorecon.scene.provenance import MEASURED
 from studiorecon.splatting.rigid_object import RigidObject
 
 _BONES = 4
@@ -71,7 +70,7 @@ def changes(held: Bytes, person: Avatar, order: np.ndarray, times: np.ndarray) -
     """What a person's network adds to colour and logit at ``times`` (K,), as values of some places of the body that
     the Gaussians in ``order`` listen to; and the largest colour, in 0..1, by which that is off in the middle of the
     capture."""
-    network, seen = person.network, person.provenance == MEASURED
+    network, seen = person.network, person.drifting
     assert network is not None
     means = person.gaussians.means_m[seen]
     own = network if network.control else replace(network, control=ControlPoints.on(means, _PLACES))

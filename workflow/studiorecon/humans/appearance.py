@@ -39,6 +39,13 @@ class OverTime:
         paper="at every Gaussian",
         letter=0,
     )
+    bands: Literal["below_nyquist", "all"] = setting(
+        "below_nyquist",
+        "Frequencies of time that the network is told: below_nyquist = those that frames can show; all = ten, of which "
+        "the fastest are another number for every frame.",
+        paper="all of multires 10, appendix D",
+        letter="all",
+    )
     layers: int = 8
     rate: float = 0.0005
 
@@ -48,7 +55,8 @@ class Appearance:
 
     Attributes:
         network: what is trained; its last layer is zero until the first step.
-        seen: (N,) bool, the Gaussians it acts on: nothing teaches it what those are like that no camera saw.
+        seen: (N,) bool, the Gaussians it acts on: nothing teaches it what those are like that no camera saw, yet the
+            paper's letter asks it at all.
         decision: what was measured when it was asked whether the network is called for; None before, and when nobody
             asked.
     """

@@ -51,7 +51,7 @@ def read_crops(
             f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what "
             "lies between is taken for the person"
         )
-    return judged(looks, label, settings.edge_px, settings.occluder_px, inset_px)
+    return judged(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)
 
 
 def _surface_over_time(model: BodyModel, fitted: Person) -> Iterator[np.ndarray]:

@@ -7,7 +7,7 @@ live on SO(3): each step is a small rotation put in front of the joint's own, so
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numba
 import numpy as np
@@ -17,7 +17,8 @@ from studiorecon.geometry import rotations
 
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
-_HELD = (10, 11, 15, 22, 23)  # feet (toes), head, hands
+HELD = (10, 11, 15, 22, 23)
+"""Feet (toes), head, hands."""
 
 _STORED = {
     "local": "local",
@@ -36,7 +37,15 @@ class RefinedMotion:
         trans_m: (T, 3) pelvis positions.
     """
 
-    def __init__(self, poses: np.ndarray, trans_m: np.ndarray, rest_joints_m: np.ndarray, parents: np.ndarray) -> None:
+    def __init__(
+        self,
+        poses: np.ndarray,
+        trans_m: np.ndarray,
+        rest_joints_m: np.ndarray,
+        parents: np.ndarray,
+        held: Sequence[int] = HELD,
+    ) -> None:
+        self._held = list(held)
         self.local = rotations.exp(np.asarray(poses, np.float64).reshape(-1, 24, 3))
         self.trans_m = np.asarray(trans_m, np.float64).copy()
         self.rest_joints_m, self.parents = rest_joints_m, parents
@@ -101,7 +110,7 @@ class RefinedMotion:
         """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not
         move (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)
-        gradient[list(_HELD)] = 0.0
+        gradient[self._held] = 0.0
         self._steps[frame] += 1
         first, second = self._first[frame], self._second[frame]
         first += (1 - _FIRST_DECAY) * (gradient - first)

@@ -20,7 +20,7 @@ from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.posing import MAX_SH_DEGREE, Posing
 from studiorecon.body.avatar.temporal import TemporalNetwork
-from studiorecon.body.avatar.weight_grid import build_weight_grid, strongest
+from studiorecon.body.avatar.weight_grid import WeightGrid, build_weight_grid, every_bone, strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model
@@ -30,7 +30,7 @@ from studiorecon.humans.colours import look, nearest_surface
 from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed, was_drifting
 from studiorecon.humans.filmed import read_crops
-from studiorecon.humans.refined_motion import RefinedMotion
+from studiorecon.humans.refined_motion import HELD, RefinedMotion
 from studiorecon.humans.result_cache import keep, mark_of, still_stands
 from studiorecon.humans.surface_samples import (
     SurfaceSamples,
@@ -70,16 +70,17 @@ _POSE_FPS = 30.0
 
 def skinning_weights(
     samples: SurfaceSamples, vertices_m: np.ndarray, weights: np.ndarray, settings: Settings
-) -> tuple[np.ndarray, np.ndarray]:
-    """Joints (N, 4) and weights (N, 4): the surface's own, or those of the paper's voxel grid.
+) -> tuple[np.ndarray, np.ndarray, WeightGrid | None]:
+    """Joints (N, K) and weights (N, K): the surface's own four strongest, or all of the paper's voxel grid, and the
+    grid.
 
     The grid mixes what is nearer than a voxel (3 cm at 64³), fingers and thighs among it (L06); the surface
     does not.
     """
     if settings.skinning == "surface":
-        return strongest(samples.weights, _BONES_KEPT)
+        return *strongest(samples.weights, _BONES_KEPT), None
     grid = build_weight_grid(vertices_m, weights, settings.grid_resolution, settings.grid_margin)
-    return strongest(grid.query(samples.points_m), _BONES_KEPT)
+    return *every_bone(grid, samples.points_m), grid
 
 
 def first_colours(
@@ -207,9 +208,10 @@ def run(
     outside = np.array([name != "inside" for name in body_model.region_names])
     faces = body_model.faces[outside[body_model.region[body_model.faces[:, 0]]]]
     samples = started(rest, faces, body_model.weights, settings, rng)
-    bones, weights = skinning_weights(samples, rest, body_model.weights, settings)
+    bones, weights, grid = skinning_weights(samples, rest, body_model.weights, settings)
     posing = Posing(bones, weights)
-    motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents)
+    held = () if settings.additions.pose_joints == "all" else HELD
+    motion = RefinedMotion(fitted.poses, fitted.trans, body_model.rest_joints(fitted.betas), body_model.parents, held)
     colours, seen = first_colours(samples, posing, motion, crops)
     near, twin = neighbours(samples, _NEIGHBOURS), mirrored(samples, 2 * samples.spacing_m)
     degree = supported_degree(settings, motion, crops)
@@ -247,6 +249,8 @@ def run(
         appearance,
         device,
         settings.densify,
+        settings.additions,
+        grid,
     )
     terms = terms_of(losses, _network(settings, lpips, threads, device))
     span = 0, settings.iterations
@@ -262,8 +266,9 @@ def run(
             trained.means_m.astype(np.float64), samples.normals[source], samples.weights[source], samples.spacing_m
         )
         near, twin = neighbours(grown, _NEIGHBOURS), mirrored(grown, 2 * samples.spacing_m)
-    seen, bones, weights = seen[source], bones[source], weights[source]
-    trained = recolour_unseen(trained, seen, near, twin)
+    seen, bones, weights = seen[source], subject.bones, subject.weights
+    if settings.additions.unseen == "filled":
+        trained = recolour_unseen(trained, seen, near, twin)
     moved_mm = 1000 * np.linalg.norm(trained.means_m - start.means_m[source], axis=1)
     far_mm = np.quantile(moved_mm, 0.99)
     say(
@@ -315,9 +320,18 @@ def _appearance(
     # Its own generator: with and without it, the crops are drawn in the same order.
     rng = np.random.default_rng([settings.seed, 1])
     points = settings.temporal.points
-    control = ControlPoints.on(samples.points_m[seen], points) if points and seen.any() else None
+    everywhere = settings.additions.unseen == "trained"
+    acts_on = np.ones_like(seen) if everywhere else seen
+    control = ControlPoints.on(samples.points_m[acts_on], points) if points and acts_on.any() else None
     network = TemporalNetwork.start(
-        rest_m.min(axis=0) - reach, rest_m.max(axis=0) + reach, len(fitted.poses), rng, *shape, control
+        rest_m.min(axis=0) - reach,
+        rest_m.max(axis=0) + reach,
+        len(fitted.poses),
+        rng,
+        *shape,
+        control,
+        every_band=settings.temporal.bands == "all",
+        everywhere=everywhere,
     )
 
     def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
@@ -326,7 +340,7 @@ def _appearance(
         say(f"temporal network: {decision.verdict}; {decision.reason}")
         return decision
 
-    return Appearance(settings.temporal, network, seen, judge)
+    return Appearance(settings.temporal, network, acts_on, judge)
 
 
 def _network(settings: Settings, lpips: Path, threads: int, device: str) -> Perceptual | None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from studiorecon.configuration.setting import setting
+from studiorecon.humans.additions import Additions
 from studiorecon.humans.appearance import OverTime
 from studiorecon.humans.start_settings import Started
 from studiorecon.humans.training import GaussianLimits, Growing, Losses, Rates
@@ -34,7 +35,8 @@ class Trained(Started):
     )
     skinning: Literal["surface", "grid"] = setting(
         "surface",
-        "Where skinning weights come from: the body's own at the surface, or a voxel grid.",
+        "Where skinning weights come from: surface = the body's own where a Gaussian starts, the four strongest; "
+        "grid = all of a voxel grid's where it is now.",
         paper="grid, appendix D; U45",
         letter="grid",
     )
@@ -43,7 +45,6 @@ class Trained(Started):
     iterations: int = setting(1500, "Training steps.", minimum=1, paper="10,000, appendix D", letter=10000)
     pose_from: int = setting(300, "Step from which poses are refined together with the Gaussians.", minimum=0)
     margin_px: int = 12
-    edge_px: int = 1
     occluder_px: int = 6
     smallest_px: int = 60
     near_m: float = 0.05
@@ -52,6 +53,7 @@ class Trained(Started):
     losses: Losses = setting(Losses(), "Weights of the loss.")
     rates: Rates = setting(Rates(), "Learning rates (Adam).")
     densify: Growing = setting(Growing(), "How the number of Gaussians grows.")
+    additions: Additions = setting(Additions(), "What the training has beside the paper's.")
     limits: GaussianLimits = GaussianLimits()
 
 

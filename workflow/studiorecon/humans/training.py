@@ -18,7 +18,9 @@ import numba
 import numpy as np
 
 from studiorecon.body.avatar.posing import Posing
+from studiorecon.body.avatar.weight_grid import WeightGrid, every_bone
 from studiorecon.configuration.setting import setting
+from studiorecon.humans.additions import Additions
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.crops import IGNORED, PERSON, Crop
 from studiorecon.humans.refined_motion import RefinedMotion
@@ -48,7 +50,9 @@ class Losses:
     density: float = setting(
         0.0, "Pull of the rendered alpha to 0 or 1.", minimum=0, paper="0.1, appendix D; U13", letter=0.1
     )
-    surface: float = 0.01
+    surface: float = setting(
+        0.01, "Pull of Gaussians to where they started on the body.", minimum=0, paper="none, appendix D", letter=0.0
+    )
     pose: float = setting(
         0.05,
         "Smoothness of refined poses over time, at 30 frames per second; scaled to keep speeds alike at others.",
@@ -158,7 +162,8 @@ class PersonInTraining:
 
     Gaussians start on the surface, where a person's pixels come from; their number stays the same unless ``growing``
     says otherwise, and whoever is added is carried by the bones of the one it comes from. The pose moves from iteration
-    ``pose_from`` on when its rate is above 0.
+    ``pose_from`` on when its rate is above 0. With a ``grid`` the weights are asked for anew at every step, where the
+    Gaussians are then (Eq. 6; the weights' own slope is not followed).
 
     Attributes:
         adam: counts what it refused.
@@ -183,6 +188,8 @@ class PersonInTraining:
         appearance: Appearance | None = None,
         device: str = "cpu",
         growing: Growing | None = None,
+        additions: Additions | None = None,
+        grid: WeightGrid | None = None,
     ) -> None:
         self._own = {
             "means": start.means_m.copy(),
@@ -193,7 +200,8 @@ class PersonInTraining:
             "harmonics": start.sh[:, 1:].copy(),
         }
         self.adam = Adam(self._own, _BETAS, _EPSILON)
-        self._limits, self._growing = limits, growing or Growing()
+        self._limits, self._growing, self._additions = limits, growing or Growing(), additions or Additions()
+        self._grid = grid
         self.source = np.arange(start.count)
         self._first_m, self._first = start.means_m, posing
         self._seen = None if appearance is None else appearance.seen
@@ -210,6 +218,16 @@ class PersonInTraining:
         sh = np.concatenate([own["colour"], own["harmonics"]], axis=1)
         return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
 
+    @property
+    def bones(self) -> np.ndarray:
+        """(N, K) the joints that carry each Gaussian."""
+        return self._posing.bones
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(N, K) with which shares, as the Gaussians are now."""
+        return self._posing.weights if self._grid is None else self._grid.query(self._own["means"])
+
     def threads(self) -> AbstractContextManager[None]:
         """The rasteriser's own."""
         return self._rasteriser.own_threads()
@@ -220,9 +238,9 @@ class PersonInTraining:
             self._appearance.begin(self._shown)
 
     def draw(self, iteration: int) -> PlaneView:
-        """A crop, posed and rendered over a random colour."""
+        """A crop, posed and rendered over a random colour, or black."""
         self._crop = self._crops[int(self._rng.integers(len(self._crops)))]
-        behind = self._rng.random(3)
+        behind = self._rng.random(3) if self._additions.behind == "random" else np.zeros(3)
         planes = self._rasteriser.forward_planes(self._posed(self._crop), self._crop.camera, behind.tolist())
         return PlaneView(target_of(self._crop, behind), iteration, self._rng, planes, np.zeros_like(planes))
 
@@ -232,6 +250,8 @@ class PersonInTraining:
 
     def _posed(self, crop: Crop) -> Gaussians:
         own = self._own
+        if self._grid is not None:
+            self._posing.weights = self.weights
         self._transforms = self._motion.transforms(crop.frame)
         colour, logits = own["colour"], own["opacities"]
         if self._appearance is not None:
@@ -262,7 +282,8 @@ class PersonInTraining:
             self._appearance.step(grad_sh[:, :1], back.logit_opacities)
         self.adam.step(gradients, rates.at(iteration / self._iterations), back.screen > 0)
         # A needle at a joint or a blanket over the chest fits four views and spoils the fifth.
-        np.clip(own["scales"], *self._scale_range, out=own["scales"])
+        if self._additions.scales_held:
+            np.clip(own["scales"], *self._scale_range, out=own["scales"])
         if self._growing.watched(iteration + 1, self._iterations):
             self._grow(iteration + 1, back.screen)
         return loss, crop_psnr_db(view.planes, self._crop)
@@ -300,7 +321,11 @@ class PersonInTraining:
     def _descend(self, source: np.ndarray) -> None:
         """Everything that Gaussians have from the one that they descend from."""
         self.source, self._start_m = source, self._first_m[source]
-        self._posing = Posing(self._first.bones[source], self._first.weights[source])
+        self._posing = (
+            Posing(self._first.bones[source], self._first.weights[source])
+            if self._grid is None
+            else Posing(*every_bone(self._grid, self._own["means"]))
+        )
         self._watched = np.zeros((2, len(source)))
         if self._appearance is not None and self._seen is not None:
             self._appearance.seen = self._seen[source]

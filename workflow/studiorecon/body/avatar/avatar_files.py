@@ -51,7 +51,7 @@ class Avatar:
         valid: (T,) bool: frames in which the body was measured.
         fps: frames per second.
         metric: True when lengths are metres.
-        network: what colour and opacity of the measured Gaussians add over time; None when nothing.
+        network: what colour and opacity of the Gaussians that it acts on add over time; None when nothing.
         decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when nobody asked.
     """
 
@@ -120,14 +120,20 @@ class Avatar:
     def _posing(self) -> Posing:
         return Posing(self.bones, self.weights)
 
+    @property
+    def drifting(self) -> Bool[np.ndarray, " N"]:
+        """(N,) bool: the Gaussians that ``network`` acts on, the measured ones unless it says otherwise."""
+        everywhere = self.network is not None and self.network.everywhere
+        return np.ones(len(self.provenance), bool) if everywhere else self.provenance == MEASURED
+
     @cached_property
     def _drift(self) -> Drift | None:
-        return Drift(self.network, self.gaussians.means_m[self.provenance == MEASURED]) if self.network else None
+        return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
 
     def looks_at(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
         """Harmonics (N, K, 3) and logit opacities (N,) of the canonical Gaussians at a 0-based, possibly fractional
-        frame: what the network adds over time, on the measured ones alone."""
-        own, seen = self.gaussians, self.provenance == MEASURED
+        frame: what the network adds over time, on those that it acts on."""
+        own, seen = self.gaussians, self.drifting
         if self._drift is None or not seen.any():
             return own.sh, own.logit_opacities
         colour, logit = self._drift.residuals(frame)

@@ -35,16 +35,19 @@ def encode_position(normalised: np.ndarray, half_turns: bool = False) -> np.ndar
     return _encoded(np.asarray(normalised, np.float64), BANDS, half_turns)
 
 
-def encode_time(frame: float, frames: int, half_turns: bool = False) -> Float[np.ndarray, " 21"]:
+def encode_time(
+    frame: float, frames: int, half_turns: bool = False, every_band: bool = False
+) -> Float[np.ndarray, " 21"]:
     """(21,) float32 code of 0-based ``frame``, which may lie between two, of ``frames``; time runs from 0 to 1.
 
     Where there is one frame only it is 0 (O03).
 
     Bands above half a cycle per frame are 0: they would be aliased, a noise of the frame's number (O02). The inputs
-    stay 21.
+    stay 21. ``every_band`` gives them all the same, as the paper's network has them.
     """
     code = _encoded(np.array([[frame / max(frames - 1, 1)]]), BANDS, half_turns)[0]
-    code[1:].reshape(BANDS, 2)[time_bands(frames, half_turns) :] = 0
+    if not every_band:
+        code[1:].reshape(BANDS, 2)[time_bands(frames, half_turns) :] = 0
     return code
 
 

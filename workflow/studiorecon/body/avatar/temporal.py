@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
 _INPUTS = _POSITION_INPUTS + _TIME_INPUTS
+_PAPERS = ("every_band", "everywhere")  # stored where they are so
 
 
 @dataclass
@@ -42,6 +43,8 @@ class TemporalNetwork:
         high_m: (3,) the opposite corner.
         frames: number of frames that time runs over.
         control: the points it is asked at; None asks it at every Gaussian (paper).
+        every_band: time's frequencies count that frames cannot show (paper).
+        everywhere: it acts on Gaussians that no camera saw as well (paper).
     """
 
     flat: np.ndarray
@@ -51,6 +54,8 @@ class TemporalNetwork:
     high_m: Num[np.ndarray, " 3"]
     frames: int
     control: ControlPoints | None = None
+    every_band: bool = False
+    everywhere: bool = False
     _kept: list[np.ndarray] = field(default_factory=list, repr=False)
     _place: np.ndarray | None = field(default=None, repr=False)
 
@@ -64,6 +69,8 @@ class TemporalNetwork:
         width: int = WIDTH,
         layers: int = LAYERS,
         control: ControlPoints | None = None,
+        every_band: bool = False,
+        everywhere: bool = False,
     ) -> TemporalNetwork:
         """Random hidden layers (He), a last layer of zeros: all residuals are 0."""
         size = sum(rows * columns + columns for rows, columns in _shapes(width, layers))
@@ -75,6 +82,8 @@ class TemporalNetwork:
             np.asarray(high_m, np.float64),
             frames,
             control,
+            every_band,
+            everywhere,
         )
         for weights, _ in made.matrices()[:-1]:
             weights[...] = rng.standard_normal(weights.shape) * np.sqrt(2 / len(weights))
@@ -122,7 +131,8 @@ class TemporalNetwork:
         """(M, 4) colour and opacity residuals at places of code (M, 63)."""
         code = np.empty((len(place), _INPUTS), np.float32)
         code[:, :_POSITION_INPUTS] = place
-        code[:, _POSITION_INPUTS:] = encode_time(float(np.clip(frame, 0, self.frames - 1)), self.frames)
+        at = float(np.clip(frame, 0, self.frames - 1))
+        code[:, _POSITION_INPUTS:] = encode_time(at, self.frames, every_band=self.every_band)
         # A poisoned Gaussian must not poison what all share through the gradient.
         code[~np.isfinite(code).all(axis=1)] = 0
         self._kept, hidden = [code], code
@@ -161,14 +171,16 @@ class TemporalNetwork:
         """Everything a file needs to hold."""
         shape = np.array([self.width, self.layers, self.frames])
         own = {"flat": self.flat, "shape": shape, "low_m": self.low_m, "high_m": self.high_m}
+        own |= {name: np.array(True) for name in _PAPERS if getattr(self, name)}
         return own | (self.control.to_arrays() if self.control else {})
 
     @classmethod
     def from_arrays(cls, held: Mapping[str, np.ndarray]) -> TemporalNetwork:
         """The inverse of ``to_arrays``."""
         width, layers, frames = (int(n) for n in held["shape"])
-        control = ControlPoints.from_arrays(held)
-        return cls(np.ascontiguousarray(held["flat"]), width, layers, held["low_m"], held["high_m"], frames, control)
+        control, papers = ControlPoints.from_arrays(held), [name in held for name in _PAPERS]
+        flat, box = np.ascontiguousarray(held["flat"]), (held["low_m"], held["high_m"])
+        return cls(flat, width, layers, *box, frames, control, every_band=papers[0], everywhere=papers[1])
 
 
 def with_residuals(

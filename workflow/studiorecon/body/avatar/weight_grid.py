@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numba
 import numpy as np
 import scipy
 
@@ -39,16 +40,39 @@ class WeightGrid:
         Raises ValueError for another shape or points that are not finite.
         """
         require("points_m", points_m, ("N", 3), finite=True)
-        last = self.weights.shape[0] - 1
-        at = np.clip((np.asarray(points_m, np.float64) - self.origin_m) / self.spacing_m, 0, last)
-        low = np.minimum(at.astype(np.int64), last - 1)
-        share = at - low
-        found = np.zeros((len(at), self.weights.shape[3]))
-        for corner in np.ndindex(2, 2, 2):
-            part = np.prod(np.where(corner, share, 1 - share), axis=1)
-            x, y, z = (low + corner).T
-            found += part[:, None] * self.weights[x, y, z]
-        return (found / found.sum(axis=1, keepdims=True)).astype(np.float32)
+        at = (np.asarray(points_m, np.float64) - self.origin_m) / self.spacing_m
+        found = np.empty((len(at), self.weights.shape[3]), np.float32)
+        _trilinear(at, self.weights, found)
+        return found
+
+
+@numba.njit(cache=True)
+def _trilinear(at, weights, found):
+    """Weights at places (N, 3) in nodes, held at the border: training asks at every step."""
+    last, bones = weights.shape[0] - 1, weights.shape[3]
+    mixed = np.empty(bones)
+    for i in range(len(at)):
+        mixed[:] = 0
+        x = min(max(at[i, 0], 0.0), float(last))
+        y = min(max(at[i, 1], 0.0), float(last))
+        z = min(max(at[i, 2], 0.0), float(last))
+        ix, iy, iz = min(int(x), last - 1), min(int(y), last - 1), min(int(z), last - 1)
+        sx, sy, sz = x - ix, y - iy, z - iz
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    part = (sx if a else 1 - sx) * (sy if b else 1 - sy) * (sz if c else 1 - sz)
+                    for bone in range(bones):
+                        mixed[bone] += part * weights[ix + a, iy + b, iz + c, bone]
+        total = mixed.sum()
+        for bone in range(bones):
+            found[i, bone] = mixed[bone] / total
+
+
+def every_bone(grid: WeightGrid, points_m: Num[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """All bones (N, B) uint8 and the grid's weights (N, B) at points. Raises as ``query`` does."""
+    weights = grid.query(points_m)
+    return np.tile(np.arange(weights.shape[1], dtype=np.uint8), (len(weights), 1)), weights
 
 
 def build_weight_grid(

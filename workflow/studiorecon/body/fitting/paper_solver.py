@@ -12,6 +12,7 @@ in metres pins the shape to the mean (S07).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,9 @@ def fit(
         parts.append(_together(body, names, points_m[own], sigma_m[own], settings, fitting.chosen(surface, own)))
     if len(parts) == 1:
         return parts[0]
-    whole = {name: np.concatenate([getattr(part, name) for part in parts]) for name in fitting.PER_FRAME}
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in fitting.PER_FRAME
+    }
     valid = whole["valid"]
     return replace(
         parts[0],

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the training of a person has beside the paper's, each to be switched off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from studiorecon.configuration.setting import setting
+
+
+@dataclass(frozen=True)
+class Additions:
+    """Measures against what four views leave open; ``presets/paper.yaml`` has none of them."""
+
+    behind: Literal["random", "black"] = setting(
+        "random",
+        "What stands for the room behind the person: random = another colour at every step, so that no colour passes "
+        "for transparent; black.",
+        paper="not said: the masked picture over black, as in the work it follows; U52",
+        letter="black",
+    )
+    unseen: Literal["filled", "trained"] = setting(
+        "filled",
+        "Gaussians that no camera saw: filled = coloured as what lies around them on the body, and constant over time; "
+        "trained = as training leaves them, with the temporal network's residuals.",
+        paper="trained, appendix D",
+        letter="trained",
+    )
+    pose_joints: Literal["limbs", "all"] = setting(
+        "limbs",
+        "Joints whose turns are refined: limbs = all but feet, head and hands, which move hardly any surface.",
+        paper="all, appendix D",
+        letter="all",
+    )
+    edge_px: int = setting(
+        1, "Pixels on both sides of a mask's outline that count for nobody.", unit="px", minimum=0, paper="0", letter=0
+    )
+    scales_held: bool = setting(
+        True,
+        "Standard deviations stay between 0.08 and 1.6 of the Gaussians' spacing.",
+        paper="no such limit",
+        letter=False,
+    )
