@@ -323,7 +323,25 @@ def test_the_loop_gain_of_the_residual_transfer_is_one() -> None:
     camera, view, depth, view_depth, photo = one_view()
     enhancer = ResidualTransfer(lambda frame: [source(camera, photo, 0 * photo, depth, TRANSFER)], 1.0, TRANSFER)
     moment = Moment(view, 0.0, view_depth, np.zeros(view.hw, np.float32))
-    assert loop_gain(enhancer, photo, moment) == pytest.approx(1.0, abs=1e-5)
+    render = np.full((*view.hw, 3), 0.4, np.float32)
+    assert loop_gain(enhancer, render, photo, moment) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_what_a_network_makes_up_on_a_flat_field_does_not_refuse_it() -> None:
+    """Naive, asked about grey: a network is refused that leaves every real render as bright as it was."""
+
+    class Network:
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            flat = image.std() < 0.01
+            return np.clip(image * np.float32(1.4), 0, 1) if flat else image
+
+    view = ring([0], "view")[0]
+    moment = Moment(view, 0.0, np.full(view.hw, 2, np.float32), np.zeros(view.hw, np.float32))
+    render = np.random.default_rng(0).random((*view.hw, 3)).astype(np.float32)
+    assert loop_gain(Network(), render, render, moment) == pytest.approx(1.0, abs=1e-6)
+    # Where a picture is white or black already, less of a change was put in, and less is expected.
+    white = np.where(render > 0.5, np.float32(1), np.float32(0))
+    assert loop_gain(Network(), white, white, moment) == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("reading", ["paper", "config"])

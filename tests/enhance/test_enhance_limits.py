@@ -328,7 +328,7 @@ def test_a_coordinate_that_is_no_number_is_invalid_and_alone(bad: float, how: st
 )
 def test_an_enhancer_that_amplifies_is_refused_inside_the_recursion(gain: float, strength: float) -> None:
     # Gain 1.05: +7.3 % at w 0.3, +91 % at 0.9, diverges at 1.
-    with pytest.raises(UserError, match="flat field"):
+    with pytest.raises(UserError, match="answers a brighter render"):
         check_gain(gain, strength)
 
 

@@ -31,9 +31,12 @@ from studiorecon.scene.path import PathStep
 # still.
 _STILL_LEVELS = 0.25
 
-# An enhancer may brighten a flat field by this much before its recursion drifts visibly (E14: 5 % becomes 7
+# An enhancer may answer a brighter picture by this much before its recursion drifts visibly (E14: 5 % becomes 7
 # %).
 _LARGEST_GAIN = 1.02
+# By how much brighter and darker than it is an enhancer is shown a picture, of 1: as little as steps of exposure between
+# pictures.
+_PROBE = np.float32(8 / 255)
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ def enhanced(
             depth_m = depth_mm.astype(np.float32) / 1000
             if not checked and injection.history:
                 untouched = Moment(step.camera, step.frame, depth_m, np.zeros(depth_m.shape, np.float32))
-                check_gain(loop_gain(enhancer, photo, untouched), injection.strength)
+                check_gain(loop_gain(enhancer, to_float(picture), photo, untouched), injection.strength)
                 checked = True
             if step.segment != segment:
                 history.clear()
@@ -187,11 +190,16 @@ def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarr
     return np.where(bad[..., None], picture, to_bytes(np.where(bad[..., None], 0, output)))
 
 
-def loop_gain(enhancer: Enhancer, reference: np.ndarray, moment: Moment) -> float:
-    """How much the enhancer amplifies a change of a flat field: the mean response to +0.2, as a multiple of 0.2."""
-    flat = np.full((*moment.depth_m.shape, 3), 0.4, np.float32)
-    low, high = enhancer.enhance(flat, reference, moment), enhancer.enhance(flat + np.float32(0.2), reference, moment)
-    return float((high.astype(np.float64) - low).mean() / 0.2)
+def loop_gain(enhancer: Enhancer, render: np.ndarray, reference: np.ndarray, moment: Moment) -> float:
+    """How much the enhancer amplifies a change of a real render's (H, W, 3) brightness: its mean answer to a picture a
+    little brighter and a little darker, as a multiple of what they differ by.
+
+    A flat field would say less: a network is trained on pictures, and makes up what it likes where there is none.
+    """
+    darker, brighter = np.clip(render - _PROBE, 0, 1), np.clip(render + _PROBE, 0, 1)
+    low, high = (enhancer.enhance(picture, reference, moment) for picture in (darker, brighter))
+    given = (brighter.astype(np.float64) - darker).mean()
+    return float((high.astype(np.float64) - low).mean() / given)
 
 
 def check_gain(gain: float, strength: float) -> None:
@@ -199,7 +207,7 @@ def check_gain(gain: float, strength: float) -> None:
     1.02)."""
     if not np.isfinite(gain) or strength * gain >= 1 or (strength > 0 and gain > _LARGEST_GAIN):
         raise UserError(
-            f"the enhancer multiplies a flat field by {gain:.3f}, so feeding its outputs "
+            f"the enhancer answers a brighter render {gain:.3f} times as brightly, so feeding its outputs "
             f"back with share {strength} would brighten "
             "the film frame by frame; set enhance.injection.history to 0 or use another enhancer"
         )
