@@ -5,5 +5,5 @@
 pictures), ``training`` (terms and hooks), ``refined_motion`` (poses moved by pictures), ``drift`` and ``appearance``
 (looks that change over time), ``result_cache`` (what need not be trained again). On request: ``canonical`` (a person by
 a network) from a ``photo`` of the capture or of a ``stranger``, ``proxy`` (the body itself). Told to it:
-``start_settings`` and ``train_settings``.
+``start_settings``, ``train_settings``, and the ``additions`` to the paper.
 """
