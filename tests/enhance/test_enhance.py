@@ -14,13 +14,13 @@ from studiorecon import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged
 from studiorecon.enhance.photos import Training
-from studiorecon.enhance.recursion import enhanced, for_path, loop_gain
 from studiorecon.errors import UserError
 from studiorecon.footage.video import Playback, read_frame, read_frames_from, read_stack, write_lossless
 from studiorecon.images.metrics import psnr
 from studiorecon.images.transfer import ResidualSource, Transfer, best_strength, carried_over, source
 from studiorecon.images.warp import sample
 from studiorecon.models.protocols import Moment
+from studiorecon.recursive.clip import enhanced, for_path, loop_gain
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors, write_factors

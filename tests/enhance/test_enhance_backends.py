@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from studiorecon import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
-from studiorecon.enhance.backends import DisFlow, Unchanged, flow_of, network
-from studiorecon.enhance.recursion import enhanced
+from studiorecon.enhance.backends import Unchanged, network
 from studiorecon.errors import UserError
 from studiorecon.images.flow import one_thread
 from studiorecon.models.adapters.raft import postprocess, preprocess
+from studiorecon.recursive.clip import enhanced
+from studiorecon.recursive.flows import DisFlow, flow_of
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, panning

@@ -14,9 +14,9 @@ from studiorecon import __main__ as command_line
 from studiorecon import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged
-from studiorecon.enhance.recursion import stands_still
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
+from studiorecon.recursive.clip import stands_still
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance_folder import VIEW, Warmer, panning, played, write_pictures

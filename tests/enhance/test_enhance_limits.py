@@ -8,13 +8,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from studiorecon.enhance.injection import Injection, confidence, history_weights, inject, whole_levels
-from studiorecon.enhance.recursion import check_gain
 from studiorecon.errors import UserError
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.flow import chained, consistent, dis_flow, one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.adapters import raft
+from studiorecon.recursive.clip import check_gain
+from studiorecon.recursive.injection import Injection, confidence, history_weights, inject, whole_levels
 
 from tests.made.enhance_limits import PAPER
 from tests.made.flow import textured

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from studiorecon.enhance.injection import Injection, inject
 from studiorecon.geometry import rotations
 from studiorecon.geometry.depth_alignment import align_depth
 from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.recursive.injection import Injection, inject
 
 from tests.made.scene import ring
 

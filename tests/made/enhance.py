@@ -3,6 +3,6 @@
 
 from __future__ import annotations
 
-from studiorecon.enhance.backends import DisFlow
+from studiorecon.recursive.flows import DisFlow
 
 SEARCH = DisFlow("medium")

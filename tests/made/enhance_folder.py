@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from studiorecon.enhance.recursion import enhanced
 from studiorecon.models.protocols import Moment
+from studiorecon.recursive.clip import enhanced
 from studiorecon.scene.path import PathStep
 
 from tests.made.enhance import SEARCH

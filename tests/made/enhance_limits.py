@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from studiorecon.enhance.injection import Injection
+from studiorecon.recursive.injection import Injection
 
 PAPER = Injection(
     history=3,

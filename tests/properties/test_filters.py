@@ -12,7 +12,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from studiorecon import settings as settings_module
-from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.footage.stills import shrink
 from studiorecon.geometry.lens import working_view, working_wh
 from studiorecon.images import metrics
@@ -20,6 +19,7 @@ from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.plate import temporal_modes
 from studiorecon.images.warp import warp
 from studiorecon.masks.segment import along_edges
+from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.camera import Lens
 
 from tests.properties.moved_worlds import FEW, MANY, numbers

@@ -15,7 +15,8 @@ truth, ``placement`` says where to put cameras, ``sweep`` measures what accuracy
 
 Foundations (never import a stage, and of one another only those before): ``pages`` (for people to read), ``scene``
 (nouns and their files), ``geometry``, ``camera_files``, ``footage``, ``images``, ``keypoints``, ``detector``, ``body``,
-``rig``, ``splatting``; ``models`` holds the upstream networks' adapters. ``results`` reads a finished scene:
+``rig``, ``splatting``; ``models`` holds the upstream networks' adapters, ``recursive`` the paper's recursive module,
+which works with any of them. ``results`` reads a finished scene:
 ``studiorecon.load(FOLDER)``, and ``studiorecon.draw`` makes a picture of it.
 
 Words

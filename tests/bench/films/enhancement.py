@@ -26,16 +26,17 @@ import yaml
 from studiorecon.body.model import BodyModel
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance import shot as enhance_shot
-from studiorecon.enhance.backends import DisFlow, ResidualTransfer
-from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.backends import ResidualTransfer
 from studiorecon.enhance.photos import training_of
 from studiorecon.enhance.pilot import worth
-from studiorecon.enhance.recursion import enhanced, for_path
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.images import metrics
 from studiorecon.images.flow import consistent, dis_flow, grey_levels, one_thread
 from studiorecon.images.transfer import ResidualSource, carried_over
 from studiorecon.models.protocols import Enhancer
+from studiorecon.recursive.clip import enhanced, for_path
+from studiorecon.recursive.flows import DisFlow
+from studiorecon.recursive.injection import Injection
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.effects import ENHANCEMENT

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Films that do not flicker: renders go in, repaired pictures come out, each seen together with those before it.
 
-In reading order: ``backends`` (what improves a picture, what finds flow), ``alignment`` (where earlier pictures lie
-on the current one), ``injection`` (how much of them enters it), ``recursion`` (a clip, picture by picture), ``photos``
-(the training photos beside their renders), ``pilot`` (does this film call for any of it?). Steps: ``shot`` (a film of
-a scene), ``folder`` (pictures of anybody), ``sheet`` (how one picture was made), ``comparison`` (before and after).
-``injection_settings``: settings of several steps.
+In reading order: ``recursive`` beside the stages (a clip, picture by picture), ``backends`` (what improves a picture),
+``photos`` (the training photos beside their renders), ``pilot`` (does this film call for any of it?). Steps: ``shot``
+(a film of a scene), ``folder`` (pictures of anybody), ``sheet`` (how one picture was made), ``comparison`` (before and
+after). ``injection_settings``: settings of several steps.
 """

@@ -20,14 +20,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.enhance.backends import flow_of, network
+from studiorecon.enhance.backends import network
 from studiorecon.enhance.injection_settings import Enhancing, Injecting
-from studiorecon.enhance.recursion import enhanced, stands_still
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import write_png
 from studiorecon.progress import progress, say
+from studiorecon.recursive.clip import enhanced, stands_still
+from studiorecon.recursive.flows import flow_of
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep

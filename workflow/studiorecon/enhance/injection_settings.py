@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from studiorecon.configuration.setting import setting
-from studiorecon.enhance.backends import Preset
-from studiorecon.enhance.injection import Injection
 from studiorecon.images.transfer import Transfer
 from studiorecon.models.choices import EnhancerName, FlowName
+from studiorecon.recursive.flows import Preset
+from studiorecon.recursive.injection import Injection
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.enhance.alignment import backward_flow
 from studiorecon.enhance.photos import Training
 from studiorecon.footage.video import read_frames_from, to_float
 from studiorecon.geometry.statistics import NOTHING, Estimate, mean, median
@@ -21,6 +20,7 @@ from studiorecon.images.flow import one_thread
 from studiorecon.images.transfer import Transfer, best_strength, carried_over
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
+from studiorecon.recursive.alignment import backward_flow
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.path import PathStep

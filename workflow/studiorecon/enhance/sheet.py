@@ -14,14 +14,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.enhance.backends import flow_of
 from studiorecon.enhance.injection_settings import Injecting
-from studiorecon.enhance.recursion import Blend, blend, for_path, history_of
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames_from, to_bytes
 from studiorecon.images.encoded import write_png
 from studiorecon.images.flow import one_thread
 from studiorecon.progress import say
+from studiorecon.recursive.clip import Blend, blend, for_path, history_of
+from studiorecon.recursive.flows import flow_of
 from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.effects import INJECTION
 from studiorecon.scene.path import read_path

@@ -13,18 +13,19 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.enhance.backends import ResidualTransfer, Unchanged, flow_of, network
-from studiorecon.enhance.injection import Injection
+from studiorecon.enhance.backends import ResidualTransfer, Unchanged, network
 from studiorecon.enhance.injection_settings import Carrying, Enhancing, Film, Injecting
 from studiorecon.enhance.photos import Training, training_of
 from studiorecon.enhance.pilot import called_for, flicker, worth
-from studiorecon.enhance.recursion import enhanced, for_path, stands_still
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.streams import Writer, writing
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless, write_watchable
 from studiorecon.models.protocols import Enhancer, Flow
 from studiorecon.progress import progress, say, warn
+from studiorecon.recursive.clip import enhanced, for_path, stands_still
+from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.injection import Injection
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.decisions import Decision, forced, switched_on, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, force, settled, thresholds

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studiorecon.enhance.injection import Injection
 from studiorecon.errors import UserError
 from studiorecon.images.flow import chained, consistent
 from studiorecon.models.protocols import Flow
+from studiorecon.recursive.injection import Injection
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,14 @@ from functools import partial
 
 import numpy as np
 
-from studiorecon.enhance.alignment import Past, backward_flow, flows_back
-from studiorecon.enhance.injection import Injection, confidence, inject
 from studiorecon.errors import UserError
 from studiorecon.footage.video import to_bytes, to_float
 from studiorecon.images.flow import one_thread
 from studiorecon.images.warp import warp
 from studiorecon.models.protocols import Enhancer, Flow, Moment
 from studiorecon.progress import say, warn
+from studiorecon.recursive.alignment import Past, backward_flow, flows_back
+from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.path import PathStep
 
 # Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands
@@ -34,8 +34,7 @@ _STILL_LEVELS = 0.25
 # An enhancer may answer a brighter picture by this much before its recursion drifts visibly (E14: 5 % becomes 7
 # %).
 _LARGEST_GAIN = 1.02
-# By how much brighter and darker than it is an enhancer is shown a picture, of 1: as little as steps of exposure between
-# pictures.
+# By how much brighter and darker than it is an enhancer is shown a picture, of 1: no more than exposures differ.
 _PROBE = np.float32(8 / 255)
 
 

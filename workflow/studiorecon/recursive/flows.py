@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a configuration's ``enhance.flow`` stands for: dense inverse search, or an upstream network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from studiorecon.images.flow import dis_flow, grey_levels
+from studiorecon.models.choices import FlowName
+from studiorecon.models.loading import load
+from studiorecon.models.protocols import Flow
+
+Preset = Literal["ultrafast", "fast", "medium"]
+
+
+@dataclass(frozen=True)
+class DisFlow:
+    """Dense inverse search on luminance; the same everywhere inside ``images.flow.one_thread``."""
+
+    preset: Preset
+
+    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """See ``models.protocols.Flow``."""
+        return dis_flow(grey_levels(first), grey_levels(second), self.preset)
+
+
+def flow_of(name: FlowName, preset: Preset, weights: Path, device: str) -> Flow:
+    """The flow of that name; ``weights``: folder of upstream weights, ``device``: auto, cpu or cuda.
+
+    Raises UserError when a network's weights, package or memory are missing.
+    """
+    if name == "dis":
+        return DisFlow(preset)
+    return load("flow", name, weights, device)
