@@ -4,6 +4,7 @@ and that what the network paints is learned."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ import pytest
 from studiorecon.background import half, refined, train
 from studiorecon.background.halves import read_half
 from studiorecon.errors import UserError
-from studiorecon.footage.video import read_stack
+from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.models.protocols import Moment
 from studiorecon.scene.gaussians_ply import read_ply
-from studiorecon.scene.path import read_path
+from studiorecon.scene.path import read_path, write_path
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 
 from tests.made.background import cameras, capture, look, run, settings  # noqa: F401
@@ -32,7 +33,7 @@ class Painter:
 
     def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
         assert image.dtype == np.float32
-        assert reference.dtype == np.uint8
+        assert reference.dtype == np.float32
         self.shown.append(reference)
         return np.clip(image + np.float32([0.3, 0, 0]), 0, 1)
 
@@ -55,6 +56,8 @@ def halved(
     monkeypatch.setattr(refined, "load", lambda *_, **__: painter)
     refined.run(
         "difix",
+        "none",
+        "dis",
         files["looks"],
         files["looks_path"],
         capture["model"],
@@ -104,6 +107,36 @@ def test_what_the_network_paints_is_learned(
     ]
     assert np.mean(redder, axis=0)[0] > 0.03
     assert np.abs(np.mean(redder, axis=0)[1:]).max() < 0.02
+
+
+def test_the_recursive_module_lets_views_enter_those_after_them(
+    halved: dict[str, Any], capture: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the paper's main text refines the views by: repaired views, warped onto the next, are part of its input."""
+    inputs: list[np.ndarray] = []
+
+    class Kept(Painter):
+        def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+            inputs.append(image)
+            return np.clip(image + np.float32([0.1, 0, 0]), 0, 1)
+
+    monkeypatch.setattr(refined, "load", lambda *_, **__: Kept())
+    paper = {"strength": 0.3, "moving_strength": 0.3, "error_threshold": 255.0, "check": False, "settle": False}
+    looks = halved["files"]["looks"], halved["files"]["looks_path"]
+    about = capture["model"], capture["plates"], [], tmp_path, "cpu", tmp_path / "recursive.mkv"
+    # Along a path on which neighbours show the same: the views of one place.
+    steps, fps = read_path(looks[1])
+    still, still_path = tmp_path / "still.mkv", tmp_path / "still.json"
+    write_lossless(still, iter([read_stack(looks[0], 0, 1)[0]] * 3), fps)
+    write_path(still_path, [steps[0]] * 3, fps)
+    refined.run("difix", json.dumps(paper), "dis", still, still_path, *about)
+    # Two are asked for the gain first.
+    first, second, third = inputs[2:]
+    reds = [picture[..., 0].mean() for picture in (first, second, third)]
+    assert reds[0] < reds[1] < reds[2], "earlier outputs, redder than the room, enter"
+    assert reds[1] - reds[0] == pytest.approx(0.3 * 0.1, abs=0.01)
+    refined.run("difix", "none", "dis", still, still_path, *about)
+    np.testing.assert_array_equal(inputs[-1], inputs[-2])
 
 
 def test_files_that_do_not_belong_together_are_refused(halved: dict[str, Any], tmp_path: Path) -> None:

@@ -98,6 +98,8 @@ if PLAN.networks.refiner:
         params:
             code=code("background.refined"),
             enhancer=PLAN.networks.refiner,
+            injection=told.recursion("background", config),
+            flow=config["enhance"]["flow"],
             weights=PLAN.networks.weights,
             device=config["device"],
         shell:

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.background.preparation import Photo, Prepared
-from studiorecon.background.refinement import refined_targets, refinement_cameras
+from studiorecon.background.refinement import looked_at_from, refined_targets
 from studiorecon.background.targets import draw_shares
 from studiorecon.background.train_settings import Settings
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
+from studiorecon.scene.path import read_path
 from studiorecon.splatting.device import rasteriser
 from studiorecon.splatting.train.checkpoint import Checkpoint
 from studiorecon.splatting.train.perceptual import Perceptual
@@ -81,9 +82,14 @@ class Training:
         """What draws the room as it is trained."""
         return rasteriser(self.device, near_m=self.settings.training.near_m, threads=self.threads)
 
-    def refined(self, room_now: Gaussians, photos: Sequence[Photo]) -> list[Target]:
+    def looks(self, path: Path) -> list[Camera]:
+        """Where the half-trained room is looked at from; ``path`` is that of the synthesized views."""
+        views = [step.camera for step in read_path(path)[0]]
+        return looked_at_from(self.cameras, views, self.settings.refinement)
+
+    def refined(self, room_now: Gaussians, photos: Sequence[Photo], path: Path) -> list[Target]:
         """Views of the half-trained room, enhanced by what the photos show and it misses."""
-        looks = refinement_cameras(self.cameras, self.settings.refinement)
+        looks = self.looks(path)
         known = [(p.camera, p.rgb, p.known) for p in photos]
         drawing = self.drawing()
         targets, counted = refined_targets(

@@ -12,7 +12,6 @@ from studiorecon import code
 from studiorecon.background.fitting import Training
 from studiorecon.background.halves import write_looks, write_room
 from studiorecon.background.preparation import Sources, prepared
-from studiorecon.background.refinement import refinement_cameras
 from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.errors import UserError
@@ -61,7 +60,7 @@ def run(
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)
     room, provenance = training.first_half(given, checkpoint)
     drawing = training.drawing()
-    around = refinement_cameras(cameras, settings.refinement)
+    around = training.looks(path)
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
     write_room(half, marks, room, provenance)
     write_looks(looks, looks_path, around, pictures)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``background.refined``: views of the half-trained room, repaired by a network that is shown the nearest photo (paper,
-appendix C)."""
+"""``background.refined``: views of the half-trained room, repaired by a network that is shown the nearest photo, or by
+the recursive module around it (paper, section Iterative Refinement and appendix C)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,17 @@ import numpy as np
 from studiorecon.background.targets import angle_between_axes
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
+from studiorecon.footage.video import read_frames, to_bytes, write_lossless
+from studiorecon.models.choices import FlowName
 from studiorecon.models.loading import load
-from studiorecon.models.protocols import Moment
 from studiorecon.progress import progress, say
+from studiorecon.recursive.clip import enhanced, for_path
+from studiorecon.recursive.flows import flow_of
+from studiorecon.recursive.injection import Injection
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
-from studiorecon.scene.path import read_path
+from studiorecon.scene.path import PathStep, read_path
+from studiorecon.settings import load as load_settings
 from studiorecon.signature import Place, Written
 
 _SEED = 0
@@ -26,6 +30,8 @@ _SEED = 0
 
 def run(
     enhancer: str,
+    injection: str,
+    flow: FlowName,
     looks: Path,
     looks_path: Path,
     model: Path,
@@ -36,7 +42,10 @@ def run(
     refined: Written,
 ) -> None:
     """Write the film ``looks``, whose cameras are those of ``looks_path``, as the network ``enhancer`` repairs it;
-    ``plates`` are the rooms without people of ``model``'s cameras, divided by the gains that ``exposure`` names."""
+    ``plates`` are the rooms without people of ``model``'s cameras, divided by the gains that ``exposure`` names.
+
+    ``injection`` are the settings of ``enhance.injection`` as JSON, with which views enter those after them along
+    ``flow``; "none": each is repaired by itself."""
     steps, fps = read_path(looks_path)
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
@@ -44,13 +53,15 @@ def run(
     photos = [to_bytes(factors.even(c.name, read_plate(plate)[0])) for c, plate in zip(cameras, plates)]
     network = load("picture enhancer", enhancer, weights, device, seed=_SEED)
 
-    def repaired() -> Iterator[np.ndarray]:
-        pictures = progress(read_frames(looks, 0, len(steps)), "views of the room", total=len(steps))
-        for step, picture in zip(steps, pictures):
-            nearest = int(np.argmin([angle_between_axes(step.camera, camera) for camera in cameras]))
-            nothing = np.zeros(step.camera.hw, np.float32)
-            moment = Moment(step.camera, 0.0, nothing, nothing)
-            yield to_bytes(network.enhance(to_float(picture), photos[nearest], moment))
+    def reference(step: PathStep) -> np.ndarray:
+        return photos[int(np.argmin([angle_between_axes(step.camera, camera) for camera in cameras]))]
 
-    write_lossless(refined, repaired(), fps)
-    say(f"{len(steps)} views of the room as {enhancer} repairs them")
+    # Of the room nobody has asked for depth: it is for enhancers that carry photos over.
+    depths_mm = (np.zeros(step.camera.hw, np.uint16) for step in steps)
+    alone = injection == "none"
+    how = Injection(history=0) if alone else load_settings(Injection, json.loads(injection), "enhance.injection")
+    search = flow_of("dis" if alone else flow, "medium", weights, device)
+    pictures = progress(read_frames(looks, 0, len(steps)), "views of the room", total=len(steps))
+    repaired = enhanced(steps, pictures, depths_mm, reference, network, for_path(how, steps), search)
+    write_lossless(refined, repaired, fps)
+    say(f"{len(steps)} views of the room as {enhancer} repairs them{'' if alone else ', each after those before it'}")

@@ -2,20 +2,23 @@
 """Iterative refinement (paper, appendix C): half-way, views of the room as it is now are enhanced and become targets
 themselves.
 
-The camera goes round the room twice as high and twice as low as it goes up and down, which shows what none of the
-synthesized views shows: floors and ceilings at other angles. The room is drawn without people, so nothing has to be
-masked.
+The camera rises and falls twice on its way round the room, or along the synthesized views, which shows what none of
+those shows: floors and ceilings at other angles. The room is drawn without people, so nothing has to be masked.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from studiorecon.configuration.setting import setting
+from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import azimuths_rad, look_at, order_around, scene_centre, with_pose
+from studiorecon.geometry.rotations import slerp
 from studiorecon.images.transfer import ResidualSource, Transfer, carried_over, source
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rendering import Rendering
@@ -51,6 +54,60 @@ class Refinement:
     weight: float = 0.7
     ring_deg: float = 150.0
     transfer: Transfer = Transfer()
+    path: Literal["ring", "views"] = setting(
+        "ring",
+        "Where these views look from: ring = around the scene at the cameras' median distance, at its middle; views = "
+        "between the poses of the synthesized views, in their order.",
+        paper="interpolated between the synthesized poses, appendix on the augmented camera trajectory; U53",
+        letter="views",
+    )
+    module: Literal["enhancer", "recursive"] = setting(
+        "enhancer",
+        "What repairs them where enhance.enhancer is a network: enhancer = it alone, view by view; recursive = with "
+        "what became of the views before injected, as films are made (enhance.injection, enhance.flow).",
+        paper="the recursive module, section Iterative Refinement, whose network is Difix3D+, appendix C",
+        letter="recursive",
+    )
+
+
+def looked_at_from(cameras: Sequence[Camera], views: Sequence[Camera], settings: Refinement) -> list[Camera]:
+    """The cameras of the refinement, as ``path`` says: around the real ``cameras``, or between the poses of the
+    synthesized ``views``, in flying order. UserError when there are none to go between."""
+    if settings.path == "ring":
+        return refinement_cameras(cameras, settings)
+    if len(views) < 2:
+        raise UserError(
+            f"background.refinement.path is views, but there are {len(views)} of them to look between: force "
+            "view_synthesis on (survey.force), or set the path to ring"
+        )
+    return cameras_between(views, _radius_m(cameras), settings)
+
+
+def cameras_between(views: Sequence[Camera], radius_m: float, settings: Refinement) -> list[Camera]:
+    """Cameras evenly along the ``views``, two or more: turned by slerp and moved straight between neighbours, rising
+    and falling by ``height`` of the scene's radius, and pitched by −atan(rise / radius) to make up for it (U53)."""
+    apart = [np.abs(a.camera_from_world - b.camera_from_world).max() > 1e-9 for a, b in itertools.pairwise(views)]
+    distinct = [views[0], *(view for view, moved in zip(views[1:], apart) if moved)]
+    distinct = distinct if len(distinct) > 1 else [views[0], views[0]]
+    made = []
+    for at in np.linspace(0, len(distinct) - 1, settings.views):
+        low = min(int(at), len(distinct) - 2)
+        one, other, share = distinct[low], distinct[low + 1], at - low
+        turned = slerp(one.world_from_camera[:3, :3], other.world_from_camera[:3, :3], np.array([share]))
+        rise_m = settings.height * radius_m * np.sin(2 * np.pi * _PERIODS * at / (len(distinct) - 1))
+        down = np.arctan2(rise_m, radius_m)
+        # About the camera's own x, to the right: what has risen looks down.
+        pitch = np.array([[1, 0, 0], [0, np.cos(down), np.sin(down)], [0, -np.sin(down), np.cos(down)]])
+        eye_m = (1 - share) * one.centre_m + share * other.centre_m + [0, 0, rise_m]
+        lens = (1 - share) * one.intrinsics + share * other.resized(one.wh).intrinsics
+        made.append(with_pose(replace(one, intrinsics=lens), np.asarray(turned).reshape(3, 3) @ pitch, eye_m))
+    return made
+
+
+def _radius_m(cameras: Sequence[Camera]) -> float:
+    """Median horizontal distance of the cameras from the middle of the scene."""
+    offsets = np.stack([c.centre_m for c in cameras]) - scene_centre(cameras)
+    return float(np.median(np.linalg.norm(offsets[:, :2], axis=1)))
 
 
 def refinement_cameras(cameras: Sequence[Camera], settings: Refinement) -> list[Camera]:

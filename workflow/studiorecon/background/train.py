@@ -80,7 +80,7 @@ def run(
         synthesized = synthesized + looks
     elif training.split:
         start, marks = training.first_half(given, kept[0])
-        synthesized = synthesized + training.refined(start, given.photos)
+        synthesized = synthesized + training.refined(start, given.photos, path)
     trained = training.fit(start, given.real, synthesized, kept[1], (training.split, settings.training.iterations))
     marks = marks[trained.source]
     scores = _plate_scores(trained.gaussians, given.photos, training)

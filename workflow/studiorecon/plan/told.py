@@ -28,6 +28,13 @@ def settings(step: str, config: Mapping[str, Any]) -> str:
     return json.dumps(told(step, section(step, config)), sort_keys=True)
 
 
+def recursion(stage: str, config: Mapping[str, Any]) -> str:
+    """How the recursive module works where the training of the room uses it, as JSON; "none" where the enhancer works
+    alone."""
+    recursive = config[stage]["refinement"]["module"] == "recursive"
+    return json.dumps(section("enhance", config)["injection"], sort_keys=True) if recursive else "none"
+
+
 def shot_settings(step: str, config: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Callable[[Any], str]:
     """Function that tells a step of one shot the same, with of ``render.shots`` this shot alone; of that, ``keys``, or
     all that makes the film."""

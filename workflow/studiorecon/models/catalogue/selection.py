@@ -87,6 +87,7 @@ def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
     names = [str(at(config, where)) for where, choice in CHOICES.items() if step in choice.steps]
     # Of another stage's setting, whose choice its rule is told.
     names += [str(at(config, "depth.source"))] if step == "people.lift" else []
+    names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
     names += [CANONICAL] if step == "humans.canonical" else []
     return sorted({module_of(name) for name in names if name in MODELS})
 
