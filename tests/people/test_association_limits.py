@@ -16,8 +16,8 @@ from studiorecon.people.associate import Settings
 from studiorecon.people.association.acceptance import judge
 from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.grouping import group_tracks, track_margins
-from studiorecon.people.association.postures import joint_differences_rad
-from studiorecon.people.association.track_pairs import TrackPairs, margins
+from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
+from studiorecon.people.association.track_pairs import TrackPairs, margins, postures_apart, sights
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -178,6 +178,24 @@ def test_a07_a_joint_past_half_a_turn_is_near_itself():
     first, second = exp(np.array([[[np.pi - 0.01, 0, 0]]])), exp(np.array([[[np.pi + 0.01, 0, 0]]]))
     assert np.linalg.norm(log(first) - log(second)) == pytest.approx(6.26, abs=0.01)  # the naive form
     assert joint_differences_rad(first, second)[0] == pytest.approx(0.02, abs=1e-6)
+
+
+def test_the_papers_norm_of_pose_parameters_takes_them_as_they_are_given(options):
+    """Eq. 1: a joint written the other way round is another pose; where no joint is, the norm is the angle's."""
+    rng = np.random.default_rng(1)
+    pose = rng.normal(0, 0.2, (2, 23, 3))
+    other = pose + 0.3 / 3**0.5
+    apart = parameter_differences_rad(pose[:, None], other[None, :])
+    assert apart[0, 0] == pytest.approx(0.3)
+    assert apart[0, 0] * 23**0.5 == pytest.approx(np.linalg.norm(pose[0] - other[0]))
+    cameras = ring()
+    found = detect(cameras, [walk(np.zeros(3), np.zeros(3), 12)], 0.0, np.random.default_rng(0))
+    around = np.array([[[np.pi - 0.05, 0, 0]] * 23, [[-(np.pi + 0.05), 0, 0]] * 23])
+    seen = [replace(d, body_pose=np.tile(around[v % 2], (len(d.frame), 1, 1))) for v, d in enumerate(found)]
+    for distance, expected in (("angle", 0.0), ("axis_angles", 2 * np.pi)):
+        limits = replace(options.association, affinity="pose", pose_distance=distance)
+        one, two = sights(seen[:2], seen[:2], cameras[:2], limits)
+        assert postures_apart(one, np.array([0]), two, np.array([0]))[0] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a08_a_little_noise_on_all_joints_keeps_a_graded_affinity(

@@ -26,7 +26,7 @@ class AssociationLimits:
             U28, U29); so are poses further apart than this mean angle where the pose decides alone (paper: not given).
         position_weight, pose_weight: of position and pose (paper: 0.9 and 0.1, appendix).
         sigma_m, sigma_rad: scale of the affinity in position, and in pose, mean joint angle without the root (paper:
-            not given; U27).
+            not given; U27); for a norm of 23 axis-angles that is a σ_θ of √23 times as much.
         undecided_margin: a track whose affinity to the next best person is nearer than this to that of its own is
             reported as undecided (A12).
         track_agreement: share of its keypoints that must agree with the triangulated person for a track to stay.
@@ -63,6 +63,14 @@ class AssociationLimits:
         unit="m",
         above=0,
         paper="0.3 between pelvises lifted by depth; U28",
+    )
+    pose_distance: Literal["angle", "axis_angles"] = setting(
+        "angle",
+        "How far apart the poses of two bodies are: angle = mean angle between the turns of their joints; "
+        "axis_angles = the norm of the difference of their pose parameters, to which one turn written in two ways is "
+        "two.",
+        paper="‖θa − θb‖ of SMPL's pose parameters, Eq. 1; U27",
+        letter="axis_angles",
     )
     pelvis_gate_m: float = 0.3
     pose_gate_rad: float = 1.0

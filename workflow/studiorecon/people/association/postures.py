@@ -50,6 +50,12 @@ def joint_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return rotations.angle(first, second).mean(-1)
 
 
+def parameter_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """‖θa − θb‖ of axis-angles (…, J, 3) and (…, J, 3), broadcast, over √J: as large as the mean angle where all joints
+    differ alike, and larger where one axis-angle goes round the other way (paper, Eq. 1)."""
+    return np.linalg.norm(first - second, axis=(-2, -1)) / np.sqrt(first.shape[-2])
+
+
 def limb_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Mean angle between limb directions (…, 12, 3) and (…, 12, 3), broadcast; NaN where either has none."""
     sine = np.linalg.norm(np.cross(first, second), axis=-1)

@@ -32,7 +32,12 @@ from studiorecon.people.association.affinity import (
     gated,
     window_distances,
 )
-from studiorecon.people.association.postures import joint_differences_rad, limb_differences_rad, limb_directions
+from studiorecon.people.association.postures import (
+    joint_differences_rad,
+    limb_differences_rad,
+    limb_directions,
+    parameter_differences_rad,
+)
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -50,6 +55,7 @@ class Sights:
         pelvis_m: (D, 3) world pelvis joint, NaN where no monocular depth is known.
         pose: (D, 23, 3, 3) body joints of the monocular body, NaN where there is none.
         limbs: (D, 12, 3) where limbs point in the world by the detector's guess, NaN where there is none.
+        parameters: (D, 23, 3) the monocular body's axis-angles as it gave them, where those are to be compared.
     """
 
     camera: Camera
@@ -60,6 +66,7 @@ class Sights:
     pelvis_m: np.ndarray
     pose: np.ndarray
     limbs: np.ndarray
+    parameters: np.ndarray | None = None
 
     @property
     def postures(self) -> bool:
@@ -73,7 +80,10 @@ def postures_apart(first: Sights, i: np.ndarray, second: Sights, j: np.ndarray) 
     limbs = limb_differences_rad(first.limbs[i], second.limbs[j])
     if not (np.isfinite(first.pose).any() and np.isfinite(second.pose).any()):
         return limbs
-    joints = joint_differences_rad(first.pose[i], second.pose[j])
+    if first.parameters is not None and second.parameters is not None:
+        joints = parameter_differences_rad(first.parameters[i], second.parameters[j])
+    else:
+        joints = joint_differences_rad(first.pose[i], second.pose[j])
     return np.where(np.isfinite(joints), joints, limbs)
 
 
@@ -91,7 +101,8 @@ def sights(
             "pelvis (recorded 2D keypoints do not): "
             "set it to rays, or use a detector that estimates bodies"
         )
-    seen = [_sights(d, s, c) for d, s, c in zip(detections, stable, cameras)]
+    as_given = limits.pose_distance == "axis_angles"
+    seen = [_sights(d, s, c, as_given) for d, s, c in zip(detections, stable, cameras)]
     if limits.affinity == "pose" and not any(s.postures for s in seen):
         raise UserError(
             "people.association.affinity is pose, but no detection says how anybody holds their limbs "
@@ -101,7 +112,7 @@ def sights(
     return seen
 
 
-def _sights(detections: Detections, stable: Detections, camera: Camera) -> Sights:
+def _sights(detections: Detections, stable: Detections, camera: Camera, as_given: bool) -> Sights:
     count = len(detections.frame)
     directions, present = ray_directions(stable.keypoints, camera)
     pelvis = np.full((count, 3), np.nan) if detections.pelvis is None else detections.pelvis
@@ -119,6 +130,7 @@ def _sights(detections: Detections, stable: Detections, camera: Camera) -> Sight
         world,
         np.where(known[:, None, None, None], matrices, np.nan),
         limb_directions(detections, camera),
+        poses if as_given else None,
     )
 
 
