@@ -197,8 +197,10 @@ def loop_gain(enhancer: Enhancer, render: np.ndarray, reference: np.ndarray, mom
     """
     darker, brighter = np.clip(render - _PROBE, 0, 1), np.clip(render + _PROBE, 0, 1)
     low, high = (enhancer.enhance(picture, reference, moment) for picture in (darker, brighter))
-    given = (brighter.astype(np.float64) - darker).mean()
-    return float((high.astype(np.float64) - low).mean() / given)
+    known = np.isfinite(low) & np.isfinite(high)  # what is no number is left as rendered
+    answer = np.where(known, high, 0).astype(np.float64) - np.where(known, low, 0)
+    given = np.where(known, brighter, 0).astype(np.float64) - np.where(known, darker, 0)
+    return float(answer.sum() / given.sum()) if known.any() else float("nan")
 
 
 def check_gain(gain: float, strength: float) -> None:
