@@ -17,6 +17,7 @@ from studiorecon.geometry.camera_path import between
 from studiorecon.models.adapters import gen3c
 from studiorecon.models.adapters.gen3c import chunks, depth_scale, order, postprocess, preprocess
 from studiorecon.models.adapters.gen3c_request import CHUNK, check_evidence, check_form, evidence, splat
+from studiorecon.models.catalogue.card import Card
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
 from studiorecon.views.generate import read_request
@@ -234,6 +235,25 @@ def test_a_film_without_content_or_of_another_size_is_refused(small: None) -> No
         postprocess(film, 3)
     with pytest.raises(UserError, match="use upstream at db2ffe1"):
         postprocess(film[..., :2], 3)
+
+
+@pytest.mark.parametrize(("offload", "wanted"), [(True, None), (False, 80.0)])
+def test_without_offload_the_gpu_must_hold_everything(
+    offload: bool, wanted: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def device(card: Card, where: str, lower: str, needed: float | None) -> None:
+        asked.append(needed)
+        raise UserError("no GPU here")
+
+    for name in ("staged", "upstream", "attribute"):
+        monkeypatch.setattr(gen3c, name, lambda *about: about[-1] if isinstance(about[-1], Path) else about)
+    monkeypatch.setattr(gen3c, "device", device)
+    how = {"steps": 1, "guidance": 1.0, "seed": 0, "filter_points": 0.05}
+    with pytest.raises(UserError, match="no GPU here"):
+        gen3c.Gen3c(gen3c.CARD, tmp_path, "cuda", offload=offload, **how)
+    assert asked == [wanted]
 
 
 @pytest.mark.weights

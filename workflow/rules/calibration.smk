@@ -66,7 +66,7 @@ if PLAN.networks.cameras:
             sources=files.all_footage,
             sightings=collect(
                 "results/{scene}/detect/keypoints/{camera}.npz",
-                camera=PLAN.cameras if set(PLAN.cameras) <= set(PLAN.sight.watched) else [],
+                camera=PLAN.training if set(PLAN.training) <= set(PLAN.sight.watched) else [],
                 allow_missing=True,
             ),
             clocks="results/{scene}/clocks/clocks.json",

@@ -60,11 +60,13 @@ def torso_lengths(
     """Lengths from the middle of the shoulders to the middle of the hips of everybody at frame 0, in the network's
     unit.
 
-    ``wh`` is the size of the pictures that the keypoints (frame 0 of ``detections``) refer to. Both middles lie as deep
-    as their points' surfaces do in the median, so a keypoint on a jump in depth does no harm.
+    ``wh`` is the size of the pictures of the cameras that the network found, to which the keypoints (frame 0 of
+    ``detections``, of some of them) refer. Both middles lie as deep as their points' surfaces do in the median, so a
+    keypoint on a jump in depth does no harm.
     """
-    lengths = []
-    for camera, depth, size, seen in zip(found.cameras, found.depths, wh, detections):
+    lengths, at = [], {camera.name: k for k, camera in enumerate(found.cameras)}
+    for seen in detections:
+        camera, depth, size = (of[at[seen.camera]] for of in (found.cameras, found.depths, wh))
         layout = LAYOUTS[seen.layout]
         if not set(TORSO) <= set(layout.keypoints):
             continue
@@ -132,7 +134,7 @@ def run(
     depths: list[Written],
 ) -> None:
     """Write a COLMAP text model of ``cameras`` from the first moment of their ``sources``; ``sightings`` may be none,
-    or one each.
+    or one of each camera that is trained on: what the held-out ones see of people measures nothing.
 
     ``depths``: of every camera, EXR of that moment's depth in metres and the network's confidence, at its own size.
     """

@@ -82,6 +82,7 @@ _BUFFERS = 2
 """Warped key frames the network reads per chunk; the cache keeps those that cover most."""
 _NEAR, _FAR = 1.0, 10.0
 """Median depth the network's absolute tolerance (0.02 of its unit) and its cut at 100 are made for."""
+_WITHOUT_OFFLOAD_GB = 80.0
 _LOWER = "set views.gen3c.offload to true, or views.synthesizer to warp"
 
 
@@ -209,7 +210,7 @@ class Gen3c:
         )
         cache = upstream(card, "cosmos_predict1.diffusion.inference.cache_3d")
         self._cache, self._filter_points = attribute(card, cache, "Cache3D_BufferSelector"), filter_points
-        self._device = device(card, where, _LOWER)
+        self._device = device(card, where, _LOWER, None if offload else _WITHOUT_OFFLOAD_GB)
         # Prompts are not the paper's: the encoder stays out, 45 GB of weights with it. Guardrail and prompt upsampler
         # are off as in GEN3C's own script; the licence's clause on guardrails is on the card.
         with arrays_alone(card):

@@ -98,15 +98,16 @@ def arrays_alone(card: Card) -> Iterator[None]:
         ) from None
 
 
-def device(card: Card, wanted: str, lower: str) -> Any:
+def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> Any:
     """The torch device to run a network on, after a look at the memory; ``wanted``: "auto", "cuda" or "cpu".
 
     "auto" takes a GPU, and the CPU only for networks that need none. Raises UserError when there is no such GPU, or
-    less memory is free than the model needs; ``lower`` says which setting would help.
+    less memory is free than the model needs; ``lower`` says which setting would help. ``needed``: gigabytes, where it
+    is run in another way than the card's.
     """
     import torch
 
-    needed = card.memory.gpu_gb
+    needed = card.memory.gpu_gb if needed is None else needed
     if wanted == "cpu" or (wanted == "auto" and needed is None and not torch.cuda.is_available()):
         return torch.device("cpu")
     if not torch.cuda.is_available():
