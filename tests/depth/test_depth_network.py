@@ -73,8 +73,10 @@ def test_a_network_in_any_unit_ends_in_metres(
         [folder / f"{n}.plate.png" for n in names],
         folder,
         "cpu",
-        [folder / f"{n}.estimate.exr" for n in names],
+        # A camera that was left out when cameras were found: planned, and not in the model.
+        [folder / f"{n}.estimate.exr" for n in ["gone", *names]],
     )
+    assert not read_depth(folder / "gone.estimate.exr")[0].any()
     assert focals == pytest.approx([c.focal_px[0] for c, _ in views.values()])
     depth_m, sure = align(folder, settings, folder / "cam1.estimate.exr")
     truth = views["cam1"][1]

@@ -19,6 +19,7 @@ from studiorecon.people import lift
 from studiorecon.people.association.affinity import AssociationLimits
 from studiorecon.people.association.track_pairs import detection_affinities, sights
 from studiorecon.people.lift import Lifting, Settings
+from studiorecon.rig import first_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 
@@ -230,5 +231,5 @@ def test_a_depth_of_another_view_is_refused(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_cameras_in_one_place_say_nothing_of_a_metre() -> None:
-    with pytest.raises(UserError, match="share no two places"):
-        lift.metres_per_metre(rig()[:1], rig())
+    with pytest.raises(UserError, match="what its depth measures; go by rays"):
+        first_depth.metres_per_metre(rig()[:1], rig(), "go by rays")

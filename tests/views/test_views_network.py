@@ -15,7 +15,8 @@ from studiorecon.body.person_files import write_person
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes, write_lossless
-from studiorecon.models.adapters import gen3c
+from studiorecon.images.regions import dilated
+from studiorecon.models.adapters import gen3c, sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
@@ -25,6 +26,7 @@ from studiorecon.scene.support import SOMEBODY, support_weight
 from studiorecon.settings import load
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
+from studiorecon.views import people as views_people
 from studiorecon.views.first_moment import Standing, first_pictures
 from studiorecon.views.frame import frame_of
 from studiorecon.views.synthesize import read_photos
@@ -35,7 +37,7 @@ from tests.made.room import write_capture
 WH = (96, 54)
 NETWORK_HW = (88, 160)
 # Videos, masks, bodies and the body model: of key frames with people only.
-NOBODY: tuple = ([], [], [], None)
+NOBODY: tuple = ([], [], [], None, "planes")
 
 
 @pytest.fixture
@@ -134,7 +136,7 @@ def test_a_segment_goes_to_the_network_and_comes_back(files: tuple, monkeypatch:
     assert read_stack(folder / "00.film.mkv").shape == (121, *NETWORK_HW, 3)
 
     quick = load(fitted.Settings, {**section, "oversampling": 1}, "views")
-    fitted.run(quick, "00", folder / "00.film.mkv", *common, *NOBODY[2:], folder / "00.mkv", folder / "00.mask.mkv")
+    fitted.run(quick, "00", folder / "00.film.mkv", *common, [], None, [], folder / "00.mkv", folder / "00.mask.mkv")
     views, support = read_stack(folder / "00.mkv"), read_stack(folder / "00.mask.mkv")
     assert views.shape == (121, 54, 96, 3)
     start = next(
@@ -176,7 +178,7 @@ def test_a_brought_film_must_fit_the_path(files: tuple) -> None:
     with pytest.raises(
         UserError, match=r"has 5 pictures for 121 views of segment 00; set views\.views_per_segment to 4"
     ):
-        fitted.run(settings, "00", folder / "few.mkv", *common, *NOBODY[2:], *out)
+        fitted.run(settings, "00", folder / "few.mkv", *common, [], None, [], *out)
     camera = Camera("x", WH, np.eye(3), np.eye(4))
     with pytest.raises(UserError, match="80×60; they must be 160×88"):
         fitted.fitted(np.zeros((60, 80, 3), np.uint8), camera, [NETWORK_HW], 3)
@@ -210,7 +212,7 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     standing = Standing([person], model)
     videos, masks = [], []
     for camera, rgb, _ in room_views(WH):
-        clothed = standing.mask(camera, 3)
+        clothed = around(standing, camera, 3)
         picture = np.where(clothed[..., None], np.uint8([230, 20, 20]), to_bytes(rgb))
         videos.append(folder / f"{camera.name}.mkv")
         masks.append(folder / f"{camera.name}.mask.mkv")
@@ -219,12 +221,17 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     return folder / "p0.npz", root / "resources/body.npz", videos, masks, standing
 
 
+def around(standing: Standing, camera: Camera, side_px: int) -> np.ndarray:
+    """(H, W) bool: somebody is there, or within the square of ``side_px``."""
+    return dilated(standing.depth_m(camera) > 0, side_px)
+
+
 def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: tuple) -> None:
     section, common, folder = files
     fit, body, videos, masks, standing = someone
     settings = load(request.Settings, {**section, "key_frames": "first_frames"}, "views")
     # The network's own check warps every key frame into the others: bodies agree with each other in depth.
-    request.run(settings, "00", *common, videos, masks, [fit], body, folder / "00.request.npz")
+    request.run(settings, "00", *common, videos, masks, [fit], body, "planes", folder / "00.request.npz")
     asked = dict(np.load(folder / "00.request.npz"))
     photos = first_pictures(
         read_photos(*common[1:], settings.depth_jump), videos, masks, standing, Factors(), settings.depth_jump
@@ -232,7 +239,7 @@ def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: 
     reds = [(p[0] > 0.5) & (p[1] < -0.5) for p in asked["images_key_frames"]]
     assert all(0.01 < red.mean() < 0.3 for red in reds)
     for photo, (camera, _, room_m) in zip(photos, room_views(WH)):
-        bodies, clothed = standing.depth_m(camera), standing.mask(camera, 3)
+        bodies, clothed = standing.depth_m(camera), around(standing, camera, 3)
         np.testing.assert_allclose(photo.depth_m[bodies > 0], bodies[bodies > 0])
         # Clothes beside the body are as far as it is, and not as far as the wall behind.
         beside = clothed & (bodies == 0)
@@ -243,7 +250,7 @@ def test_key_frames_with_people_show_them_at_their_depth(files: tuple, someone: 
         assert not photo.usable[clothed ^ cv2.erode(clothed.astype(np.uint8), np.ones((3, 3))).astype(bool)].all()
     # Without bodies whoever is in the masks is not carried at all.
     for alone in first_pictures(read_photos(*common[1:], 0.04), videos, masks, Standing([], None), Factors(), 0.04):
-        assert not alone.usable[standing.mask(alone.camera, 3)].any()
+        assert not alone.usable[around(standing, alone.camera, 3)].any()
 
 
 def test_people_in_generated_views_are_left_out_of_the_training(files: tuple, someone: tuple) -> None:
@@ -254,15 +261,73 @@ def test_people_in_generated_views_are_left_out_of_the_training(files: tuple, so
     out = folder / "00.mkv", folder / "00.mask.mkv"
     quick = {**section, "oversampling": 1}
     settings = load(fitted.Settings, {**quick, "key_frames": "first_frames", "dilation_px": 5}, "views")
-    fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, *out)
+    fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, [], *out)
     levels = read_stack(out[1])
     for step, level in list(zip(read_path(common[0])[0], levels))[::40]:
-        there = standing.mask(step.camera, 5)
+        there = around(standing, step.camera, 5)
         assert there.any()
         np.testing.assert_array_equal(level == SOMEBODY, there)
         # However much unsupported pixels count (hole_weight), people count nothing.
         assert not support_weight(level, 1.0)[there].any()
         assert (support_weight(level, 1.0)[~there] == 1).all()
     # Of plates nobody is expected in the film.
-    fitted.run(load(fitted.Settings, quick, "views"), "00", folder / "00.film.mkv", *common, [], None, *out)
+    fitted.run(load(fitted.Settings, quick, "views"), "00", folder / "00.film.mkv", *common, [], None, [], *out)
     assert not (read_stack(out[1]) == SOMEBODY).any()
+
+
+def test_depth_of_the_first_moment_is_taken_as_it_is_where_it_was_measured_then(files: tuple, someone: tuple) -> None:
+    """depth.reference calibration: the network that found the cameras measured people too, wherever bodies are."""
+    section, common, folder = files
+    fit, body, videos, masks, standing = someone
+    for path, (camera, _, room_m) in zip(common[3], room_views(WH)):
+        bodies = standing.depth_m(camera)
+        write_depth(path, np.where(bodies > 0, bodies + 0.1, room_m), np.ones(room_m.shape))
+    settings = load(request.Settings, {**section, "key_frames": "first_frames"}, "views")
+    request.run(settings, "00", *common, videos, masks, [fit], body, "calibration", folder / "00.request.npz")
+    photos = read_photos(*common[1:], settings.depth_jump)
+    for photo in first_pictures(photos, videos, masks, standing, Factors(), settings.depth_jump, measured=True):
+        bodies = standing.depth_m(photo.camera)
+        np.testing.assert_allclose(photo.depth_m[bodies > 0], bodies[bodies > 0] + 0.1, rtol=2e-3)
+
+
+@pytest.mark.parametrize("hw", [(54, 96), NETWORK_HW], ids=["working size", "network's size"])
+def test_a_network_that_looks_for_people_says_what_the_training_leaves_out(
+    hw: tuple[int, int], files: tuple, someone: tuple, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """views.people network: the paper's M is SAM 3's on every view, not where fitted bodies stand."""
+    section, common, folder = files
+    fit, body, *_ = someone
+    film = np.random.default_rng(0).integers(0, 255, (121, *hw, 3), dtype=np.uint8)
+    film[:, :, hw[1] // 2 :] //= 4
+    write_lossless(folder / "00.film.mkv", film, 24.0)
+
+    class Planted:
+        """Sees a person in the dark half of every picture."""
+
+        def __init__(self, card: Card, weights: Path, where: str, chunk: int, prompt: str) -> None:
+            assert (card.name, chunk, prompt) == ("sam3", 200, "person")
+
+        def segment(self, frames: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+            for picture in frames:
+                dark = np.zeros(picture.shape[:2], np.uint16)
+                dark[:, picture.shape[1] // 2 :] = 7
+                yield dark
+
+    monkeypatch.setattr(sam3, "ADAPTER", Planted)
+    views_people.run("00", folder / "00.film.mkv", "sam3", 200, folder, "cpu", folder / "00.people.mkv")
+    assert read_stack(folder / "00.people.mkv").shape == (121, *hw)
+    out = folder / "00.mkv", folder / "00.mask.mkv"
+    settings = load(
+        fitted.Settings, {**section, "oversampling": 1, "key_frames": "first_frames", "dilation_px": 5}, "views"
+    )
+    seen = [folder / "00.people.mkv"]
+    fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, seen, *out)
+    for level in read_stack(out[1])[::40]:
+        somebody = level == SOMEBODY
+        # Half of the picture and two pixels about it, whoever stands where.
+        assert somebody[2:-2, 48:].all()
+        assert somebody[2:-2, 46:48].all()
+        assert not somebody[:, :45].any()
+    write_lossless(folder / "00.people.mkv", np.zeros((121, 30, 40), np.uint8), 24.0)
+    with pytest.raises(UserError, match=r"00\.people\.mkv is not of the film whose views it is about"):
+        fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, seen, *out)

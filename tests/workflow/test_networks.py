@@ -61,6 +61,7 @@ def test_the_papers_networks_are_one_preset() -> None:
         "lpips",
         "lpips",
         "lpips_alex",
+        "smpl",
     ]
 
 

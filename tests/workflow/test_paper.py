@@ -33,8 +33,10 @@ def registered(house: House) -> None:
 
 def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path) -> None:
     plan = House(house.folder, str(videos)).plan("--configfile", *PRESETS)
-    assert {"calibration_network": 1, "detect_people": 5, "tracks_bodies": 4}.items() <= plan.items()
-    assert {"depth_network": 1, "depth_aligned": 4, "capture_frames": 5}.items() <= plan.items()
+    assert {"calibration_network": 1, "detect_people": 4, "tracks_bodies": 4}.items() <= plan.items()
+    # Depth is the first moment's by the network that finds the cameras: no planes, no depth of plates.
+    assert {"depth_first": 4, "capture_frames": 5}.items() <= plan.items()
+    assert not {"depth_network", "depth_aligned", "depth_refine"} & set(plan)
     assert plan["body_plain"] == 1
     # Pelvises at the scene's depth: association waits for them.
     assert plan["people_lift"] == 4
@@ -45,7 +47,10 @@ def test_the_whole_preset_is_planned_on_videos_alone(house: House, videos: Path)
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"calibration": {"source": "people"}}, "set calibration.source to one"),
+        (
+            {"calibration": {"source": "people"}, "depth": {"reference": "planes"}},
+            "set calibration.source to one",
+        ),
         ({"depth": {"source": "pi3"}}, "needs the depth of every frame"),
         ({"detect": {"source": "auto"}}, "the embedded detector looks"),
     ],
@@ -59,6 +64,25 @@ def test_lifting_by_depth_is_refused_without_what_it_reads(
     )
     assert refused.returncode != 0
     assert "people.association.position is scene" in refused.stdout
+    assert said in refused.stdout
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        (
+            {"calibration": {"source": "people"}, "people": {"association": {"position": "rays"}}},
+            "depth.reference is calibration",
+        ),
+        ({"masks": {"source": "embedded"}}, "views.people is network"),
+    ],
+    ids=["depth", "people in views"],
+)
+def test_a_letter_that_lacks_its_network_is_refused(house: House, videos: Path, changed: dict, said: str) -> None:
+    refused = House(house.folder, str(videos)).snakemake(
+        "--dry-run", "--configfile", *PRESETS, house.overlay(**changed), check=False
+    )
+    assert refused.returncode != 0
     assert said in refused.stdout
 
 

@@ -5,7 +5,11 @@
 ruleorder: depth_given > depth_refine
 
 
-if PLAN.networks.depth:
+if PLAN.networks.first_depth:
+
+    ruleorder: depth_given > depth_first
+
+elif PLAN.networks.depth:
 
     ruleorder: depth_given > depth_aligned
 
@@ -112,7 +116,7 @@ rule depth_refine:
     output:
         depth=(
             "results/{scene}/depth/{camera}.planes.exr"
-            if PLAN.networks.depth
+            if PLAN.networks.depth or PLAN.networks.first_depth
             else "results/{scene}/depth/{camera}.exr"
         ),
     log:
@@ -155,14 +159,40 @@ rule depth_given:
         command("depth.given")
 
 
-if PLAN.networks.depth not in ("", "precomputed"):
+if PLAN.networks.first_depth:
+
+    # The paper's own: what the network that found the cameras says of the first moment.
+    rule depth_first:
+        input:
+            model=MODEL,
+            first="results/{scene}/calibration/network/{camera}.exr",
+            found="results/{scene}/calibration/network/images.txt",
+        output:
+            depth="results/{scene}/depth/{camera}.exr",
+        log:
+            "logs/{scene}/depth/first/{camera}.log",
+        benchmark:
+            "benchmarks/{scene}/depth/first/{camera}.tsv"
+        container:
+            image("core")
+        threads: 1
+        resources:
+            mem_mb=1000,
+        params:
+            code=code("depth.first"),
+        shell:
+            command("depth.first")
+
+
+if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_depth:
 
     rule depth_network:
         input:
             model=MODEL,
             plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         output:
-            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=files.training, allow_missing=True),
+            # Whoever is left out when cameras are found is known only then: of those the estimate is empty.
+            depths=collect("results/{scene}/depth/{camera}.estimate.exr", camera=PLAN.training, allow_missing=True),
         log:
             "logs/{scene}/depth/network.log",
         benchmark:
@@ -182,7 +212,7 @@ if PLAN.networks.depth not in ("", "precomputed"):
             command("depth.network")
 
 
-if PLAN.networks.depth:
+if PLAN.networks.depth and not PLAN.networks.first_depth:
 
     rule depth_aligned:
         input:

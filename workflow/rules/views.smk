@@ -84,6 +84,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
         params:
             settings=settings("views.request"),
             code=code("views.request"),
+            reference=config["depth"]["reference"],
         shell:
             command("views.request")
 
@@ -111,6 +112,34 @@ if PLAN.networks.views not in ("warp", "precomputed"):
             command("views.generate")
 
 
+if PLAN.networks.people_in_views:
+
+    # The paper's M: a network looks for people in every synthesized view.
+    rule views_people:
+        input:
+            film=files.generated_film,
+        output:
+            people="results/{scene}/views/{segment}.people.mkv",
+        log:
+            "logs/{scene}/views/people/{segment}.log",
+        benchmark:
+            "benchmarks/{scene}/views/people/{segment}.tsv"
+        container:
+            model_image(PLAN.networks.people_in_views)
+        threads: 2
+        resources:
+            mem_mb=16000,
+            gpu=gpus(PLAN.networks.people_in_views),
+        params:
+            code=code("views.people"),
+            network=PLAN.networks.people_in_views,
+            chunk=config["masks"]["sam3"]["chunk"],
+            weights=PLAN.networks.weights,
+            device=config["device"],
+        shell:
+            command("views.people")
+
+
 if PLAN.networks.views != "warp":
 
     rule views_fitted:
@@ -123,6 +152,7 @@ if PLAN.networks.views != "warp":
             exposure=files.gains,
             people=files.key_people,
             body=files.body,
+            seen=files.people_in_views,
         output:
             views="results/{scene}/views/{segment}.mkv",
             support="results/{scene}/views/{segment}.mask.mkv",

@@ -66,7 +66,8 @@ def torso_lengths(
     """
     lengths, at = [], {camera.name: k for k, camera in enumerate(found.cameras)}
     for seen in detections:
-        camera, depth, size = (of[at[seen.camera]] for of in (found.cameras, found.depths, wh))
+        k = at[seen.camera]
+        camera, depth, size = found.cameras[k], found.depths[k], wh[k]
         layout = LAYOUTS[seen.layout]
         if not set(TORSO) <= set(layout.keypoints):
             continue

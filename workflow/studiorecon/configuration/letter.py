@@ -24,7 +24,8 @@ PAGE: Path = CONFIGURATION.parents[1] / "docs" / "paper.md"
 
 WITHOUT: Mapping[str, str] = {
     "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
-    "depth.sweep_width": "the planes are the metric reference that a network's depth is put to",
+    "depth.sweep_width": "planes say where floor, walls and ceiling are, which nothing of the letter reads but "
+    "background.fill",
     "survey.gap_deg": "survey.force decides whether there are views",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
 }

@@ -107,6 +107,7 @@ SECTIONS: tuple[Section, ...] = (
         "New views between the cameras.",
         (
             "views.warp_settings:Made",
+            "views.warp_settings:Shown",
             "configuration.planned:Views",
             "views.generate:Settings",
             "views.fitted:Settings",

@@ -3,6 +3,6 @@
 
 In come cameras, clean plates and people; out come the room box, its primitives and one depth map per plate. The
 embedded way: ``sweep`` (one camera's votes), ``room`` (all cameras together), ``refine`` (one camera's final depth),
-on ``stereo`` and ``layout``. Instead of it: ``network`` with ``aligned``, or ``given``.
+on ``stereo`` and ``layout``. Instead of it: ``network`` with ``aligned``, ``first``, or ``given``.
 ``sweep_settings``: settings of several steps; ``kernels``: what the fit of the room runs on, compiled ahead.
 """

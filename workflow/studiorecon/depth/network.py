@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from studiorecon.signature import Place, Written
 # A principal point further off the middle than this share of the width bends what a network makes of a known focal
 # length.
 _OFF_CENTRE = 0.05
+_SUFFIX = ".estimate.exr"
+_NOTHING = np.zeros((1, 1), np.float32)
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,14 @@ class Settings:
         "precomputed files of a network's depth in any unit.",
         paper="Pi3, then MoGe; U21",
         letter="moge",
+    )
+    reference: Literal["planes", "calibration"] = setting(
+        "planes",
+        "What measures the room: planes = stereo of planes, to which a network's depth of the clean plates is put; "
+        "calibration = the network that found the cameras (calibration.source), whose depth of the first moment is "
+        "taken as it is, with whom it shows; depth.source then serves later frames alone.",
+        paper="Pi3's first-frame depth where its confidence is above 0.1; MoGe's later frames aligned to it; U21, U22",
+        letter="calibration",
     )
 
 
@@ -70,9 +81,13 @@ def estimates(
 def run(
     settings: Settings, model: Path, plates: list[Path], weights: Place, device: str, depths: list[Written]
 ) -> None:
-    """Write ``depths`` (EXR, in the network's unit) of the ``plates``, both in the order of the model's cameras."""
+    """Write ``depths`` (EXR, in the network's unit) of the ``plates``, which are in the order of the model's cameras;
+    of a camera that the model has not, an empty one."""
     cameras = read_model(model.parent)
-    one_each(cameras, plates=plates, depth_maps=depths)
+    one_each(cameras, plates=plates)
+    written = {path.name.removesuffix(_SUFFIX): path for path in depths}
+    for name in written.keys() - {camera.name for camera in cameras}:
+        write_depth(written[name], _NOTHING, _NOTHING)
     card = card_of(settings.source)
     for camera in cameras:
         off = np.abs(np.array(camera.principal_px) / camera.wh - 0.5).max()
@@ -83,6 +98,6 @@ def run(
             )
     pictures = [to_bytes(read_plate(plate)[0]) for plate in plates]
     say(f"depth of {len(cameras)} plates by {card.title} ({card.terms.weights}), upstream at {card.runtime.commit}")
-    for path, (depth, sure) in zip(depths, estimates(settings.source, cameras, pictures, weights, device)):
-        say(f"{path.name}: {np.mean(depth > 0):.0%} known")
-        write_depth(path, depth, sure)
+    for camera, (depth, sure) in zip(cameras, estimates(settings.source, cameras, pictures, weights, device)):
+        say(f"{camera.name}: {np.mean(depth > 0):.0%} known")
+        write_depth(written[camera.name], depth, sure)

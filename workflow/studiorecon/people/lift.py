@@ -8,9 +8,8 @@ breathes from frame to frame would move everybody (U22, D06).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +17,14 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.depth_alignment import Alignment, align_depth, shared_alignment
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_pelvis
-from studiorecon.images.sizes import nearest
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.models.catalogue.registry import model as card_of
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
+from studiorecon.rig.first_depth import first_moment
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 from studiorecon.signature import Place, Written
@@ -34,8 +32,7 @@ from studiorecon.signature import Place, Written
 _HIPS = ("left_hip", "right_hip")
 # A person's clothes and shadow reach this share of their height beyond their keypoints.
 _WIDER = 0.15
-# Two cameras of one picture: the network's and the working one differ by rounding only.
-_FOCAL_TOLERANCE = 0.05
+_INSTEAD = "set people.association.position to rays"
 # Half the still pixels must be within this factor after alignment, or the two do not show the same thing.
 _WORST_GAP = 0.25
 _NEAR_M = 0.1
@@ -143,35 +140,6 @@ def lifted(
     return replace(seen, pelvis=pelvis)
 
 
-def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera]) -> float:
-    """Working metres in one of the network's: the ratio of distances between the same cameras, whatever moved or
-    scaled the world since. Raises UserError when they share fewer than two places."""
-    own = {c.name: c.centre_m for c in found}
-    shared = [(own[c.name], c.centre_m) for c in used if c.name in own]
-    before, after = (sum(float(np.linalg.norm(a[k] - b[k])) for a, b in combinations(shared, 2)) for k in (0, 1))
-    if not before > 0:
-        raise UserError(
-            f"the network's cameras ({', '.join(sorted(own))}) and those in use share no two places, so nothing says "
-            "what its depth measures; set people.association.position to rays"
-        )
-    return after / before
-
-
-def _first_moment(first: Path, found: Path, cameras: Sequence[Camera], own: Camera) -> np.ndarray:
-    """(H, W) depth of the first moment in working metres, at the size of the camera ``own``."""
-    network = read_model(found.parent)
-    seen = next((c for c in network if c.name == own.name), None)
-    if seen is None:
-        raise UserError(f"camera {own.name} is not in {found}; delete results and run again")
-    apart = seen.resized(own.wh).focal_px[0] / own.focal_px[0]
-    if abs(apart - 1) > _FOCAL_TOLERANCE:
-        raise UserError(
-            f"camera {own.name} has {apart:.2f} times its focal length where the network measured depth, so the two "
-            "do not show the same picture; set people.association.position to rays"
-        )
-    return metres_per_metre(network, cameras) * nearest(read_depth(first)[0], own.hw).astype(np.float64)
-
-
 def run(
     settings: Settings,
     camera: str,
@@ -194,7 +162,7 @@ def run(
     own = next((c for c in cameras if c.name == camera), None)
     if own is None:
         raise UserError(f"camera {camera} is not in {model}")
-    seen, first_m = read_detections(detections), _first_moment(first, found, cameras, own)
+    seen, (first_m, _) = read_detections(detections), first_moment(first, found, cameras, own, _INSTEAD)
     if not len(seen.frame):
         write_detections(lifted_detections, replace(seen, pelvis=np.zeros((0, 3))))
         return
@@ -209,8 +177,7 @@ def run(
     if alignment.model == "undetermined":
         raise UserError(
             f"nothing says how many metres a unit of {title} is in camera {camera}: in none of {len(predicted)} frames "
-            "are there enough pixels without people whose depth the first moment has; set "
-            "people.association.position to rays"
+            "are there enough pixels without people whose depth the first moment has; {_INSTEAD}"
         )
     gaps = [_gap(alignment.apply(depth, _NEAR_M), first_m) for depth in predicted.values()]
     if not (gap := float(np.median(gaps))) <= _WORST_GAP:

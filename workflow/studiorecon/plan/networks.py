@@ -24,7 +24,8 @@ class Networks:
         selected: every network that is called for, sorted.
         weights: the folder of their weights.
         cameras: finds the cameras; masks: tracks people in pictures.
-        depth: a network, or "precomputed"; views: a network, "warp" or "precomputed".
+        depth: a network, or "precomputed"; first_depth: the room's is what ``cameras`` says of the first moment.
+        views: a network, "warp" or "precomputed"; people_in_views: finds whom those show; "" where bodies say so.
         compared: the stages that compare pictures by LPIPS.
         enhance: the one whose image the enhancer runs in: enhancer and flow share a process.
         refiner: the enhancer that repairs views of the half-trained room; "" where photos alone correct them.
@@ -37,7 +38,9 @@ class Networks:
     cameras: str
     masks: str
     depth: str
+    first_depth: bool
     views: str
+    people_in_views: str
     compared: list[str]
     enhance: str
     refiner: str
@@ -69,7 +72,9 @@ def networks_of(config: Mapping[str, Any], home: Path) -> Networks:
         cameras=_network(config["calibration"]["source"]),
         masks=_network(config["masks"]["source"]),
         depth="" if config["depth"]["source"] == "embedded" else config["depth"]["source"],
+        first_depth=config["depth"]["reference"] == "calibration",
         views=config["views"]["synthesizer"],
+        people_in_views=_network(config["masks"]["source"]) if config["views"]["people"] == "network" else "",
         compared=compared,
         # In the enhancer's image, whose torchvision has RAFT.
         enhance=next((name for name in enhancers if name in MODELS), ""),

@@ -30,6 +30,16 @@ def refuse(plan: Plan, config: Mapping[str, Any]) -> None:
         )
     if plan.people:
         _keypoints(plan, MIN_CAMERAS)
+    if plan.networks.first_depth and not plan.networks.cameras:
+        raise UserError(
+            "depth.reference is calibration, which is the depth of the network that finds the cameras, and "
+            f"calibration.source is {config['calibration']['source']}: set that to a network or the reference to planes"
+        )
+    if config["views"]["people"] == "network" and not plan.networks.masks:
+        raise UserError(
+            "views.people is network, which is the one that finds people's masks, and masks.source is "
+            f"{config['masks']['source']}: set that to one, or views.people to bodies"
+        )
     if plan.lifted:
         _lifting(plan)
     if plan.from_people and (unseen := [c for c in plan.cameras if c not in plan.sight.watched]):

@@ -233,6 +233,11 @@ class Files(Brought):
         """Their bodies."""
         return self.fits(wildcards) if self.key_frames(wildcards) else []
 
+    def people_in_views(self, wildcards: Any) -> list[str]:
+        """Who is in one segment's film by the network that looks for people; none where bodies say so."""
+        looked = self.plan.networks.people_in_views and self.key_frames(wildcards)
+        return [f"results/{wildcards.scene}/views/{wildcards.segment}.people.mkv"] if looked else []
+
     def human_gaussians(self, wildcards: Any) -> list[str]:
         """Canonical Gaussians of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]

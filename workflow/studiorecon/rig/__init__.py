@@ -11,5 +11,6 @@ is.
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out_pose``: those that only
   judge; ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that
   all others contradict; ``body_points``: people's keypoints by their names; ``residuals``: why their rays do not meet;
-  ``human_size``: another unit than metres; ``contact_sheet``: the picture of it all.
+  ``human_size``: another unit than metres; ``first_depth``: what a network that found them says of depth;
+  ``contact_sheet``: the picture of it all.
 """

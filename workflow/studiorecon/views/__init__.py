@@ -3,6 +3,7 @@
 pictures with the support that photos give them.
 
 ``path`` (where from) → ``synthesize`` (``forward``: photos carried through their depth). By a network instead:
-``request``, ``generate``, ``fitted``, with ``frame`` for its picture size and ``first_moment`` for people in its views.
+``request``, ``generate``, ``fitted``, with ``frame`` for its picture size, ``first_moment`` for the people it is shown
+and ``people`` for another network that finds them in its views.
 ``warp_settings``: settings of several steps.
 """

@@ -2,8 +2,9 @@
 """People in the new views, the paper's way: key frames are the first pictures as they were filmed, so that a network's
 views show who stood there, and the room is trained without those pixels (Eq. 5: 1 − M).
 
-The paper has the people's depth from Pi3 and M from SAM 3 on every view. Here both are the fitted bodies': they are
-known at that moment in metres, in every camera there is.
+The paper has the people's depth from Pi3 and M from SAM 3 on every view, and so it is with ``depth.reference:
+calibration`` and ``views.people: network``. By default both are the fitted bodies': they are known at that moment in
+metres, in every camera there is.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, to_float
-from studiorecon.images.regions import dilated
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import Factors
@@ -53,10 +53,6 @@ class Standing:
             nearest = np.where((depth > 0) & (depth < nearest), depth, nearest)
         return np.where(np.isfinite(nearest), nearest, 0.0)
 
-    def mask(self, camera: Camera, dilation_px: int) -> np.ndarray:
-        """(H, W) bool: somebody is there, or within the square of ``dilation_px``."""
-        return dilated(self.depth_m(camera) > 0, dilation_px)
-
 
 def first_pictures(
     photos: Sequence[WarpSource],
@@ -65,8 +61,10 @@ def first_pictures(
     standing: Standing,
     factors: Factors,
     depth_jump: float,
+    measured: bool = False,
 ) -> list[WarpSource]:
-    """The first pictures in the plates' place, with bodies before the room in their depth.
+    """The first pictures in the plates' place, with bodies before the room in their depth; where the depth is
+    ``measured`` at that moment, people among the rest, it is taken as it is.
 
     Pixels that a mask calls somebody's and no body covers (hair, clothes) take the depth of the nearest pixel that one
     covers; whoever is not fitted is not carried over, nor is what lies beside a jump in depth. Raises UserError for
@@ -82,9 +80,11 @@ def first_pictures(
                 f"{video} and its masks must be {photo.camera.wh[0]}×{photo.camera.wh[1]}, as camera "
                 f"{photo.camera.name} works"
             )
-        bodies = standing.depth_m(photo.camera)
         theirs, fitted = labels > 0, (labels > 0) & (labels <= len(standing.people))
-        depth = np.where(theirs, np.where(fitted, nearest_known(bodies), 0.0), photo.depth_m)
+        depth = photo.depth_m
+        if not measured:
+            bodies = nearest_known(standing.depth_m(photo.camera))
+            depth = np.where(theirs, np.where(fitted, bodies, 0.0), photo.depth_m)
         seen.append(source(photo.camera, picture, np.ones(photo.camera.hw, bool), depth, depth_jump))
     return [replace(s, usable=s.usable & (s.depth_m > 0)) for s in seen]
 

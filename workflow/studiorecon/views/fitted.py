@@ -7,7 +7,7 @@ network was shown people, they stand in its views: the mask says where.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
+from studiorecon.images.regions import dilated
 from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import Synthesizer
 from studiorecon.models.loading import adapter
@@ -27,11 +28,11 @@ from studiorecon.views.first_moment import Standing
 from studiorecon.views.forward import WarpSource, blend
 from studiorecon.views.frame import frame_of
 from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
-from studiorecon.views.warp_settings import Made, Warping
+from studiorecon.views.warp_settings import Made, Shown, Warping
 
 
 @dataclass(frozen=True)
-class Settings(Made, Warping):
+class Settings(Made, Shown, Warping):
     """Whose film it is, and how support is measured."""
 
     dilation_px: int = setting(
@@ -74,10 +75,11 @@ def views_of(
     film: Iterator[np.ndarray],
     cameras: list[Camera],
     photos: list[WarpSource],
-    standing: Standing | None,
+    people: Callable[[Camera, tuple[int, int]], np.ndarray] | None,
     settings: Settings,
 ) -> Iterator[tuple]:
-    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment; ``standing``: who is in them."""
+    """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment; ``people`` (H, W) bool: who is
+    in the one that is asked for next, whose film's pictures have (h, w)."""
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fitted(picture, camera, sizes, settings.inpaint_radius)
@@ -85,8 +87,24 @@ def views_of(
         _, support, _ = blend(
             camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
-        people = standing.mask(camera, settings.dilation_px) if standing else None
-        yield own, support_levels(np.where(inside, support, 0), people)
+        somebody = dilated(people(camera, picture.shape[:2]), settings.dilation_px) if people else None
+        yield own, support_levels(np.where(inside, support, 0), somebody)
+
+
+def seen_by_network(film: Path) -> Callable[[Camera, tuple[int, int]], np.ndarray]:
+    """Who is in each view by a network's ``film`` of masks (``views.people``), asked for view after view."""
+    masks = read_frames(film)
+
+    def people(camera: Camera, hw: tuple[int, int]) -> np.ndarray:
+        mask = next(masks, None)
+        if mask is None or mask.shape != hw:
+            raise UserError(f"{film} is not of the film whose views it is about; delete it and run again")
+        if hw == camera.hw:
+            return mask > 0
+        shown = np.repeat(mask[..., None] > 0, 3, axis=2).astype(np.float32)
+        return frame_of(camera.hw, hw).back(shown)[0][..., 0] >= 0.5
+
+    return people
 
 
 def run(
@@ -100,11 +118,12 @@ def run(
     exposure: list[Path],
     people: list[Path],
     body: Path | None,
+    seen: list[Path],
     views: Written,
     support: Written,
 ) -> None:
     """Write the pictures and the support of one segment from its ``film``, one picture per view of the path; ``people``
-    and their ``body`` only where the network was shown them."""
+    and their ``body`` only where the network was shown them, or ``seen``, where another network sees them in it."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))
@@ -113,12 +132,18 @@ def run(
             f"{film} has {count} pictures for {len(cameras)} views of segment {segment}; "
             f"set views.views_per_segment to {count - 1}"
         )
-    standing = Standing.read(people, body) if settings.key_frames == "first_frames" else None
-    made = list(views_of(read_frames(film), cameras, photos, standing, settings))
+    who: Callable[[Camera, tuple[int, int]], np.ndarray] | None = None
+    if seen:
+        who = seen_by_network(seen[0])
+    elif settings.key_frames == "first_frames":
+        standing = Standing.read(people, body)
+        who = lambda camera, hw: standing.depth_m(camera) > 0  # noqa: E731
+    made = list(views_of(read_frames(film), cameras, photos, who, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of them is shown by no photo, 0 in the mask")
-    if standing:
+    if who:
         covered = np.mean([mask == SOMEBODY for _, mask in made])
-        say(f"segment {segment}: {covered:.1%} of them is {len(standing.people)} people, left out of the training")
+        told = "people as a network sees them" if seen else f"{len(people)} people"
+        say(f"segment {segment}: {covered:.1%} of them is {told}, left out of the training")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

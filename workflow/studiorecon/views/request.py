@@ -71,14 +71,16 @@ def run(
     masks: list[Path],
     people: list[Path],
     body: Path | None,
+    reference: str,
     request: Written,
 ) -> None:
     """Write the checked request (npz) of one segment; ``videos`` (with ``masks``, ``people`` and their ``body``) only
-    where their first pictures are the key frames."""
+    where their first pictures are the key frames. ``reference``: what measured ``depth`` (``depth.reference``)."""
     photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
     if settings.key_frames == "first_frames":
         standing, factors = Standing.read(people, body), read_factors(exposure)
-        photos = first_pictures(photos, videos, masks, standing, factors, settings.depth_jump)
+        measured = reference == "calibration"
+        photos = first_pictures(photos, videos, masks, standing, factors, settings.depth_jump, measured)
     way, _ = read_segment(path, segment)
     network = adapter("view synthesizer", settings.synthesizer)
     frame = frame_of(way[0].hw, network.hw)

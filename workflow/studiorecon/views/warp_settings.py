@@ -30,6 +30,19 @@ class Made:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """Who is in the views."""
+
+    people: Literal["bodies", "network"] = setting(
+        "bodies",
+        "With first_frames, what says where people stand in the views: bodies = where the fitted ones do; "
+        "network = the network of masks.source, which looks at every view.",
+        paper="SAM 3 on every synthesized view, section on novel view synthesis",
+        letter="network",
+    )
+
+
+@dataclass(frozen=True)
 class Warping:
     """How photos are carried through their depth.
 

@@ -88,6 +88,7 @@ def modules_of(step: str, config: Mapping[str, Any]) -> list[str]:
     # Of another stage's setting, whose choice its rule is told.
     names += [str(at(config, "depth.source"))] if step == "people.lift" else []
     names += [str(at(config, f"enhance.{key}")) for key in ("enhancer", "flow") if step == "background.refined"]
+    names += [str(at(config, "masks.source"))] if step == "views.people" else []
     names += [CANONICAL] if step == "humans.canonical" else []
     return sorted({module_of(name) for name in names if name in MODELS})
 

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``depth.first``: the first moment's depth by the network that found the cameras, as it is: the paper's own, with whom
+it shows.
+
+Stereo of planes is not asked. People stand in it where they stood; who trains the room masks them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import write_depth
+from studiorecon.progress import say
+from studiorecon.rig.first_depth import first_moment
+from studiorecon.signature import Written
+
+_INSTEAD = "set depth.reference to planes"
+
+
+def run(camera: str, model: Path, first: Path, found: Path, depth: Written) -> None:
+    """Write one camera's ``depth`` (EXR) in working metres from ``first``, that of the network's cameras ``found``."""
+    cameras = read_model(model.parent)
+    own = next((c for c in cameras if c.name == camera), None)
+    if own is None:
+        raise UserError(f"camera {camera} is not in {model}")
+    depth_m, sure = first_moment(first, found, cameras, own, _INSTEAD)
+    known = depth_m > 0
+    if not known.any():
+        raise UserError(f"{first} knows no pixel of camera {camera}; {_INSTEAD}")
+    say(f"{camera}: the network that found the cameras knows {known.mean():.0%} of the first moment's depth")
+    write_depth(depth, depth_m.astype(np.float32), np.where(known, np.clip(sure, 0, 1), 0).astype(np.float32))

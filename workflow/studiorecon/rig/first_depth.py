@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth of the first moment by the network that found the cameras (``calibration.network``), in the metres and at the
+size that the scene works in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.errors import UserError
+from studiorecon.footage.exr import read_depth
+from studiorecon.images.sizes import nearest
+from studiorecon.scene.camera import Camera
+
+# Two cameras of one picture: the network's and the working one differ by rounding only.
+_FOCAL_TOLERANCE = 0.05
+
+
+def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: str) -> float:
+    """Working metres in one of the network's: the ratio of distances between the same cameras, whatever moved or
+    scaled the world since. Raises UserError, with what to do ``instead``, when they share fewer than two places."""
+    own = {c.name: c.centre_m for c in found}
+    shared = [(own[c.name], c.centre_m) for c in used if c.name in own]
+    before, after = (sum(float(np.linalg.norm(a[k] - b[k])) for a, b in combinations(shared, 2)) for k in (0, 1))
+    if not before > 0:
+        raise UserError(
+            f"the network's cameras ({', '.join(sorted(own))}) and those in use share no two places, so nothing says "
+            f"what its depth measures; {instead}"
+        )
+    return after / before
+
+
+def first_moment(
+    first: Path, found: Path, cameras: Sequence[Camera], own: Camera, instead: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) depth of the first moment in working metres, 0 = unknown, and the network's confidence, at the size of the
+    camera ``own``.
+
+    ``first`` is the depth (EXR) in the metres of the network's cameras ``found``, ``cameras`` are those in use. Raises
+    UserError, with what to do ``instead``, when the two do not show the same picture.
+    """
+    network = read_model(found.parent)
+    seen = next((c for c in network if c.name == own.name), None)
+    if seen is None:
+        raise UserError(f"camera {own.name} is not in {found}; delete results and run again")
+    apart = seen.resized(own.wh).focal_px[0] / own.focal_px[0]
+    if abs(apart - 1) > _FOCAL_TOLERANCE:
+        raise UserError(
+            f"camera {own.name} has {apart:.2f} times its focal length where the network measured depth, so the two "
+            f"do not show the same picture; {instead}"
+        )
+    depth, sure = read_depth(first)
+    factor = metres_per_metre(network, cameras, instead)
+    return factor * nearest(depth, own.hw).astype(np.float64), nearest(sure, own.hw)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``views.people``: where people stand in a generated film, as the network sees them that finds people's masks: the
+paper's M of every synthesized view.
+
+Writes ``views/<segment>.people.mkv`` (FFV1 grey, the film's size): 255 where anybody is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.footage.video import read_frames, write_lossless
+from studiorecon.models.catalogue.registry import model as card_of
+from studiorecon.models.loading import load
+from studiorecon.progress import progress, say
+from studiorecon.signature import Place, Written
+
+_FPS = 24.0
+_SOMEBODY = 255
+
+
+def anybody(maps: Iterable[np.ndarray], shares: list[float]) -> Iterator[np.ndarray]:
+    """(H, W) uint8, 255 where a label map (H, W) calls somebody; ``shares`` receives how much of each that is."""
+    for labels in maps:
+        people = labels > 0
+        shares.append(float(people.mean()))
+        yield np.where(people, _SOMEBODY, 0).astype(np.uint8)
+
+
+def run(segment: str, film: Path, network: str, chunk: int, weights: Place, device: str, people: Written) -> None:
+    """Write who is in the ``film`` of one segment by ``network``, ``chunk`` pictures at once."""
+    segmenter = load("person segmenter", network, weights, device, chunk=chunk, prompt="person")
+    shares: list[float] = []
+    pictures = progress(read_frames(film), f"views of segment {segment}")
+    write_lossless(people, anybody(segmenter.segment(pictures), shares), _FPS)
+    say(f"segment {segment}: {card_of(network).title} sees people in {np.mean(shares):.1%} of {len(shares)} views")
