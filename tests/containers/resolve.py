@@ -7,7 +7,10 @@ base image brings, and what is compiled against CUDA or installed without its ow
 source that cannot be had from this machine is named as well: its image is then not looked at, which is no failure.
 
 With ``--imports`` each resolution is installed into an environment of its own (gigabytes: torch and CUDA's libraries),
-and the modules that the image's adapters ask for are imported from checkouts at their pins.
+the modules that the image's adapters ask for are imported from checkouts at their pins, and upstream's code runs there
+with random weights, where it can without a GPU (tests marked ``weights``).
+
+Checkouts below STUDIORECON_UPSTREAM (``owner+name``) stand for github.com's, where that is out of reach.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ BASES = {
 }
 # Not built here: parts compiled against CUDA, which want a compiler and torch before they say what they need.
 COMPILED = ("transformer-engine", "pytorch3d", "apex", "simple-knn", "diff-gaussian-rasterization", "sam2", "BasicSR")
-# What the adapters import of upstream; gen3c's, fixer's and lhm's modules need what is compiled or in the base.
+# What the adapters import of upstream.
 MODULES = {
     "vision": ("torchvision.models.optical_flow", "lpips", "kornia", "huggingface_hub"),
     "pi3": ("pi3.models.pi3", "pi3.models.pi3x"),
@@ -50,7 +53,23 @@ MODULES = {
     # Its other modules want SMPL's file as soon as they are imported.
     "comotion": ("comotion_demo.utils.dataloading",),
     "difix": ("pipeline_difix", "torchvision.models.optical_flow"),
+    # The cache of warped photos alone: the pipeline wants what is compiled in the image.
+    "gen3c": ("cosmos_predict1.diffusion.inference.cache_3d",),
 }
+WITHOUT = {
+    "fixer": "its modules ask for what NVIDIA's base image has compiled",
+    "lhm": "its modules ask for pytorch3d and a rasteriser, compiled for a GPU in the image",
+}
+# Where upstream's code runs with random weights.
+TESTS = {
+    "pi3": "tests/models/test_pi3.py",
+    "moge": "tests/models/test_moge.py",
+    "sam3": "tests/models/test_sam3.py",
+    "comotion": "tests/models/test_comotion.py",
+    "difix": "tests/models/test_difix.py",
+    "gen3c": "tests/models/test_gen3c.py",
+}
+_TOOLS = ("pytest", "pytest-xdist", "pytest-timeout", "hypothesis", "jsonschema", "jinja2", "scipy")
 
 
 @dataclass
@@ -105,6 +124,17 @@ def _install(made: Recipe, words: list[str], requirements: Path, cloned: dict[st
             made.wanted.append(source)
 
 
+def as_seen_from_here() -> dict[str, str]:
+    """The environment in which git takes checkouts below STUDIORECON_UPSTREAM for those of github.com."""
+    given = os.environ.get("STUDIORECON_UPSTREAM", "")
+    folders = sorted(Path(given).glob("*+*")) if given else []
+    told = {"GIT_CONFIG_COUNT": str(len(folders))}
+    for k, folder in enumerate(folders):
+        told[f"GIT_CONFIG_KEY_{k}"] = f"url.file://{folder.resolve()}.insteadOf"
+        told[f"GIT_CONFIG_VALUE_{k}"] = f"https://github.com/{folder.name.replace('+', '/')}"
+    return {**os.environ, **told}
+
+
 def resolved(made: Recipe) -> tuple[str, str]:
     """The resolution as a requirements file and "", or "" and what uv says."""
     done = subprocess.run(
@@ -116,6 +146,7 @@ def resolved(made: Recipe) -> tuple[str, str]:
         text=True,
         capture_output=True,
         cwd=tempfile.gettempdir(),
+        env=as_seen_from_here(),
     )
     return (done.stdout, "") if done.returncode == 0 else ("", done.stderr.strip())
 
@@ -126,7 +157,7 @@ def out_of_reach(said: str) -> bool:
 
 
 def imported(name: str, made: Recipe, packages: str) -> str:
-    """Install a resolution and import the image's modules; what went wrong, or ""."""
+    """Install a resolution, import the image's modules and run upstream's code; what went wrong, or ""."""
     folder = Path(tempfile.mkdtemp(prefix=f"studiorecon-{name}-"))
     try:
         (folder / "packages.txt").write_text(packages, encoding="utf-8")
@@ -135,24 +166,42 @@ def imported(name: str, made: Recipe, packages: str) -> str:
             ["uv", "venv", "--quiet", "--python", made.python, str(folder / "environment")],
             ["uv", "pip", "install", "--quiet", "--no-deps", "--python", python, "-r", str(folder / "packages.txt")],
         ):
-            done = subprocess.run(command, text=True, capture_output=True, cwd=folder)
+            done = subprocess.run(command, text=True, capture_output=True, cwd=folder, env=as_seen_from_here())
             if done.returncode:
                 return _last(done.stderr)
         roots = [str(ROOT / "workflow")]
-        for k, (address, commit) in enumerate(made.checkouts):
+        for address, commit in made.checkouts:
+            # As tests look for them.
+            name_there = "+".join(address.removesuffix(".git").split("/")[-2:])
+            there = f"upstream/{name_there}"
             for command in (
-                ["git", "clone", "-q", address, f"checkout{k}"],
-                ["git", "-C", f"checkout{k}", "checkout", "-q", commit],
+                ["git", "clone", "-q", address, there],
+                # A stored copy may lack films of its pages: what counts is which commit is there.
+                [
+                    "sh",
+                    "-c",
+                    f"git -C {there} checkout -q -f {commit}; git -C {there} rev-parse HEAD | grep -q ^{commit}",
+                ],
             ):
-                done = subprocess.run(command, text=True, capture_output=True, cwd=folder)
+                done = subprocess.run(command, text=True, capture_output=True, cwd=folder, env=as_seen_from_here())
                 if done.returncode:
-                    return _last(done.stderr)
-            roots += [str(folder / f"checkout{k}"), str(folder / f"checkout{k}/src")]
+                    return f"{address} at {commit}: {_last(done.stderr)}"
+            roots += [str(folder / "upstream" / name_there), str(folder / "upstream" / name_there / "src")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(roots), "HF_HUB_OFFLINE": "1"}
+        environment["STUDIORECON_UPSTREAM"] = str(folder / "upstream")
         for module in MODULES[name]:
             done = subprocess.run([python, "-c", f"import {module}"], text=True, capture_output=True, env=environment)
             if done.returncode:
                 return f"import {module}: {_last(done.stderr)}"
+        if name not in TESTS:
+            return ""
+        for command in (
+            ["uv", "pip", "install", "--quiet", "--python", python, *_TOOLS],
+            [python, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", "-m", "weights", TESTS[name]],
+        ):
+            done = subprocess.run(command, text=True, capture_output=True, cwd=ROOT, env=environment)
+            if done.returncode:
+                return f"{TESTS[name]}: {_last(done.stdout + done.stderr)}"
         return ""
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -187,6 +236,9 @@ def main() -> int:
             wrong = imported(name, made, packages)
             failed |= bool(wrong)
             line += f"; {wrong or 'imports ' + ', '.join(MODULES[name])}"
+            line += "; upstream's code ran with random weights" if name in TESTS and not wrong else ""
+        elif given.imports and name in WITHOUT:
+            line += f"; not imported: {WITHOUT[name]}"
         print(line, flush=True)
     return int(failed)
 

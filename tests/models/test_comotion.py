@@ -4,19 +4,24 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from studiorecon.body.model import BodyModel
 from studiorecon.errors import UserError
+from studiorecon.footage.video import to_bytes
+from studiorecon.models import smpl
 from studiorecon.models.adapters import comotion
 from studiorecon.models.adapters.comotion import CARD, JOINTS, UNSEEN, estimated, postprocess, preprocess
 from studiorecon.models.loading import load
 
 from tests.made.comotion import slots
-from tests.made.networks import room_views
+from tests.made.networks import room_views, upstream_sources
+from tests.made.smpl import write_smpl
 
 
 def test_planted_bodies_come_out_and_empty_slots_do_not() -> None:
@@ -102,3 +107,57 @@ def test_smpls_file_is_read_without_running_what_it_names(tmp_path: Path) -> Non
     (tmp_path / "evil.pkl").write_bytes(pickle.dumps({"v_template": Path("x")}))
     with open(tmp_path / "evil.pkl", "rb") as stream, pytest.raises(UserError, match="asks for pathlib"):
         comotion._Arrays(tmp_path / "evil.pkl").load(stream, encoding="latin1")
+
+
+@pytest.mark.weights
+def test_upstreams_network_with_random_weights_follows_bodies(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Upstream's own code whole, from checkpoints and a body in SMPL's format: what it says is in our conventions."""
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    for package in ("pypose", "scenedetect", "tensordict", "timm", "einops"):
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    source = upstream_sources("apple+ml-comotion", "src")
+    inner = Path(shutil.copytree(source / "comotion_demo", tmp_path / "src/comotion_demo"))
+    monkeypatch.syspath_prepend(tmp_path / "src")
+    # Its arrays are read by our own reader: of the package nothing but the class is asked for.
+    monkeypatch.setitem(sys.modules, "chumpy", SimpleNamespace(ch=SimpleNamespace(Ch=type("Ch", (), {}))))
+    weights = tmp_path / "weights"
+    write_smpl(weights / "smpl/SMPL_NEUTRAL.pkl", BodyModel.load(root / "resources/body.npz"))
+    (inner / "data/smpl/SMPL_NEUTRAL.pkl").symlink_to(weights / "smpl/SMPL_NEUTRAL.pkl")
+    monkeypatch.setattr(comotion, "staged", lambda _, folder: folder)  # these files are not what is published
+    camera, rgb, _ = room_views((640, 360))[0]
+    try:
+        from comotion_demo.models.comotion import CoMotion
+
+        torch.manual_seed(0)
+        made = CoMotion(pretrained=False)
+        # Bodies that a random refinement throws anywhere are no tracks: the last layers hardly move them.
+        last = [made.update_step.get_pose_update, made.update_step.pose_decoder, made.detection_model.pose_decoder]
+        for head in (*last, *made.detection_model.detection_head.decoders):
+            for parameter in head[-1].parameters():
+                parameter.data *= 0.05
+        torch.save(made.detection_model.state_dict(), inner / "data/comotion_detection_checkpoint.pt")
+        torch.save(made.update_step.state_dict(), inner / "data/comotion_refine_checkpoint.pt")
+        del made
+        estimator = load("body estimator", "comotion", weights, "cpu")
+        found = list(estimator.bodies([to_bytes(rgb)] * 2, camera.intrinsics))
+    finally:
+        for name in [name for name in sys.modules if name.split(".")[0] == "comotion_demo"]:
+            del sys.modules[name]
+    assert len(found) == 2
+    bodies = found[-1]
+    assert len(bodies.tracks) > 0
+    assert len(set(bodies.tracks)) == len(bodies.tracks)
+    assert set(found[0].tracks) & set(bodies.tracks), "tracks go on"
+    # Its points are those of its bodies through the camera that it was given.
+    seen = bodies.pelvises_m @ camera.intrinsics.T
+    np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], bodies.joints_px[:, 0], rtol=1e-3, atol=0.1)
+    # And its bodies are SMPL's as we read them: pose, shape and place give the same pelvis.
+    smpl.run(weights / "smpl/SMPL_NEUTRAL.pkl", tmp_path / "body.npz")
+    model = BodyModel.load(tmp_path / "body.npz")
+    for shape, pose, place, pelvis in zip(
+        bodies.shapes, bodies.poses_rad, bodies.translations_m, bodies.pelvises_m, strict=True
+    ):
+        assert np.abs(model.rest_joints(shape)[0] + place - pelvis).max() < 2e-3
+        assert np.isfinite(pose).all()

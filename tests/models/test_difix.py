@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +15,11 @@ from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float, grown, nearest, resampled
 from studiorecon.models.adapters import difix, fixer
 from studiorecon.models.adapters.difix import PROMPT, STEP, denoised, postprocess, preprocess
+from studiorecon.models.loading import load
+from studiorecon.models.protocols import Moment
+from studiorecon.scene.camera import Camera
+
+from tests.made.networks import upstream_sources
 
 
 def picture(hw: tuple[int, int]) -> np.ndarray:
@@ -141,3 +148,80 @@ def test_resampling_is_that_of_torch_with_antialias(hw: tuple[int, int]) -> None
     tensor = torch.from_numpy(np.ascontiguousarray(noise.transpose(2, 0, 1)[None]))
     theirs = torch.nn.functional.interpolate(tensor, hw, mode="bilinear", antialias=True)[0].numpy().transpose(1, 2, 0)
     np.testing.assert_allclose(resampled(noise, hw), theirs, atol=1e-5)
+
+
+# What the hub's folder brings beside the weights, in the form that the pipeline asks for: a VAE that keeps what its
+# encoder made on the way down.
+_VAE = """
+from diffusers import AutoencoderKL as Plain
+
+
+class AutoencoderKL(Plain):
+    def encode(self, x, return_dict=True):
+        self.encoder.current_down_blocks = []
+        return super().encode(x, return_dict)
+
+    def decode(self, z, return_dict=True, generator=None):
+        return super().decode(z, return_dict)
+"""
+
+
+@pytest.mark.weights
+@pytest.mark.filterwarnings("ignore")  # of diffusers and transformers as old as the pipeline asks for
+def test_upstreams_pipeline_with_random_weights_repairs_a_picture_by_a_photo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Upstream's own pipeline and network of several views, small, from a folder as the hub's to a picture."""
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    diffusers = pytest.importorskip("diffusers", reason="diffusers is not installed")
+    transformers = pytest.importorskip("transformers", reason="transformers is not installed")
+    source = upstream_sources("nv-tlabs+Difix3D", "src")
+    from mv_unet import UNet2DConditionModel
+
+    folder = tmp_path / "difix/difix_ref"
+    for name in ("vae", "unet", "tokenizer"):
+        (folder / name).mkdir(parents=True)
+    (folder / "vae/autoencoder_kl.py").write_text(_VAE)
+    shutil.copy(source / "mv_unet.py", folder / "unet/mv_unet.py")
+    torch.manual_seed(0)
+    wide = {"block_out_channels": (32, 64), "norm_num_groups": 8}
+    blocks = {
+        "down_block_types": ("CrossAttnDownBlock2D", "DownBlock2D"),
+        "up_block_types": ("UpBlock2D", "CrossAttnUpBlock2D"),
+    }
+    unet = UNet2DConditionModel(sample_size=64, cross_attention_dim=32, attention_head_dim=4, **wide, **blocks)
+    unet.save_pretrained(folder / "unet")
+    levels = {"down_block_types": ("DownEncoderBlock2D",) * 2, "up_block_types": ("UpDecoderBlock2D",) * 2}
+    diffusers.AutoencoderKL(latent_channels=4, **wide, **levels).save_pretrained(folder / "vae")
+    letters = [letter + end for letter in "abcdefghijklmnopqrstuvwxyz" for end in ("", "</w>")]
+    words = ["<|startoftext|>", "<|endoftext|>", *letters]
+    (folder / "tokenizer/vocab.json").write_text(json.dumps({word: k for k, word in enumerate(words)}))
+    (folder / "tokenizer/merges.txt").write_text("#version: 0.2\n")
+    vocabulary = folder / "tokenizer/vocab.json", folder / "tokenizer/merges.txt"
+    transformers.CLIPTokenizer(*vocabulary, model_max_length=77).save_pretrained(folder / "tokenizer")
+    text = transformers.CLIPTextConfig(
+        vocab_size=len(words), hidden_size=32, intermediate_size=64, num_hidden_layers=1, num_attention_heads=4
+    )
+    transformers.CLIPTextModel(text).save_pretrained(folder / "text_encoder")
+    diffusers.DDPMScheduler(clip_sample=False, steps_offset=1).save_pretrained(folder / "scheduler")
+    parts = {
+        "vae": ["autoencoder_kl", "AutoencoderKL"],
+        "unet": ["mv_unet", "UNet2DConditionModel"],
+        "scheduler": ["diffusers", "DDPMScheduler"],
+        "tokenizer": ["transformers", "CLIPTokenizer"],
+        "text_encoder": ["transformers", "CLIPTextModel"],
+        **{name: [None, None] for name in ("safety_checker", "feature_extractor", "image_encoder")},
+    }
+    index = {"_class_name": "DifixPipeline", "requires_safety_checker": False, **parts}
+    (folder / "model_index.json").write_text(json.dumps(index))
+    monkeypatch.setattr(difix, "staged", lambda _, where: where)  # these files are not what is published
+    monkeypatch.setattr(difix, "_LARGEST_SHIFT", 1.0)  # weights that have learnt nothing make any picture
+    enhancer = load("picture enhancer", "difix", tmp_path, "cpu", seed=0)
+    render, photo = picture((70, 100)), picture((135, 240))[:, ::-1]
+    nothing = np.zeros((70, 100), np.float32)
+    moment = Moment(Camera("c", (100, 70), np.eye(3), np.eye(4)), 0.0, nothing, nothing)
+    first, again = (enhancer.enhance(render, photo, moment) for _ in range(2))
+    assert first.shape == (70, 100, 3)
+    np.testing.assert_array_equal(first, again)
+    # The photo is looked at: another one changes the picture.
+    assert np.abs(enhancer.enhance(render, 1 - photo, moment) - first).max() > 1e-4

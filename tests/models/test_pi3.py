@@ -4,6 +4,7 @@ do no harm."""
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,6 +29,7 @@ from studiorecon.scene.camera import Camera
 from tests.made.networks import room_views, upstream_sources
 
 WH = (168, 98)
+CARDS_BY_NAME = {card.name: card for card in pi3.CARDS}
 
 
 def points_of(camera: Camera, depth: np.ndarray) -> np.ndarray:
@@ -182,40 +184,65 @@ def test_the_call_hands_on_points_probabilities_and_poses() -> None:
 
 
 @pytest.mark.weights
-def test_upstreams_network_with_random_weights_keeps_its_contract(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["pi3", "pi3x"])
+def test_upstreams_network_with_random_weights_keeps_its_contract(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Upstream's own code, shallower than it is published, from a file of weights to cameras."""
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    pytest.importorskip("einops", reason="einops is not installed")
+    for package in ("einops", "safetensors"):
+        pytest.importorskip(package, reason=f"{package} is not installed")
+    from safetensors.torch import save_file
+
     upstream_sources("yyfz+Pi3")
-    from pi3.models import pi3
+    module = importlib.import_module(f"pi3.models.{name}")
     from pi3.models.dinov2.models.vision_transformer import DinoVisionTransformer
 
     def shallow(**_: object) -> object:
-        body = SimpleNamespace(depth=1)
         return DinoVisionTransformer(
             img_size=518,
             patch_size=14,
             init_values=1.0,
             embed_dim=1024,
-            depth=body.depth,
+            depth=1,
             num_heads=16,
             num_register_tokens=4,
             block_chunks=0,
         )
 
-    monkeypatch.setattr(pi3, "dinov2_vitl14_reg", shallow)
-    torch.manual_seed(0)
-    network = pi3.Pi3()
-    network.decoder = network.decoder[:2]
-    for name in ("point_decoder", "conf_decoder", "camera_decoder"):
-        getattr(network, name).blocks = getattr(network, name).blocks[:1]
-    network.eval()
+    monkeypatch.setattr(module, "dinov2_vitl14_reg", shallow)
+    published = getattr(module, CARDS_BY_NAME[name].title)
+
+    def made() -> object:
+        torch.manual_seed(0)
+        network = published()
+        network.decoder = network.decoder[:2]
+        for decoder in ("point_decoder", "conf_decoder", "camera_decoder"):
+            getattr(network, decoder).blocks = getattr(network, decoder).blocks[:1]
+        return network
+
+    (tmp_path / name).mkdir()
+    save_file(made().state_dict(), tmp_path / name / "model.safetensors")
+    monkeypatch.setattr(module, CARDS_BY_NAME[name].title, made)
+    monkeypatch.setattr(pi3, "staged", lambda _, folder: folder)  # this file is not what is published
+    adapter = load("pose and depth", name, tmp_path, "cpu")
     pictures = np.random.default_rng(0).random((3, 3, 56, 70), dtype=np.float32)
-    points, sure, poses = inferred(network, pictures, "cpu")
+    points, sure, poses = inferred(adapter._network, pictures, "cpu")
     assert points.shape == (3, 56, 70, 3)
     assert (points[..., 2] > 0).all()
     assert sure.min() >= 0
     assert sure.max() <= 1
     np.testing.assert_allclose(np.linalg.det(poses[:, :3, :3]), 1, atol=1e-4)
+    if name == "pi3x":
+        # Everything in its metres: the points in the world are the cameras' own through their poses.
+        with torch.inference_mode():
+            told = adapter._network(torch.from_numpy(pictures)[None])
+        world = np.einsum("nij,nhwj->nhwi", poses[:, :3, :3], points) + poses[:, None, None, :3, 3]
+        np.testing.assert_allclose(world, told["points"][0].numpy(), rtol=1e-3, atol=1e-3)
+        found = postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], True)
+        np.testing.assert_allclose(found.cameras[0].camera_from_world, np.eye(4), atol=1e-6)
+        assert all(camera.wh == (70, 56) for camera in found.cameras)
+        return
     # A network that has learnt nothing sees edges everywhere, and is not believed.
     with pytest.raises(UserError, match="the network is sure of"):
         postprocess(points, np.ones_like(sure), poses, [Inset(0, 0, 56, 70)] * 3, ["a", "b", "c"], False)

@@ -53,7 +53,7 @@ CARD = Card(
         commit="adb7e22",
     ),
     memory=Memory(6.0, "one 512 pixel frame at a time; our estimate"),
-    tried="never",
+    tried="random weights",
     unchecked="its weights, and SMPL's file behind a registration",
 )
 CARDS = (CARD,)

@@ -57,8 +57,8 @@ CARD = Card(
         commit="c76edc5",
     ),
     memory=Memory(10.0, "1280×704 in half precision; our estimate"),
-    tried="never",
-    unchecked="its weights and the code beside them, for which the hub alone vouches; bfloat16 on a GPU",
+    tried="random weights",
+    unchecked="its weights and the VAE's code beside them, for which the hub alone vouches; bfloat16 on a GPU",
 )
 CARDS = (CARD,)
 
