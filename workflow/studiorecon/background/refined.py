@@ -13,7 +13,6 @@ from studiorecon.background.targets import angle_between_axes
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless
-from studiorecon.models.choices import FlowName
 from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.recursive.clip import enhanced, for_path
@@ -31,7 +30,7 @@ _SEED = 0
 def run(
     enhancer: str,
     injection: str,
-    flow: FlowName,
+    flow: str,
     looks: Path,
     looks_path: Path,
     model: Path,
