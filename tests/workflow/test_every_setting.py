@@ -37,6 +37,8 @@ PLANNED: dict[str, set[str] | None] = {
     "licences": set(),
     "survey.earlier": None,
     "people.identities": None,
+    "depth.reference": None,  # another calibration's
+    "views.people": None,  # of masks by a network
     # Another source is another rule's work.
     "depth.source": {"depth_refine"},
     "views.synthesizer": {"views_synthesize"},

@@ -100,7 +100,7 @@ rule report_evaluate:
         code=code("report.evaluate"),
         calibrator=PLAN.networks.cameras or "none",
         lpips=PLAN.networks.lpips("report"),
-        device=config["device"],
+        device=config["device"] if PLAN.networks.lpips("report") != "none" else "cpu",
     shell:
         command("report.evaluate")
 
