@@ -186,7 +186,7 @@ def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> 
 
 
 @pytest.mark.parametrize(
-    ("found", "people", "pck", "rate", "skipped"),
+    ("found", "people", "share", "rate", "skipped"),
     [
         pytest.param([POINTS], [person((0.0, 0.0))], None, None, 1, id="V03-no-box"),  # ≤ gives 100 %, < gives 0
         pytest.param([POINTS], [person((9.0, 15.9))], None, None, 1, id="V03-small-box"),
@@ -200,10 +200,10 @@ def person(box_wh: tuple[float, float] = (40.0, 80.0), away_px: float = 0.0) -> 
     ],
 )
 def test_keypoints_are_wrong_skipped_or_counted_as_defined(
-    found: list[np.ndarray], people: list[pck.TruePerson], pck: float | None, rate: float | None, skipped: int
+    found: list[np.ndarray], people: list[pck.TruePerson], share: float | None, rate: float | None, skipped: int
 ) -> None:
     result = pck.score([(found, people)])
-    assert (result["pck_0.05"], result["detection_rate"], result["skipped"]) == (pck, rate, skipped)
+    assert (result["pck_0.05"], result["detection_rate"], result["skipped"]) == (share, rate, skipped)
     assert "longer side" in result["side"], "a score without its scale means nothing (U58)"
 
 

@@ -43,6 +43,8 @@ PLANNED: dict[str, set[str] | None] = {
     "depth.source": {"depth_refine"},
     "views.synthesizer": {"views_synthesize"},
     "views.closed": {"views_path"},
+    # An effect forced on is another network in the training of people.
+    "survey.force": {"humans_train"},
     "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
 }
 # The page prints the settings that a result may depend on.
@@ -93,7 +95,7 @@ def others(value: Any, schema: Mapping[str, Any]) -> Iterator[Any]:
                 yield [*value[:index], other, *value[index + 1 :]]
     elif isinstance(value, dict):
         # Effects of every step that decides on some.
-        effects = ("exposure", "refinement", "injection")
+        effects = ("exposure", "temporal_appearance", "injection")
         yield from (dict.fromkeys(effects, "on"), dict.fromkeys(effects, 0.5), {"cam1": 0.01})
     elif value is None:
         yield from (1, 0.5, "x")
