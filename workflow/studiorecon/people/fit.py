@@ -27,7 +27,7 @@ from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people.fit_settings import Hulled, Smoothed, Triangulated
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import limb_ratio, size_of
-from studiorecon.people.fitting.points import Points, lift, observations
+from studiorecon.people.fitting.points import Points, lift, observations, off_m
 from studiorecon.people.fitting.surface_points import surface_of
 from studiorecon.people.silhouettes.silhouette_people import SilhouettePerson, follow_standing, read_standing
 from studiorecon.progress import say
@@ -301,7 +301,12 @@ def run(
     whose = read_identities(identities[0])
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
     points = lift(
-        names, keypoints, [cameras[d.camera] for d in seen], settings.triangulation, settings.fit.unverified_sigma_m
+        names,
+        keypoints,
+        [cameras[d.camera] for d in seen],
+        settings.triangulation,
+        settings.fit.unverified_sigma_m,
+        off_m(names, seen),
     )
     surface = None
     if settings.fit.vertex_weight > 0:

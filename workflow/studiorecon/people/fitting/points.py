@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from studiorecon.geometry.triangulation import Limits, Solver, triangulate
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 
 @dataclass(frozen=True)
@@ -75,17 +80,28 @@ def observations(
     return names, out
 
 
+def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndarray, " K"]:
+    """(K,) how far the detectors' points lie from the body's, metres: the layout that is furthest off counts."""
+    layouts = [LAYOUTS[name] for name in sorted({d.layout for d in detections})]
+    return np.array([max((one.off_m(name) for one in layouts), default=0.0) for name in names])
+
+
 def lift(
-    names: list[str], keypoints: np.ndarray, cameras: list[Camera], settings: Triangulation, unverified_sigma_m: float
+    names: list[str],
+    keypoints: np.ndarray,
+    cameras: list[Camera],
+    settings: Triangulation,
+    unverified_sigma_m: float,
+    off: np.ndarray | float = 0.0,
 ) -> Points:
     """World points of all frames at once from keypoints (V, T, K, 3); those of two cameras only get
-    ``unverified_sigma_m`` on top (T13)."""
+    ``unverified_sigma_m`` on top (T13), all of them ``off`` (``off_m``)."""
     views, frames, count = keypoints.shape[:3]
     flat = keypoints.reshape(views, frames * count, 3)
     result = triangulate(flat[..., :2], flat[..., 2], cameras, settings, solver=settings.solver)
     with np.errstate(invalid="ignore"):
         sigma = result.sigma_m / np.sqrt(3)
     sigma = np.where(result.verified, sigma, np.hypot(sigma, unverified_sigma_m))
-    sigma = np.where(result.valid, sigma, np.inf).reshape(frames, count)
+    sigma = np.hypot(np.where(result.valid, sigma, np.inf).reshape(frames, count), off)
     seen = (np.isfinite(keypoints[..., 0]) & (keypoints[..., 2] > 0)).any(-1).sum(0)
     return Points(names, result.points_m.reshape(frames, count, 3), sigma, seen)
