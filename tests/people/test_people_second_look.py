@@ -88,6 +88,18 @@ def test_a_skeleton_on_somebody_else_and_one_found_twice_go() -> None:
     assert [look[:2] for look in plan.looks] == [(2, 0)]
 
 
+def test_a_skeleton_mixed_of_two_people_goes_and_a_strangers_stays() -> None:
+    """The upper half of one and the lower half of the other, beside each other; and somebody whom no other camera
+    knows."""
+    people = [everywhere("p0", 100), everywhere("p1", 300)]
+    rows = [(t, k, somebody(x)) for t in range(FRAMES) for k, x in ((0, 100.0), (1, 300.0))]
+    upper = np.array([any(part in n for part in ("shoulder", "elbow", "wrist", "eye", "ear", "nose")) for n in NAMES])
+    mixed = np.where(upper[:, None], somebody(100), somebody(300)) + RNG.normal(0, 3, SHAPE.shape)
+    found = detections(*rows, (2, 2, mixed), (3, 3, somebody(500.0)), (3, 4, somebody(200.0)))
+    plan = planned(found, people, {("left", 0): "p0", ("left", 1): "p1"}, FRAMES)
+    assert {int(found.track[d]) for d in np.flatnonzero(plan.dropped)} == {2}
+
+
 def test_a_free_track_where_somebody_is_expected_becomes_theirs() -> None:
     found = detections(*((t, 7 if t == 3 else 0, somebody(100)) for t in range(FRAMES)))
     plan = planned(found, [everywhere("p0", 100)], {("left", 0): "p0"}, FRAMES)

@@ -50,6 +50,19 @@ def test_identities_swapped_in_one_of_four_cameras_halve_the_pairs(swapped: bool
     assert (result["pairs"], result["reason"]) == (6 * 2 * FRAMES, None)
 
 
+def test_rejected_tracks_have_no_identity_in_common() -> None:
+    """False detections of two cameras are nobody's, not the same nobody's: they make no pair and no wrong frame."""
+    cameras = {camera.name: camera for camera in ring([10, 100], "c")}
+    people, found, given = standing(), [], {}
+    for camera in cameras.values():
+        places = [camera.project(people["p0"][0])[0], camera.project(people["p0"][0])[0] + 400]
+        points = np.array([np.c_[place, np.ones(24)] for place in places])
+        found.append(Detections(camera.name, "smpl24", np.zeros(2, int), np.arange(2), points))
+        given |= {(camera.name, 0): "p0", (camera.name, 1): ""}
+    result = score_identities(found, given, cameras, people)
+    assert (result["accuracy"], result["precision"], result["wrong_frames"]) == (1.0, 1.0, 0)
+
+
 def test_bodies_in_held_out_pictures_are_scored_where_they_can_be_seen(tmp_path: Path) -> None:
     camera, people = ring([0], "c")[0], standing()
     mask = np.zeros((WH[1], WH[0]), np.uint8)

@@ -17,7 +17,8 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import BlazePose
-from studiorecon.detector.following import believed, newcomers
+from studiorecon.detector.following import believed
+from studiorecon.detector.looking import newcomers
 from studiorecon.detector.windows import grid
 from studiorecon.footage.video import read_frames_from
 from studiorecon.progress import progress, say

@@ -57,7 +57,8 @@ def score_identities(
 
     A detection's true person is whose projected limbs it lies on. Numbers that cannot be taken are None.
     """
-    names = sorted(set(identities.values()))
+    # Rejected tracks have no name, and nothing in common.
+    names = sorted(set(identities.values()) - {""})
     people = [joints_m[name] for name in sorted(joints_m)]
     rows: list[tuple[int, int, int, int]] = []
     for view, found in enumerate(detections):
@@ -68,13 +69,13 @@ def score_identities(
         projected = [cameras[found.camera].project(person[:, joints])[0] for person in people]
         for frame, track, points in zip(found.frame, found.track, found.keypoints):
             here = np.array([p[frame] for p in projected if frame < len(p)])
-            given = identities.get((found.camera, int(track)))
+            given = identities.get((found.camera, int(track)), "")
             rows.append(
                 (
                     frame,
                     view,
                     true_person_of(points[columns, :2], here),
-                    names.index(given) if given is not None else NOBODY,
+                    names.index(given) if given else NOBODY,
                 )
             )
     if not rows:
