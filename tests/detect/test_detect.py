@@ -6,13 +6,15 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, anchors
+from studiorecon.detector.following import Walker, people_in
+from studiorecon.detector.looking import newcomers, thorough
 from studiorecon.detector.crops import Region, sampled
-from studiorecon.detector.following import newcomers, people_in
 from studiorecon.detector.windows import changed, grid, small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.source import open_source, stills
@@ -201,3 +203,35 @@ def test_a_real_man_and_a_bystander_are_found_where_openpose_found_them(root: Pa
     # The mask covers him and not the wall.
     mask = seen[0].mask
     assert 0.05 < (mask > 127).mean() < 0.5
+
+
+def test_a_region_follows_a_speed_and_not_a_number_of_pictures() -> None:
+    """Somebody at 120 pixels per second: a twelfth of a second later they are expected at nearly the same place, seen
+    once in that time or ten times."""
+    seen = MadeNetwork().look(np.zeros((10, 10, 3), np.uint8), Region(np.zeros(2), 60.0, 0.0))
+    slow = Walker(seen, np.array([10.0, 0.0])).region(12.0).centre
+    fast = Walker(seen, np.array([1.0, 0.0])).region(120.0).centre
+    assert slow[0] == pytest.approx(8.1, abs=0.1)
+    assert fast[0] == pytest.approx(0.98, abs=0.01)
+
+
+def test_a_picture_without_neighbours_is_looked_at_in_turned_windows_and_the_surest_look_counts() -> None:
+    class Bent(MadeNetwork):
+        """Sees somebody only in turned windows, and is sure of them at the second look."""
+
+        def detect(self, *window: Any) -> list[tuple[float, Region]]:
+            upright = window[4] == 0
+            return [] if upright else [(0.5, region) for _, region in super().detect(*window[:4])]
+
+        def look(self, picture: np.ndarray, region: Region) -> Landmarks:
+            seen = super().look(picture, region)
+            first = abs(region.side - 60) < 1e-6
+            full = np.full((MASK_PX, MASK_PX), 255, np.uint8)
+            surer = replace(seen.next_region, side=61.0)
+            return replace(seen, presence=seen.presence * (0.6 if first else 1.0), mask=full, next_region=surer)
+
+    picture = walk(1, (0, 0, 4.0))[0]
+    assert newcomers(MadeNetwork(), picture, grid((400, 200)), []) != []  # type: ignore[arg-type]
+    (found,) = thorough(Bent(), picture)  # type: ignore[arg-type]
+    assert found.presence == 1.0
+    assert thorough(Bent(), np.zeros_like(picture)) == []  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon.detect import people
@@ -22,9 +23,9 @@ def backgrounds(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray | None]:
     given: list[np.ndarray | None] = []
     looked = people.people_in
 
-    def noted(pictures: Any, network: Any, background: np.ndarray | None, fps: float) -> Any:
+    def noted(pictures: Any, network: Any, background: np.ndarray | None, fps: float, few: bool) -> Any:
         given.append(background)
-        return looked(pictures, network, background, fps)
+        return looked(pictures, network, background, fps, False)
 
     monkeypatch.setattr(people, "people_in", noted)
     return given
@@ -48,3 +49,12 @@ def test_a_film_that_announces_no_frames_is_looked_at_like_any_other(
     (background,) = backgrounds
     assert background is not None, "what differs from the usual picture is looked at too"
     assert background.shape == (64, 96, 3)
+
+
+def test_a_single_picture_is_a_capture_too(root: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "0001.png"), smooth_pictures(1)[0])
+    people.run("a", folder, [], 30.0, networks(root), [], "auto", tmp_path / "a.npz")
+    found = read_raw_detections(tmp_path / "a.npz")
+    assert (found.looked, len(found.frame)) == ((0, 1), 0)

@@ -21,7 +21,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.colmap import read_model, write_model
 from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
-from studiorecon.detector.following import believed, look_again
+from studiorecon.detector.following import believed
+from studiorecon.detector.looking import look_again
 from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame

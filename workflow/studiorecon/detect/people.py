@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
-from studiorecon.detector.following import believed, people_in
+from studiorecon.detector.following import believed, is_few, people_in
 from studiorecon.detector.top_down import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
@@ -51,18 +51,15 @@ def run(
         return
     start, count = part_of(read_clocks(clocks[0]), camera) if clocks else (0, 0)
     total = count or max(frame_count(footage) - start, 0)
-    if start + total < 2:
-        raise UserError(f"{source} has {start + total} frames; people are followed through at least two")
-    sampling = sorted({start + round(k * (total - 1) / max(_USUAL - 1, 1)) for k in range(_USUAL)})
+    sampling = sorted({start + round(k * max(total - 1, 0) / (_USUAL - 1)) for k in range(_USUAL)})
     glances = [small(picture) for picture in stills(footage, sampling)]
     own = second_network(second, layout)
     network = BlazePose(detection, landmarks, own)
     worth = read_json(table)
     pictures = progress(decode(footage, start, count), f"frames of {camera}", total)
+    background, few = usual(glances) if len(glances) > 2 else None, is_few(total, footage.fps)
     rows, frames = [], 0
-    for frame, seen in enumerate(
-        people_in(pictures, network, usual(glances) if len(glances) > 2 else None, footage.fps), start
-    ):
+    for frame, seen in enumerate(people_in(pictures, network, background, footage.fps, few), start):
         frames += 1
         for person in seen:
             affine = person.region.crop_from_picture(MASK_PX)

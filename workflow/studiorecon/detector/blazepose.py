@@ -82,16 +82,17 @@ class BlazePose:
             raise UserError(f"detect.network gives {second.layout}, of which BlazePose knows none; take another one")
 
     def detect(
-        self, picture: np.ndarray, corner: Num[np.ndarray, " 2"], side: float, least: float
+        self, picture: np.ndarray, corner: Num[np.ndarray, " 2"], side: float, least: float, turn_rad: float = 0.0
     ) -> list[tuple[float, Region]]:
-        """(score, region) of whoever is in the window of ``picture`` (H, W, 3 uint8 RGB) at ``corner`` (2,), above
-        ``least``."""
-        window = sampled(picture, Region(corner + side / 2, side, 0.0), _WINDOW_PX)
-        rows, logits = run(self._detection, window / np.float32(127.5) - np.float32(1))
+        """(score, region) of whoever is in the window of ``picture`` (H, W, 3 uint8 RGB) at ``corner`` (2,), turned
+        about its middle, above ``least``."""
+        place = Region(corner + side / 2, side, turn_rad)
+        rows, logits = run(self._detection, sampled(picture, place, _WINDOW_PX) / np.float32(127.5) - np.float32(1))
         scores = _sigmoid(logits[:, 0].astype(np.float64))
         found = []
         for k in np.flatnonzero(scores > least):
-            hips, circle = (self._anchors[k] + rows[k, 4:].reshape(4, 2)[:2] / _WINDOW_PX) * side + corner
+            two = self._anchors[k] * _WINDOW_PX + rows[k, 4:].reshape(4, 2)[:2]
+            hips, circle = place.in_picture(two, _WINDOW_PX)
             if np.linalg.norm(circle - hips) > 0:
                 found.append((float(scores[k]), Region.around(hips, circle)))
         return found
@@ -102,8 +103,7 @@ class BlazePose:
         crop = sampled(picture, region, _CROP_PX)
         points, presence, mask, heat, guess = run(self._landmarks, crop * np.float32(1 / 255))
         points = points.reshape(39, 5).astype(np.float64)
-        inward = np.linalg.inv(np.vstack([region.crop_from_picture(_CROP_PX), [0, 0, 1]]))[:2]
-        pixels = refined(points[:, :2], heat) @ inward[:, :2].T + inward[:, 2]
+        pixels = region.in_picture(refined(points[:, :2], heat), _CROP_PX)
         c, s = np.cos(region.turn_rad), np.sin(region.turn_rad)
         upright = guess.reshape(39, 3)[:LANDMARKS].astype(np.float64)
         turned = upright @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])

@@ -52,6 +52,11 @@ class Region:
         linear = scale * np.array([[c, s], [-s, c]])
         return np.column_stack([linear, edge / 2 - linear @ self.centre])
 
+    def in_picture(self, pixels: Num[np.ndarray, "N 2"], edge: int) -> Num[np.ndarray, "N 2"]:
+        """(N, 2) picture pixels of those of an upright crop of ``edge`` pixels."""
+        affine = self.crop_from_picture(edge)
+        return (pixels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
+
 
 def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> np.ndarray:
     """(edge, edge, 3) uint8 upright crop of a region, black beyond the picture; averaged where it shrinks."""

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.blazepose import MASK_PX, BlazePose, Landmarks
-from studiorecon.detector.following import newcomers
+from studiorecon.detector.looking import newcomers
 from studiorecon.detector.windows import grid
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded, read_plate

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is in one picture: found in windows over it, each skeleton once.
+
+``newcomers`` is for films, where whoever is missed is found half a second later. ``thorough`` is for pictures that have
+no neighbours: fainter candidates, windows that are turned for people who bend down, and the surest of several looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from studiorecon.detector.blazepose import LANDMARKS, PRESENT, BlazePose, Landmarks
+from studiorecon.detector.crops import Region
+from studiorecon.detector.windows import grid
+from studiorecon.keypoints.tracking import distance_shares
+
+# How sure the detector must be of somebody.
+_CANDIDATE = 0.5
+# Two squares that overlap more than this (intersection over union) hold one person until landmarks say otherwise.
+_SAME_SQUARE = 0.5
+# Two skeletons of one picture nearer than this (median distance, share of the smaller one's diagonal) are one person.
+_SAME_BODY = 0.1
+# Regions smaller than this hold nobody whose limbs could be told, pixels; larger than this times the picture neither.
+_SMALLEST_PX, _LARGEST = 24, 4.0
+# Where a picture has no neighbours: how sure the detector must be, how windows are turned, how often a region is looked
+# at, and how sure all that is said of somebody must be together.
+_FAINT, _TURNS_RAD, _LOOKS, _SURE = 0.3, (0.0, np.pi / 4, -np.pi / 4), 3, 0.3
+# Regions whose middles are this near (share of the side), whose sides differ by this factor and turns by this angle are
+# one candidate.
+_NEAR, _FACTOR, _TURN_RAD = 0.15, 1.35, 0.7
+# A landmark of this visibility should lie under the network's own mask.
+_VISIBLE = 0.3
+
+
+def overlap(first: Region, second: Region) -> float:
+    """Intersection over union of two regions as upright squares."""
+    low = np.maximum(first.centre - first.side / 2, second.centre - second.side / 2)
+    high = np.minimum(first.centre + first.side / 2, second.centre + second.side / 2)
+    shared = float(np.prod(np.maximum(high - low, 0.0)))
+    return shared / (first.side**2 + second.side**2 - shared)
+
+
+def unlike(found: Iterable[Landmarks]) -> list[Landmarks]:
+    """Without those who lie on somebody surer: one person found twice, or a skeleton that jumped to another person."""
+    return first_of_each(sorted(found, key=lambda f: -f.presence * f.keypoints[:, 2].sum()))
+
+
+def first_of_each(ordered: Iterable[Landmarks]) -> list[Landmarks]:
+    """Without those who lie on somebody before them."""
+    kept: list[Landmarks] = []
+    for one in ordered:
+        others = np.array([k.keypoints for k in kept]).reshape(-1, LANDMARKS, 3)
+        if not (distance_shares(one.keypoints[None], others) < _SAME_BODY).any():
+            kept.append(one)
+    return kept
+
+
+def sensible(region: Region, picture: np.ndarray) -> bool:
+    """Whether a region is of a size that can hold somebody, and touches the picture."""
+    height, width = picture.shape[:2]
+    reach = region.side / 2
+    inside = (region.centre > -reach).all() and region.centre[0] < width + reach and region.centre[1] < height + reach
+    return bool(
+        np.isfinite(region.centre).all() and inside and _SMALLEST_PX <= region.side <= _LARGEST * max(width, height)
+    )
+
+
+def look_again(network: BlazePose, picture: np.ndarray, region: Region) -> Landmarks | None:
+    """Who is in ``region``; None when nobody is, or the region is none."""
+    if not sensible(region, picture):
+        return None
+    seen = network.look(picture, region)
+    return seen if seen.presence >= PRESENT and sensible(seen.next_region, picture) else None
+
+
+def newcomers(
+    network: BlazePose, picture: np.ndarray, windows: Sequence[tuple[np.ndarray, float]], known: Sequence[Landmarks]
+) -> list[Landmarks]:
+    """Who is in ``windows`` of the picture beside those already ``known`` in it."""
+    candidates = [c for corner, side in windows for c in network.detect(picture, corner, side, _CANDIDATE)]
+    taken = [k.region for k in known]
+    found: list[Landmarks] = []
+    for _, region in sorted(candidates, key=lambda c: -c[0]):
+        if any(overlap(region, other) > _SAME_SQUARE for other in taken):
+            continue
+        first = look_again(network, picture, region)
+        # The detector's circle is rough; the landmarks' own is what they are best in.
+        seen = look_again(network, picture, first.next_region) if first else None
+        if seen is not None:
+            found.append(seen)
+            taken += [region, seen.region]
+    everybody = unlike([*known, *found])
+    return [f for f in found if any(f is e for e in everybody)]
+
+
+def thorough(network: BlazePose, picture: np.ndarray) -> list[Landmarks]:
+    """Who is in a picture that has no neighbours; 25 s of a core for a 4K one."""
+    wh = picture.shape[1], picture.shape[0]
+    candidates = [
+        candidate
+        for corner, side in grid(wh)
+        for turn in _TURNS_RAD
+        for candidate in network.detect(picture, corner, side, _FAINT, turn)
+    ]
+    tried: list[Region] = []
+    rated: list[tuple[float, Landmarks]] = []
+    for score, region in sorted(candidates, key=lambda c: -c[0]):
+        if any(_one_candidate(region, other) for other in tried):
+            continue
+        tried.append(region)
+        looks: list[Landmarks] = []
+        while len(looks) < _LOOKS and (seen := look_again(network, picture, region)) is not None:
+            looks.append(seen)
+            region = seen.next_region
+        if looks:
+            best = max(looks, key=_trust)
+            rated.append((score * _trust(best), best))
+    ordered = sorted(rated, key=lambda one: -one[0])
+    return first_of_each(seen for surety, seen in ordered if surety >= _SURE)
+
+
+def _one_candidate(first: Region, second: Region) -> bool:
+    turned = abs((first.turn_rad - second.turn_rad + np.pi) % (2 * np.pi) - np.pi)
+    factor = max(first.side, second.side) / min(first.side, second.side)
+    near = np.linalg.norm(first.centre - second.centre) < _NEAR * second.side
+    return bool(near and factor < _FACTOR and turned < _TURN_RAD)
+
+
+def _trust(seen: Landmarks) -> float:
+    """How sure the landmark network is: presence, visibility, and the share of visible landmarks under its mask."""
+    visible = seen.keypoints[seen.keypoints[:, 2] > _VISIBLE, :2]
+    if not len(visible):
+        return 0.0
+    edge = seen.mask.shape[0]
+    affine = seen.region.crop_from_picture(edge)
+    columns, rows = np.floor(visible @ affine[:, :2].T + affine[:, 2]).astype(int).T
+    inside = (columns >= 0) & (rows >= 0) & (columns < edge) & (rows < edge)
+    covered = np.zeros(len(visible))
+    covered[inside] = seen.mask[rows[inside], columns[inside]] > 127
+    return float(seen.presence * seen.keypoints[:, 2].mean() * covered.mean())
