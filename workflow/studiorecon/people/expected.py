@@ -35,10 +35,11 @@ _LEAST = 8
 @dataclass(frozen=True)
 class Expected:
     """Where the other cameras say that one person is: pixels (T, K, 2), NaN where they do not know, of the camera's
-    layout."""
+    layout; a landmark agrees within ``near_share`` of the person's extent."""
 
     person: str
     pixels: np.ndarray
+    near_share: float = _NEAR_SHARE
 
     def at(self, frame: int, late_frames: np.ndarray | float = 0.0) -> np.ndarray | None:
         """(K, 2) pixels so long after one frame (of all joints, or of each (K,); at most one frame), on the line to the
@@ -77,13 +78,14 @@ def expected(
     return Expected(person, out)
 
 
-def agreement(keypoints: np.ndarray, pixels: np.ndarray) -> float:
-    """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2); 0 when too few can be compared."""
+def agreement(keypoints: np.ndarray, pixels: np.ndarray, near_share: float = _NEAR_SHARE) -> float:
+    """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2), within that share of the extent; 0
+    when too few can be compared."""
     known = (keypoints[:, 2] >= _SURE) & np.isfinite(pixels[:, 0])
     if known.sum() < _LEAST:
         return 0.0
     extent = np.linalg.norm(np.nanmax(pixels, axis=0) - np.nanmin(pixels, axis=0))
-    return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < _NEAR_SHARE * extent).mean())
+    return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < near_share * extent).mean())
 
 
 def of_others(keypoints: np.ndarray, people: Sequence[np.ndarray], layout: str) -> float:
@@ -141,7 +143,15 @@ def planned(found: Detections, people: Sequence[Expected], identities: dict[tupl
     for frame in range(frames):
         here = np.flatnonzero(found.frame == frame)
         places = [p.at(frame) for p in people]
-        scores = np.array([[agreement(found.keypoints[d], q) if q is not None else 0.0 for q in places] for d in here])
+        scores = np.array(
+            [
+                [
+                    agreement(found.keypoints[d], q, p.near_share) if q is not None else 0.0
+                    for p, q in zip(people, places)
+                ]
+                for d in here
+            ]
+        )
         scores = scores.reshape(len(here), len(people))
         for k, (person, place) in enumerate(zip(people, places)):
             if place is None:
@@ -159,7 +169,7 @@ def planned(found: Detections, people: Sequence[Expected], identities: dict[tupl
             dropped[[here[i] for i in [*own, *free] if i != best and scores[i, k] >= _GOOD]] = True
             if scores[best, k] >= _GOOD:
                 continue
-            other_way = agreement(exchanged(found.layout, found.keypoints[here[best]]), place)
+            other_way = agreement(exchanged(found.layout, found.keypoints[here[best]]), place, person.near_share)
             if other_way >= max(BELIEVED, scores[best, k] + BETTER):
                 swapped[here[best]] = True
             elif scores[best, k] < _GOOD:

@@ -2,9 +2,10 @@
 """``people.second_look``: one camera's pictures once more, where the other cameras say that somebody must be.
 
 What the other cameras agree on, this one left out, is projected into this camera. Where nobody of that name was found
-there, or somebody whose landmarks lie elsewhere, the landmark network looks at the place. What agrees with the other
-cameras is kept; what lies on somebody else, or was found twice, is removed. One camera alone cannot tell a hidden
-person from a missed one; several calibrated ones can.
+there, or somebody whose landmarks lie elsewhere, the landmark network looks at the place. Of two cameras each gives
+places in the other by its network's metric guess. What agrees with the other cameras is kept; what lies on somebody
+else, or was found twice, is removed. One camera alone cannot tell a hidden person from a missed one; several calibrated
+ones can.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from studiorecon.people.expected import (
     expected,
     planned,
 )
+from studiorecon.people.guessed import guessed, turned_round
 from studiorecon.people.fit_settings import Triangulated
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
@@ -93,9 +95,10 @@ def looked_again(
             # The network's own idea of the region is better, unless it leads to somebody else.
             tried = [first, *filter(None, [look_again(network, picture, first.next_region)])]
             looks = [SecondLook(frame, k, before, t, view.working(t)) for t in tried]
-            best = max(looks, key=lambda look: agreement(look.keypoints, place))
-            least = BELIEVED if before < 0 else max(BELIEVED, agreement(own.keypoints[before], place) + BETTER)
-            if agreement(best.keypoints, place) >= least:
+            near = people[k].near_share
+            best = max(looks, key=lambda look: agreement(look.keypoints, place, near))
+            least = BELIEVED if before < 0 else max(BELIEVED, agreement(own.keypoints[before], place, near) + BETTER)
+            if agreement(best.keypoints, place, near) >= least:
                 back = np.column_stack([np.nan_to_num(now - place), np.zeros(len(now))])
                 results.append(replace(best, keypoints=best.keypoints + back))
     return results
@@ -219,19 +222,22 @@ def run(
     at = [c.name for c in cameras].index(camera)
     own, whole = given[at], read_raw_detections(found, masks=True)
     lens = lens_of(calibration, camera)
-    people: list[Expected] = []
+    names = sorted({p for p in who.values() if p})
     if len(cameras) > 2:
-        names, fitted = sorted({p for p in who.values() if p}), BodyModel.load(body)
-        people = [expected(p, at, cameras, given, who, fitted, footage.frames, settings.triangulation) for p in names]
+        about = BodyModel.load(body), footage.frames, settings.triangulation
+        people = [expected(p, at, cameras, given, who, *about) for p in names]
     else:
-        say("there are two cameras: what one sees is no place in the other, so nobody is looked for again")
+        people = [guessed(p, at, cameras, given, who, footage.frames) for p in names]
     plan = planned(own, people, who, footage.frames)
+    owners = [who.get((camera, int(t)), "") for t in own.track]
+    if len(cameras) == 2:
+        # Which of two cameras that disagree has left and right exchanged: the one that contradicts itself.
+        plan = replace(plan, swapped=plan.swapped & turned_round(own, cameras[at], owners, footage.fps))
     view = CameraPictures(footage, lens, read_json(networks[2]), read_clocks(clocks))
     wanted = [footage.used[frame] for frame in sorted({look[0] for look in plan.looks})]
     pictures = progress(stills(open_source(source, picture_fps), wanted), f"frames of {camera}", len(wanted))
     network = BlazePose(networks[0], networks[1], second_network(second, layout))
     looks = looked_again(network, pictures, plan, people, own, view)
-    owners = [who.get((camera, int(t)), "") for t in own.track]
     result = improved_by(own, plan, looks, people, owners, len(whole.frame))
     rows = [
         (

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the detector's metric guess says where cameras cannot tell: whether left and right are exchanged, and where in a
+second camera somebody is whom only one other sees.
+
+A guess is of somebody of usual size. Laid on the landmarks it was made with, its depth is known but for that size,
+which two cameras give wherever both see the person: on the made studio it then lies within 3 to 6 % of the body's
+extent from where another camera sees the landmarks, in the median, and left to right points within 37° of the truth for
+nine in ten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.people.expected import Expected
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
+# A landmark agrees with a guess when it lies this near to it, as a share of the person's extent in the picture.
+_NEAR_SHARE = 0.1
+# Landmarks less sure than this have no say; so many are needed.
+_SURE, _LEAST = 0.3, 6
+# Within this time of a moment somebody faces about the same way, seconds; so many other sights must say so, and from
+# this cosine on they contradict one.
+_STEADY_S, _SIGHTS, _CONTRADICTED = 0.5, 3, -0.5
+# How alike those other sights must be among themselves, length of their mean.
+_CLEAR = 0.5
+# The rays of a landmark must meet at this angle for the depth they give, radians.
+_LEAST_ANGLE_RAD = 0.17
+
+
+def across(found: Detections, camera: Camera) -> Num[np.ndarray, "D 3"]:
+    """(D, 3) level unit vectors of the world from everybody's right to their left, by the guess; NaN where there is
+    none."""
+    names = LAYOUTS[found.layout].keypoints
+    ends = [f"{side}_{joint}" for joint in ("shoulder", "hip") for side in ("left", "right")]
+    if found.points_m is None or not set(ends) <= set(names):
+        return np.full((len(found.frame), 3), np.nan)
+    left_s, right_s, left_h, right_h = (found.points_m[:, names.index(end)] for end in ends)
+    world = ((left_s - right_s) + (left_h - right_h)) @ camera.world_from_camera[:3, :3].T
+    world[:, 2] = 0.0
+    length = np.linalg.norm(world, axis=1, keepdims=True)
+    return np.where(length > 1e-6, world / np.maximum(length, 1e-6), np.nan)
+
+
+def turned_round(found: Detections, camera: Camera, owners: Sequence[str], fps: float) -> Bool[np.ndarray, " D"]:
+    """(D,) whether a detection's left and right are contradicted by all that this camera sees of its owner shortly
+    before and after."""
+    direction, whose = across(found, camera), np.array(owners, dtype=object)
+    out = np.zeros(len(found.frame), bool)
+    for person in sorted({str(owner) for owner in owners if owner}):
+        mine = np.flatnonzero((whose == person) & np.isfinite(direction).all(1))
+        for d in mine:
+            near = mine[(np.abs(found.frame[mine] - found.frame[d]) <= _STEADY_S * fps) & (mine != d)]
+            if len(near) < _SIGHTS:
+                continue
+            usual = direction[near].mean(0)
+            out[d] = np.linalg.norm(usual) >= _CLEAR and direction[d] @ usual / np.linalg.norm(usual) <= _CONTRADICTED
+    return out
+
+
+def laid(found: Detections, camera: Camera) -> Num[np.ndarray, "D K 3"]:
+    """(D, K, 3) world points of every detection's guess, where its landmarks see it best (linear least squares); NaN
+    where too few are sure."""
+    out = np.full((*found.keypoints.shape[:2], 3), np.nan)
+    if found.points_m is None:
+        return out
+    focal, middle = camera.focal_px, camera.intrinsics[:2, 2]
+    for d, (keypoints, guess) in enumerate(zip(found.keypoints, found.points_m)):
+        sure = (keypoints[:, 2] >= _SURE) & np.isfinite(guess).all(1)
+        if sure.sum() < _LEAST:
+            continue
+        ray = (keypoints[sure, :2] - middle) / focal
+        weight = keypoints[sure, 2]
+        rows = np.zeros((2, len(ray), 3))
+        rows[0, :, 0] = rows[1, :, 1] = weight
+        rows[:, :, 2] = -(weight[:, None] * ray).T
+        wanted = (weight[:, None] * (ray * guess[sure, 2:] - guess[sure, :2])).T
+        moved = guess + np.linalg.lstsq(rows.reshape(-1, 3), wanted.reshape(-1), rcond=None)[0]
+        if (moved[sure, 2] > 0).all():
+            out[d] = moved @ camera.world_from_camera[:3, :3].T + camera.centre_m
+    return out
+
+
+def guessed(
+    person: str,
+    view: int,
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    identities: Mapping[tuple[str, int], str],
+    frames: int,
+) -> Expected:
+    """Where the other one of two cameras sees ``person``, in pixels of camera ``view``, by its guess; NaN where it does
+    not, or where no moment tells the person's size."""
+    other = 1 - view
+    found, camera = detections[other], cameras[other]
+    rows = {v: _of(person, detections[v], identities) for v in (view, other)}
+    points_m = laid(found, camera)
+    factors = [
+        _depth_factor(points_m[d], detections[view].keypoints[rows[view][frame]], camera, cameras[view])
+        for frame, d in rows[other].items()
+        if frame in rows[view]
+    ]
+    known = [factor for factor in factors if np.isfinite(factor)]
+    pixels = np.full((frames, points_m.shape[1], 2), np.nan)
+    if known:
+        factor = float(np.median(known))
+        for frame, d in rows[other].items():
+            where, depth = cameras[view].project(camera.centre_m + factor * (points_m[d] - camera.centre_m))
+            sure = found.keypoints[d, :, 2] >= _SURE
+            pixels[frame] = np.where(((depth > 0) & sure)[:, None], where, np.nan)
+    return Expected(person, pixels, _NEAR_SHARE)
+
+
+def _of(person: str, found: Detections, identities: Mapping[tuple[str, int], str]) -> dict[int, int]:
+    """Frame → detection of a person, the surer one where there are two."""
+    best: dict[int, int] = {}
+    for d, (frame, track) in enumerate(zip(found.frame, found.track)):
+        if identities.get((found.camera, int(track)), "") != person:
+            continue
+        before = best.get(int(frame))
+        if before is None or found.keypoints[d, :, 2].sum() > found.keypoints[before, :, 2].sum():
+            best[int(frame)] = d
+    return best
+
+
+def _depth_factor(points_m: np.ndarray, keypoints: np.ndarray, camera: Camera, view: Camera) -> float:
+    """By what the distances of guessed points (K, 3) from ``camera`` must be multiplied so that ``view`` sees them at
+    its landmarks (K, 3): the median over those whose rays meet at an angle; NaN where there are too few."""
+    sure = (keypoints[:, 2] >= _SURE) & np.isfinite(points_m).all(1)
+    if sure.sum() < _LEAST:
+        return float("nan")
+    there = points_m[sure] - camera.centre_m
+    distance = np.linalg.norm(there, axis=1)
+    first = there / distance[:, None]
+    second = view.unproject(keypoints[sure, :2], np.ones(int(sure.sum()))) - view.centre_m
+    second /= np.linalg.norm(second, axis=1, keepdims=True)
+    cosine = (first * second).sum(1)
+    baseline = view.centre_m - camera.centre_m
+    # Where along the first ray the second passes nearest.
+    along = (first @ baseline - cosine * (second @ baseline)) / np.maximum(1 - cosine**2, 1e-9)
+    usable = (np.sqrt(np.maximum(1 - cosine**2, 0)) > np.sin(_LEAST_ANGLE_RAD)) & (along > 0)
+    return float(np.median(along[usable] / distance[usable])) if usable.sum() >= _LEAST else float("nan")
