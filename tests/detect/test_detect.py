@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose, Landmarks, anchors
+from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.following import Walker, people_in
 from studiorecon.detector.looking import newcomers, thorough
-from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.windows import changed, grid, small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.source import open_source, stills

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from studiorecon.detector.blazepose import BlazePose, Landmarks
-from studiorecon.detector.looking import look_again, newcomers, thorough, unlike
 from studiorecon.detector.crops import Region
+from studiorecon.detector.looking import look_again, newcomers, thorough, unlike
 from studiorecon.detector.windows import changed, grid
 
 # Time between two looks at the whole picture.

@@ -37,8 +37,8 @@ from studiorecon.people.expected import (
     expected,
     planned,
 )
-from studiorecon.people.guessed import guessed, turned_round
 from studiorecon.people.fit_settings import Triangulated
+from studiorecon.people.guessed import guessed, turned_round
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_manifest

@@ -201,6 +201,6 @@ def radiance(
         )
         # Schlick's approximation: a varnish reflects little straight down and much at a grazing angle.
         cosine = np.abs(across) / np.linalg.norm(incoming, axis=1)
-        share = (surface.mirror[glossy] * (0.25 + 0.75 * (1 - cosine) ** 5))[:, None]
+        share = np.minimum(surface.mirror[glossy] * (0.25 + 0.75 * (1 - cosine) ** 5), 1.0)[:, None]
         colour[glossy] = colour[glossy] * (1 - share) + reflection * share
     return colour

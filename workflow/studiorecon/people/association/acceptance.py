@@ -26,6 +26,7 @@ from studiorecon.people.association.picture_change import (
     steps_m,
     view_shares,
 )
+from studiorecon.people.association.proportions import why_no_person
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -64,7 +65,7 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
     length = torso_m(group)
     if np.isfinite(length) and not limits.torso_m[0] <= length <= limits.torso_m[1]:
         return f"its torso would be {length:.2f} m long"
-    return ""
+    return why_no_person(group.points_m)
 
 
 def supports(

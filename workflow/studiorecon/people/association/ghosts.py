@@ -19,8 +19,9 @@ from studiorecon.scene.people import Detections
 # twice.
 _SAME_PLACE_M = 0.12
 # Somebody's joints, nose, ears, heels and toes leave their common plane by more than this, metres (root mean square;
-# the bundled body with its arms hanging by 69 mm). A poster's leave it by noise.
-_FLAT_M = 0.025
+# the bundled body with its arms hanging by 69 mm, filmed people by 84 to 270 mm). A poster's and a screen's leave it by
+# noise (filmed: 16 and 25 mm).
+_FLAT_M = 0.045
 _DEEP = ("nose", "left_ear", "right_ear", "left_heel", "right_heel", "left_big_toe", "right_big_toe")
 # Joints are averaged over so long before that, seconds: noise is no depth.
 _CALM_S = 0.25

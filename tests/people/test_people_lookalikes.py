@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What looks like people and is none, in pictures: filmed in the synthetic studio, found by the detector, and told from
+people by the rule that is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.people.association.proportions import shares, why_no_person
+
+from tests.made.cameras import STANDING
+from tests.made.lookalikes import FPS, SECONDS, dog, looked_at, panel, portrait
+
+FRAMES = round(FPS * SECONDS)
+
+
+@pytest.mark.slow
+def test_a_poster_of_somebody_has_no_depth(root: Path, tmp_path: Path) -> None:
+    poster = panel(portrait(1, 0.0), height_m=1.75, above_m=0.12)
+    seen = looked_at(1, lambda t: [], [poster], tmp_path, root)
+    assert seen.named(0) == seen.people == {"p0"}
+    assert "it has no depth: all its points lie in one plane" in seen.reasons
+
+
+@pytest.mark.slow
+def test_somebody_who_walks_on_a_screen_has_no_depth(root: Path, tmp_path: Path) -> None:
+    film = [portrait(0, t / FPS) for t in range(FRAMES)]
+    seen = looked_at(1, lambda t: [panel(film[t], height_m=1.6, above_m=0.3, glow=0.6)], [], tmp_path, root)
+    assert seen.named(0) == seen.people == {"p0"}
+    assert "it has no depth: all its points lie in one plane" in seen.reasons
+
+
+@pytest.mark.slow
+def test_somebody_s_image_in_a_mirror_is_not_a_second_person(root: Path, tmp_path: Path) -> None:
+    mirror = panel(np.full((240, 450, 3), 0.02), height_m=2.4, above_m=0.0, mirror=4.0)
+    seen = looked_at(1, lambda t: [mirror], [], tmp_path, root)
+    assert seen.named(0) == seen.people == {"p0"}
+    assert "it is what a mirror makes of somebody else" in seen.reasons
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("people", [0, 1])
+def test_a_dog_has_not_a_person_s_proportions(people: int, root: Path, tmp_path: Path) -> None:
+    def walking(t: int) -> list:
+        return dog((-0.2 + 0.6 * t / FRAMES, 0.5 + 0.3 * t / FRAMES), 0.5, float(np.sin(2 * np.pi * t / 8)))
+
+    seen = looked_at(people, walking, [], tmp_path, root)
+    assert seen.people == seen.named(0) == ({"p0"} if people else set())
+
+
+def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_told() -> None:
+    for size in (0.5, 1.0, 1.3):
+        assert why_no_person(size * STANDING[None] + np.zeros((5, 1, 1))) == ""
+    narrow = STANDING.copy()
+    for joint in ("shoulder", "hip"):
+        narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
+    told = why_no_person(np.repeat(narrow[None], 5, axis=0))
+    assert told.startswith("its proportions are not a person's, an animal's rather: shoulders 0.36, hips 0.20")
+
+
+def test_what_is_not_known_counts_neither_way() -> None:
+    hidden = np.repeat(STANDING[None], 6, axis=0)
+    hidden[:, [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
+    hidden[:4, STABLE_KEYPOINTS.index("left_knee")] = np.nan
+    assert set(shares(hidden)) == {"shoulders", "hips", "thighs"}
+    assert why_no_person(hidden) == ""
+    assert shares(np.full((6, 12, 3), np.nan)) == {}
