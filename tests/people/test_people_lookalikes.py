@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
-from studiorecon.people.association.proportions import shares, why_no_person
+from studiorecon.people.association.proportions import lengths_m, shares, why_no_person
+from studiorecon.studio.meshes import Mesh
 
 from tests.made.cameras import STANDING
 from tests.made.lookalikes import FPS, SECONDS, dog, looked_at, panel, portrait
@@ -42,10 +43,16 @@ def test_somebody_s_image_in_a_mirror_is_not_a_second_person(root: Path, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("people", [0, 1])
-def test_a_dog_has_not_a_person_s_proportions(people: int, root: Path, tmp_path: Path) -> None:
-    def walking(t: int) -> list:
-        return dog((-0.2 + 0.6 * t / FRAMES, 0.5 + 0.3 * t / FRAMES), 0.5, float(np.sin(2 * np.pi * t / 8)))
+@pytest.mark.parametrize(
+    ("people", "x_m", "y_m", "heading_rad"), [(0, -0.2, 0.5, 0.5), (1, -0.2, 0.5, 0.5), (0, -0.66, -0.42, 5.03)]
+)
+def test_a_dog_has_not_a_person_s_proportions(
+    people: int, x_m: float, y_m: float, heading_rad: float, root: Path, tmp_path: Path
+) -> None:
+    def walking(t: int) -> list[Mesh]:
+        ahead_m = 0.5 * t / FRAMES
+        place = x_m + ahead_m * np.cos(heading_rad), y_m + ahead_m * np.sin(heading_rad)
+        return dog(place, heading_rad, float(np.sin(2 * np.pi * t / 8)))
 
     seen = looked_at(people, walking, [], tmp_path, root)
     assert seen.people == seen.named(0) == ({"p0"} if people else set())
@@ -58,13 +65,25 @@ def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_tol
     for joint in ("shoulder", "hip"):
         narrow[[STABLE_KEYPOINTS.index(f"{side}_{joint}") for side in ("left", "right")], 1] *= 0.5
     told = why_no_person(np.repeat(narrow[None], 5, axis=0))
-    assert told.startswith("its proportions are not a person's, an animal's rather: shoulders 0.36, hips 0.20")
+    assert told.startswith(
+        "its proportions are not a person's, an animal's rather: shoulders 0.36 of its trunk, hips 0.20 of its trunk"
+    )
+
+
+def test_bones_that_change_their_length_count_as_one_thing_that_is_off() -> None:
+    rng = np.random.default_rng(0)
+    noisy = STANDING + rng.normal(0, 0.01, (20, 12, 3))
+    assert why_no_person(noisy) == ""
+    wavering = STANDING + rng.normal(0, 0.06, (20, 12, 3))
+    assert why_no_person(wavering) == "", "bad keypoints of somebody"
+    wavering[:, [STABLE_KEYPOINTS.index(f"{side}_shoulder") for side in ("left", "right")], 1] *= 0.4
+    assert "bones that change their length by" in why_no_person(wavering)
 
 
 def test_what_is_not_known_counts_neither_way() -> None:
     hidden = np.repeat(STANDING[None], 6, axis=0)
     hidden[:, [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]] = np.nan
     hidden[:4, STABLE_KEYPOINTS.index("left_knee")] = np.nan
-    assert set(shares(hidden)) == {"shoulders", "hips", "thighs"}
+    assert set(shares(lengths_m(hidden))) == {"shoulders", "hips", "upper arms", "forearms", "thighs"}
     assert why_no_person(hidden) == ""
-    assert shares(np.full((6, 12, 3), np.nan)) == {}
+    assert shares(lengths_m(np.full((6, 12, 3), np.nan))) == {}
