@@ -140,6 +140,7 @@ if PLAN.sight.plated:
             videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.plated, allow_missing=True),
             plates=collect("results/{scene}/plates/{camera}.png", camera=files.plated, allow_missing=True),
             body=files.body,
+            detections=files.detections,
         output:
             people="results/{scene}/people/people.tsv",
             silhouettes=directory("results/{scene}/people/silhouettes"),

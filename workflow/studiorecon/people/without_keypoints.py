@@ -18,7 +18,7 @@ from studiorecon.people.silhouettes.foreground import open_view
 from studiorecon.people.silhouettes.silhouette_people import find_standing, write_standing
 from studiorecon.progress import say, warn
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.people import add_people, read_people
+from studiorecon.scene.people import add_people, read_detections, read_people
 from studiorecon.signature import Written
 
 
@@ -38,12 +38,14 @@ def run(
     body: Path,
     people: Written,
     silhouettes: Written,
+    detections: list[Path] | None = None,
 ) -> None:
     """Write ``people``: the table ``associated`` of those with keypoints, and below them who has none.
 
     ``fits`` are the bodies of the former. ``videos`` and ``plates`` are those of the cameras whose clean plates the
     user brought. The folder ``silhouettes`` has <person>.npz for everybody without keypoints: where the
-    cameras show them, and where their fit starts.
+    cameras show them, and where their fit starts. What the detector saw of anybody in ``detections`` says which way
+    they face.
     """
     cameras = {camera.name: camera for camera in read_model(model.parent)}
     footage, body_model = read_manifest(manifest), BodyModel.load(body)
@@ -52,7 +54,9 @@ def run(
         open_view(cameras[video.stem], video, plate, settings.hull.foreground)
         for video, plate in zip(videos, plates, strict=True)
     ]
-    found = find_standing(views, known, body_model, footage.frames, footage.fps, settings.hull)
+    seen = [read_detections(path) for path in detections or []]
+    sizes = [cameras[d.camera].wh for d in seen]
+    found = find_standing(views, known, body_model, footage.frames, footage.fps, settings.hull, seen, sizes)
     add_people(
         associated, people, [(p.name, len(p.frames), ",".join(p.seen_by), p.start.agreement, "hull") for p in found]
     )

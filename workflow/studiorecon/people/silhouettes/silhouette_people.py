@@ -9,7 +9,7 @@ away.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,7 @@ from studiorecon.body.silhouettes import grown_outlines
 from studiorecon.configuration.setting import setting
 from studiorecon.people.silhouettes import hull, upright
 from studiorecon.people.silhouettes.contour import ContourSettings, Silhouette
-from studiorecon.people.silhouettes.facing import Facing
+from studiorecon.people.silhouettes.facing import Facing, across_of
 from studiorecon.people.silhouettes.foreground import ForegroundSettings, SilhouetteView, labels, pictures
 from studiorecon.people.silhouettes.hull import HullLimits, HullTrack
 from studiorecon.people.silhouettes.mask_video import FilmTargets, LabelFilm
@@ -31,7 +31,7 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.intermediate import as_written, read_arrays
-from studiorecon.scene.people import Person
+from studiorecon.scene.people import Detections, Person
 
 # Parts of the hull whose middle is this near to a person's are the person's: a leg apart; metres.
 _APART_M = 0.5
@@ -87,9 +87,11 @@ def find_standing(
     frames: int,
     fps: float,
     settings: HullSettings,
+    detections: Sequence[Detections] = (),
+    sizes: Sequence[tuple[int, int]] = (),
 ) -> list[SilhouettePerson]:
     """People who stand out from the plates of ``views`` and are not ``known``; named in order of appearance after
-    those."""
+    those. ``detections`` in pictures of ``sizes`` may say which way they face."""
     cameras = [v.camera for v in views]
     surface = Silhouette(body, cameras, settings.contour)
     lasting = _lasting(views, known, body, fps, settings)
@@ -97,7 +99,7 @@ def find_standing(
     first = max((int(p.name[1:]) for p in known), default=-1) + 1
     for track, (shown, extent_m) in zip(lasting, _silhouettes(lasting, views, known, body, settings)):
         places_m = np.array([_place(track, t) for t in shown])
-        walk = _walk(shown, places_m, fps)
+        walk = replace(_walk(shown, places_m, fps), sides=across_of(shown, cameras, detections, sizes))
         start = upright.shaped(surface, walk, upright.find(surface, walk, *extent_m))
         where = f"somebody without keypoints at ({track.places_m[0, 0]:.1f}, {track.places_m[0, 1]:.1f}) m"
         if start.agreement < settings.min_agreement:

@@ -9,7 +9,7 @@ how sure that is travels with the start.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,11 +38,13 @@ _ROOT_STEPS, _POSE_STEPS, _SHAPE_STEPS = 5, 14, 8
 
 @dataclass(frozen=True)
 class UprightWalk:
-    """Silhouettes by frame, where the hull stood then (2,), and the frame rate."""
+    """Silhouettes by frame, where the hull stood then (2,), the frame rate, and frame → (N, 3) from right to left where
+    the detector saw somebody in them."""
 
     targets: Mapping[int, Targets]
     places_m: Mapping[int, np.ndarray]
     fps: float
+    sides: Mapping[int, np.ndarray] = field(default_factory=dict)
 
     def place_m(self, frame: int) -> np.ndarray:
         return self.places_m[int(frame)]
@@ -51,7 +53,7 @@ class UprightWalk:
         """The frames within about half a second of ``frame``, at most one per ``_STEP_S``, so that a limb can be
         followed."""
         chosen = self._near(frame)
-        return UprightWalk({t: self.targets[t] for t in chosen}, self.places_m, self.fps)
+        return UprightWalk({t: self.targets[t] for t in chosen}, self.places_m, self.fps, self.sides)
 
     def way_m(self, frame: int) -> float:
         """How far the hull moves in those frames, end to end; walking tells the facing."""
@@ -156,7 +158,8 @@ def find(surface: Silhouette, walk: UprightWalk, floor_m: float, height_m: float
         state = surface.refine(
             state, walk.targets[frame], _POSE_STEPS, free="shape", reach_px=surface.settings.reach_px
         )
-        scored.append((witness(surface, window.targets, follow(surface, window, frame, state, both_legs=False)), state))
+        followed = follow(surface, window, frame, state, both_legs=False)
+        scored.append((witness(surface, window.targets, followed, walk.sides), state))
     seen, winner = max(scored, key=lambda pair: pair[0].nats)
     opposite = [w for w, state in scored if rotations.angle(state.local[0, 0], winner.local[0, 0]) > np.deg2rad(90)]
     return UprightFit(frame, winner, seen.outline, compare(seen, max(opposite, key=lambda w: w.nats, default=None)))
