@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same take at 120, 60, 30, 15 and 10 frames per second: ``python -m tests.bench.frame_rates``.
+"""The same take at 120, 60, 30, 15 and 10 frames per second: ``python -m tests.bench.frame_rates [--real DIR]``.
 
 Three people cross in the middle of the synthetic studio's room (``tests.bench.association``), filmed at 120 frames per
 second for three seconds; slower ones are every n-th of these pictures, with the same noise: 3 px, 10 % drop-outs, a
 false person in 5 % of the pictures. Per rate: tracks per camera, people, identities (share of detections under the
 right name), and joints of the fitted bodies against the truth at the pictures that all rates share. Prints a table and
 writes tests/bench/results/frame_rates.json.
+
+``--real DIR`` measures real pictures instead: every n-th picture of pose2sim_balancing, single and multi, at 60, 30, 15
+and 10 per second, through the whole workflow up to the bodies, the detector first. Who is found in which cameras, and
+how far joints are from those at 60 per second at the pictures that all rates share (after the one rigid motion between
+the refined rigs). DIR keeps the runs.
 """
 
 from __future__ import annotations
@@ -18,19 +23,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person
+from studiorecon.footage.source import decode, open_source
+from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.tracking import tracks, without_duplicates
 from studiorecon.people import associate, fit
 from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.fitting.points import lift, observations
 from studiorecon.report.metrics.identity_scores import identity_scores
-from studiorecon.scene.files import write_json
-from studiorecon.scene.people import Detections
+from studiorecon.scene.files import read_json, read_table, write_json
+from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, Person
 from studiorecon.studio.description import RESOURCES
 from studiorecon.studio.detections import detect
 from studiorecon.tracks import keypoints as detections
 
 from tests.bench.association import LAYOUT, NOISE, PEOPLE, Take, crossing, nearest
+from tests.bench.detector import DATA, ROOT, rigid_mm, workflow
 from tests.defaults import loaded
 
 RESULT = Path(__file__).resolve().parent / "results" / "frame_rates.json"
@@ -116,8 +126,60 @@ def true_joints(take: Take, frames: np.ndarray, body: BodyModel) -> list[np.ndar
     return out
 
 
+def thinned(take: str, every: int, folder: Path) -> Path:
+    """A dataset folder with every ``every``-th picture of a real take's videos."""
+    made = folder / f"{take}_{every}/videos"
+    made.mkdir(parents=True, exist_ok=True)
+    for video in sorted((DATA / f"pose2sim_balancing/{take}/videos").glob("*.mp4")):
+        if not (made / f"{video.stem}.mkv").exists():
+            source = open_source(video, 30.0)
+            kept = (picture for t, picture in enumerate(decode(source, 0, 0)) if t % every == 0)
+            write_lossless(made / f"{video.stem}.mkv", kept, source.fps / every)
+    return made.parent
+
+
+def real(take: str, folder: Path) -> list[dict[str, Any]]:
+    """One row per rate of a real take."""
+    told = yaml.safe_load((ROOT / f"tests/captures/pose2sim_{take}.yaml").read_text(encoding="utf-8"))
+    kept = {key: value for key, value in told.items() if not key.startswith(("keypoint", "plates"))}
+    kept["calibration"] = str(DATA / "pose2sim_balancing/calibration/Calib_scene.toml")
+    (folder / f"{take}.yaml").write_text(yaml.safe_dump(kept), encoding="utf-8")
+    rows: list[dict[str, Any]] = []
+    first: dict[str, Person] = {}
+    for every in (1, 2, 4, 6):
+        scene = f"{take}_at_{60 // every}"
+        given = {"dataset": str(thinned(take, every, folder)), "capture_yaml": str(folder / f"{take}.yaml")}
+        given |= {"scene": scene, "clocks": '{"sync": "never"}'}
+        people = folder / f"results/{scene}/people"
+        workflow(folder, [f"results/{scene}/people/people.tsv"], **given)
+        found = {r["person"]: r for r in read_table(people / "people.tsv", PEOPLE_COLUMNS) if r["status"] == "person"}
+        workflow(folder, [f"results/{scene}/people/{name}.npz" for name in found], **given)
+        bodies = {name: read_person(people / f"{name}.npz") for name in found}
+        first = first or bodies
+        off = {}
+        for name, body in bodies.items():
+            gaps = []
+            for other in first.values():
+                shared = np.arange(0, len(other.joints), 12)
+                both = shared[other.valid[shared] & body.valid[shared // every]]
+                gaps.append(rigid_mm(body.joints[both // every], other.joints[both]))
+            off[name] = round(min(gaps), 1)
+        rows.append({"fps": 60 / every, "cameras": {n: r["cameras"] for n, r in found.items()}, "joints_mm": off})
+        print(f"{take} at {60 / every:g} per second: {rows[-1]['cameras']}, joints off by {off} mm", flush=True)
+    return rows
+
+
 def main() -> None:
-    argparse.ArgumentParser(description=__doc__).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--real", type=Path, metavar="DIR")
+    folder = parser.parse_args().real
+    stored = read_json(RESULT) if RESULT.exists() else {}
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        for take in ("single", "multi"):
+            stored.setdefault("real", {})[take] = real(take, folder.resolve())
+            write_json(RESULT, stored)
+        return
     frames = round(FPS * SECONDS)
     take, reading = crossing(frames, FPS), loaded(detections.Settings)
     seen = seen_at_full_rate(take, frames, reading)
@@ -131,7 +193,7 @@ def main() -> None:
             f"{row['joints_mm']:.1f} mm  their error moves at "
             f"{row['error_speed_mm_s']:.0f} mm/s  association {row['association_s']:.1f} s"
         )
-    write_json(RESULT, {"people": PEOPLE, "seconds": SECONDS, "rates": rows})
+    write_json(RESULT, stored | {"people": PEOPLE, "seconds": SECONDS, "rates": rows})
 
 
 if __name__ == "__main__":
