@@ -2,8 +2,9 @@
 """Who is who across cameras, and everybody's body over time.
 
 In come cameras, detections and plates; out come ``people.tsv``, ``identities.tsv`` and one motion per person. Steps,
-in the order of the data: ``second_look`` (pictures once more, where ``expected`` says somebody must be),
-``lift`` (pelvises at the scene's depth, on request), ``associate``, ``without_keypoints``, ``fit``; for people to look
-at: ``review``, ``overlay``. Below them: ``association`` (tracks to persons), ``fitting`` (points to fit a body to),
-``silhouettes`` (people without keypoints). ``fit_settings``: settings of several steps.
+in the order of the data: ``second_look`` (pictures once more, where ``expected`` says somebody must be; where few
+cameras say it, by the metric guess, ``guessed``), ``lift`` (pelvises at the scene's depth, on request), ``associate``,
+``without_keypoints``, ``fit``; for people to look at: ``review``, ``overlay``. Below them: ``association`` (tracks to
+persons), ``fitting`` (points to fit a body to), ``silhouettes`` (people without keypoints). ``fit_settings``: settings
+of several steps.
 """

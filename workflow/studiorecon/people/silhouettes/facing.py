@@ -62,15 +62,12 @@ class Facing:
     def sentence(self) -> str:
         """What it rests on, for the log."""
         verdict = "sure" if self.determined else "undetermined, sure only"
+        off_deg = np.degrees(np.arctan2(np.sqrt(max(0.0, 1 - self.guess**2)), self.guess))
         return (
             f"facing {verdict} to {self.probability:.0%} (turned round, silhouettes agree "
             f"by {self.outline:.3f} less and feet by "
             f"{self.feet:.3f}; the person went {self.ahead_m:.2f} m ahead"
-            + (
-                f"; the detector's guess is {np.degrees(np.arccos(np.clip(self.guess, -1, 1))):.0f}° off)"
-                if self.guess
-                else ")"
-            )
+            + (f"; the detector's guess is {off_deg:.0f}° off)" if self.guess else ")")
         )
 
 
