@@ -345,6 +345,7 @@ def test_a_network_that_saw_the_held_out_cameras_is_declared(
             fits=[],
             detections=[],
             identities=[],
+            by_itself=[],
             recognition=nobody_recognised(tmp_path),
             metrics=tmp_path / "metrics.json",
             calibrator=calibrator,
@@ -375,6 +376,7 @@ def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
         fits=[],
         detections=[],
         identities=[],
+        by_itself=[],
         recognition=nobody_recognised(tmp_path),
         metrics=tmp_path / "metrics.json",
     )
@@ -569,6 +571,7 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
         fits=[],
         detections=[],
         identities=[],
+        by_itself=[],
         recognition=nobody_recognised(tmp_path),
         metrics=tmp_path / "metrics.json",
     )

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.footage.video import write_lossless
-from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.identities import score_against, score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.overlap import overlap
 from studiorecon.report.metrics.truth import TrueView
 from studiorecon.scene.people import Detections
 
@@ -78,3 +79,38 @@ def test_bodies_in_held_out_pictures_are_scored_where_they_can_be_seen(tmp_path:
     alone = score_bodies_in_pictures(views, [camera], {"p0": fitted["p0"]}, people, 0, FRAMES)
     assert alone["detection_rate"] == 0.5
     assert 0.3 < alone["pck_0.1"] < 0.7
+
+
+def test_association_by_itself_is_scored_against_the_users_own_table() -> None:
+    """The paper's manual annotation: names need not agree, who is nobody there is a false detection, and a track that
+    the table does not name counts nowhere."""
+    names = ("c0", "c1", "c2")
+    seen = [
+        Detections(
+            name, "smpl24", np.repeat(np.arange(FRAMES), 4), np.tile(np.arange(4), FRAMES), np.zeros((20, 24, 3))
+        )
+        for name in names
+    ]
+    annotated = {(name, track): ("anna", "ben", "")[track] for name in names for track in range(3)}
+    alike = {(name, track): ("p1", "p0", "")[track] for name in names for track in range(3)} | {("c0", 3): "p7"}
+    found = score_against(seen, annotated, alike)
+    assert (found["accuracy"], found["precision"], found["idf1"], found["reason"]) == (1.0, 1.0, 1.0, None)
+    assert (found["pairs"], found["detections"]) == (2 * 3 * FRAMES, 2 * 3 * FRAMES)
+    # Ben is left out in one camera, and a poster there is taken for him.
+    wrong = alike | {("c2", 1): "", ("c2", 2): "p0"}
+    found = score_against(seen, annotated, wrong)
+    assert found["accuracy"] == pytest.approx((3 + 1) / 6)
+    assert found["precision"] == pytest.approx((3 + 1) / 6)
+    assert score_against([], annotated, alike)["reason"] == "there are no detections"
+
+
+def test_cameras_overlap_as_the_papers_table_measures_it() -> None:
+    even = overlap(ring([10, 100, 190, 280], "c"))
+    assert even["training_cameras"] == 4
+    assert even["position_deg"] == pytest.approx(120, abs=0.5)
+    # Level, four axes of an even ring are a right angle apart; these look a little down, towards each other.
+    assert 80 < even["viewing_deg"] <= 90
+    near = overlap(ring([0, 17, 34], "c"))
+    assert near["position_deg"] == pytest.approx((17 + 17 + 34) / 3, abs=0.5)
+    assert near["viewing_deg"] < 17.5
+    assert overlap(ring([0], "c")) == {"training_cameras": 1, "position_deg": None, "viewing_deg": None}

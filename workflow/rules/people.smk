@@ -68,6 +68,30 @@ if PLAN.lifted:
             command("people.lift")
 
 
+if files.corrected:
+
+    # Who is who without the user's word, which it is then measured against.
+    use rule people_associate as people_by_itself with:
+        input:
+            model=MODEL,
+            manifest="results/{scene}/capture/manifest.json",
+            detections=files.compared,
+            videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
+            corrected=[],
+            calibration="results/{scene}/calibration/calibration.json",
+            found=files.found,
+            plates=files.own_plates,
+        output:
+            people="results/{scene}/people/by_itself/people.tsv",
+            identities="results/{scene}/people/by_itself/identities.tsv",
+            association="results/{scene}/people/by_itself/association.json",
+            who=directory("results/{scene}/people/by_itself/who"),
+        log:
+            "logs/{scene}/people/by_itself/associate.log",
+        benchmark:
+            "benchmarks/{scene}/people/by_itself/associate.tsv"
+
+
 if PLAN.sight.detected:
 
     # Who is who before the second look, which nobody's corrections are about.

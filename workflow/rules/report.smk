@@ -80,6 +80,7 @@ rule report_evaluate:
         fits=files.fits,
         detections=files.detections,
         identities=files.identities,
+        by_itself=files.by_itself,
         recognition="results/{scene}/report/recognition.json",
         truth=files.truth,
     output:

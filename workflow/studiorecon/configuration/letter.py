@@ -32,6 +32,9 @@ WITHOUT: Mapping[str, str] = {
 """Why a setting of which the paper speaks has no value that is its word."""
 
 BUT: Mapping[str, str] = {
+    "views.closed": "for cameras all around; before an arc it is false, which the survey's closed_path tells",
+    "humans.gaussians": "read where humans.placed is evenly: SMPL has as many vertices",
+    "people.lift.surface_to_joint_m": "read where the position is scene",
     "people.triangulation.solver": "points stay undetermined whose rays cross under 2° or that lie within 0.1 m of a "
     "camera: there noise moves the minimum of Eq. 2 by metres",
     "people.association.affinity": "σ_p 0.3 m and σ_θ 0.5 rad a joint are ours, the paper gives none",

@@ -238,6 +238,11 @@ class Files(Brought):
         looked = self.plan.networks.people_in_views and self.key_frames(wildcards)
         return [f"results/{wildcards.scene}/views/{wildcards.segment}.people.mkv"] if looked else []
 
+    def by_itself(self, wildcards: Any) -> list[str]:
+        """Who association says is who where the user's own table says otherwise; none without one."""
+        asked = self.corrected and self._somebody
+        return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
+
     def human_gaussians(self, wildcards: Any) -> list[str]:
         """Canonical Gaussians of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]

@@ -31,7 +31,7 @@ from studiorecon.report.metrics.definitions import NO_LPIPS, PROTOCOL, SEEN_BY, 
 from studiorecon.report.metrics.distance import TOO_SMALL, Net, no_flip, opened
 from studiorecon.report.metrics.films import first_frames
 from studiorecon.report.metrics.folders import digest
-from studiorecon.report.metrics.identities import score_bodies_in_pictures, score_identities
+from studiorecon.report.metrics.identities import score_against, score_bodies_in_pictures, score_identities
 from studiorecon.report.metrics.jitter import jitter
 from studiorecon.report.metrics.measures import (
     NAMES,
@@ -43,6 +43,7 @@ from studiorecon.report.metrics.measures import (
     summaries,
     unmeasured,
 )
+from studiorecon.report.metrics.overlap import overlap
 from studiorecon.report.metrics.truth import read_views, regions, true_joints
 from studiorecon.report.sections.pictures import truth_shares
 from studiorecon.scene.camera import Camera
@@ -200,6 +201,7 @@ def run(
     fits: list[Path],
     detections: list[Path],
     identities: list[Path],
+    by_itself: list[Path],
     recognition: Path,
     metrics: Written,
     truth: list[Path] | None = None,
@@ -210,7 +212,8 @@ def run(
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
     training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``recognition``
-    is whom a detector finds in the films, ``lpips`` is the folder of the weights of LPIPS, which runs on ``device``,
+    is whom a detector finds in the films, ``by_itself`` the table that association makes where ``identities`` is the
+    user's, ``lpips`` is the folder of the weights of LPIPS, which runs on ``device``,
     ``calibrator`` the network that found the cameras, held-out ones too, from a picture of each."""
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
     capture = read_manifest(manifest)
@@ -254,7 +257,8 @@ def run(
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
             "pck": read_json(recognition),
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
-            "identities": _identities(detections, identities, training, joints),
+            "identities": _identities(detections, identities, by_itself, training, joints),
+            "rig": overlap(training),
             "coverage": coverage(truth_maps),
             "definitions": definitions(settings.lpips),
             "provenance": provenance(asdict(settings), "exact truth" if exact is not None else "none"),
@@ -283,8 +287,16 @@ def _bodies_in_pictures(
 
 
 def _identities(
-    detections: Sequence[Path], identities: Sequence[Path], training: Sequence[Camera], joints: Mapping[str, np.ndarray]
+    detections: Sequence[Path],
+    identities: Sequence[Path],
+    by_itself: Sequence[Path],
+    training: Sequence[Camera],
+    joints: Mapping[str, np.ndarray],
 ) -> dict[str, Any]:
+    """Against the studio's truth, else what association finds by itself against the user's own table."""
+    if not joints and detections and identities and by_itself:
+        seen = [read_detections(path) for path in detections]
+        return score_against(seen, read_identities(identities[0]), read_identities(by_itself[0]))
     if not joints or not detections or not identities:
         return {
             "accuracy": None,

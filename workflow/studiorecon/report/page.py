@@ -222,6 +222,7 @@ def run(
     sheet_bgr = cv2.imread(str(sheet))
     assert sheet_bgr is not None
     body.append(sections.cameras(read_json(refinement), html.jpeg(sheet_bgr[..., ::-1], 1600)))
+    body.append(sections.overlap(measured["rig"]))
     body.append(sections.coverage(decided))
     body.append(verdicts.decisions(decided, spent))
     body.append(sweep_section.single(measured, spent, json.loads(budget)))

@@ -222,6 +222,18 @@ def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:
     return f"<p>{html.text(lead)}</p>" + html.table(["cameras", "share", ""], rows, numeric=(1,), raw=(2,))
 
 
+def overlap(rig: Mapping[str, Any]) -> str:
+    """How little the training cameras overlap, beside the paper's table; empty for a single camera."""
+    if rig["position_deg"] is None:
+        return ""
+    rows = [
+        ["training cameras", str(rig["training_cameras"]), "4", "3"],
+        ["between any two about the scene's middle", shown(rig["position_deg"], 0, "°"), "117 °", "17 °"],
+        ["from an optical axis to the nearest other", shown(rig["viewing_deg"], 0, "°"), "70 °", "28 °"],
+    ]
+    return html.table(["angle", "here", "the paper's captures", "its prior work's"], rows, numeric=(1, 2, 3))
+
+
 def costs(spent: Mapping[str, Any]) -> str:
     """Seconds per stage as bars, with memory and the rules on demand."""
     lead = "Wall seconds of all jobs of a stage, added up; stages may have run side by side."

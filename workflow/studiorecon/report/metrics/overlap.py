@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How little the training cameras overlap, as the paper's table of camera configurations has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from studiorecon.geometry.camera_path import azimuths_rad, scene_centre
+from studiorecon.scene.camera import Camera
+
+
+def overlap(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """``training_cameras``; ``position_deg``, the mean angle between every two of them about the middle of the scene
+    (U56), and ``viewing_deg``, the mean over cameras of the angle between their optical axis and the nearest other
+    one's; None for a single camera. Four on an even level ring: 120 and 90."""
+    if len(cameras) < 2:
+        return {"training_cameras": len(cameras), "position_deg": None, "viewing_deg": None}
+    azimuth = azimuths_rad(cameras, scene_centre(cameras))
+    apart = np.array([np.abs(np.angle(np.exp(1j * (a - b)))) for a, b in combinations(azimuth, 2)])
+    axes = np.array([camera.forward / np.linalg.norm(camera.forward) for camera in cameras])
+    # By atan2: the cosine of nearly parallel axes has no digits left.
+    sine = np.linalg.norm(np.cross(axes[:, None], axes[None]), axis=-1)
+    between = np.arctan2(sine, axes @ axes.T) + np.where(np.eye(len(cameras)), np.inf, 0)
+    return {
+        "training_cameras": len(cameras),
+        "position_deg": float(np.degrees(apart.mean())),
+        "viewing_deg": float(np.degrees(between.min(axis=1).mean())),
+    }
