@@ -8,8 +8,8 @@ Films three studios that differ in room, people and stand of the cameras, runs `
 about all three, and tests/bench/results/ablations.json: measures at the held-out cameras per studio and row, and the
 mean change over the studios. An interrupted run goes on where it was when DIR is given again.
 
-Not computed here: the paper's baselines and "without multi-view refinement" (bodies of one picture each, by a network),
-which need gated weights.
+Not computed here: the paper's baselines, which need gated weights. "Without multi-view refinement" needs a network's
+bodies: ``tests.bench.fused`` plants them.
 """
 
 from __future__ import annotations

@@ -177,13 +177,13 @@ def run(
     if alignment.model == "undetermined":
         raise UserError(
             f"nothing says how many metres a unit of {title} is in camera {camera}: in none of {len(predicted)} frames "
-            "are there enough pixels without people whose depth the first moment has; {_INSTEAD}"
+            f"are there enough pixels without people whose depth the first moment has; {_INSTEAD}"
         )
     gaps = [_gap(alignment.apply(depth, _NEAR_M), first_m) for depth in predicted.values()]
     if not (gap := float(np.median(gaps))) <= _WORST_GAP:
         raise UserError(
             f"{title} and the first moment's depth differ by {gap:.0%} in the median in camera {camera}: not the same "
-            "view; set people.association.position to rays"
+            f"view; {_INSTEAD}"
         )
     result = lifted(seen, predicted, first_m, alignment, own, settings.lift)
     known = int(np.isfinite(result.pelvis[:, 2]).sum()) if result.pelvis is not None else 0

@@ -56,7 +56,7 @@ def surface_of(
         return None
     among = body.proxy_vertices
     vertices = among[np.linspace(0, len(among) - 1, min(count or len(among), len(among))).astype(int)]
-    chosen = [_surest(person, d, identities, frames) if own else {} for d, own in zip(detections, seen)]
+    chosen = [surest(person, d, identities, frames) if own else {} for d, own in zip(detections, seen)]
     at_once, points_m, sigma_m = max(1, _AT_ONCE // len(vertices)), [], []
     for first in range(0, frames, at_once):
         span = range(first, min(first + at_once, frames))
@@ -74,7 +74,7 @@ def surface_of(
     return SurfacePoints(vertices, np.concatenate(points_m), np.concatenate(sigma_m))
 
 
-def _surest(
+def surest(
     person: str, found: Detections, identities: Mapping[tuple[str, int], str], frames: int
 ) -> dict[int, tuple[int, float]]:
     """Frame → which detection of the person has the surest keypoint there, and how sure it is; the first of equals."""
