@@ -111,7 +111,7 @@ def test_a_plan_shows_what_slurm_would_be_asked_for(tmp_path: Path) -> None:
         "--config",
         "dataset=resources/studio/tiny.yaml",
         "views={synthesizer: gen3c}",
-        "survey={force: {view_synthesis: 'on'}}",
+        "survey={force: {view_synthesis: 'on', closed_path: 'on'}}",
     )
     asked = {}
     for block in text.split("\nrule ")[1:]:
@@ -137,7 +137,12 @@ def test_kubernetes_is_planned_with_files_in_a_bucket(tmp_path: Path) -> None:
     }
     bucket = {"default-storage-provider": "fs", "default-storage-prefix": str(tmp_path / "bucket"), "cores": 8}
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(own | bucket))
-    text = planned(tmp_path, "--config", "dataset=resources/studio/tiny.yaml", "survey={force: {view_synthesis: 'on'}}")
+    text = planned(
+        tmp_path,
+        "--config",
+        "dataset=resources/studio/tiny.yaml",
+        "survey={force: {view_synthesis: 'on', closed_path: 'on'}}",
+    )
     assert "views_synthesize" in text
     assert "(storage)" in text or "bucket" in text
 

@@ -47,14 +47,18 @@ def test_held_out_cameras_are_not_trained_on(configured, capture, home):
     (capture / "capture.yaml").write_text("held_out: [left]\n")
     plan = make_plan(configured(), home)
     assert (plan.training, plan.held_out) == (["back", "right"], ["left"])
-    assert len(plan.segments) == len(plan.training) - (0 if configured()["views"]["closed"] else 1)
+    assert plan.segments == ["00", "01"]
     assert plan.shots == ["train", *plan.films]
     assert "heldout" in plan.films
 
 
-@pytest.mark.parametrize(("closed", "gaps"), [(True, ["00", "01", "02"]), (False, ["00", "01"])])
-def test_a_closed_ring_has_a_gap_more(configured, home, closed, gaps):
-    assert make_plan(configured(views={"closed": closed}), home).segments == gaps
+@pytest.mark.parametrize(
+    ("forced", "setting", "closed"),
+    [("", "auto", "auto"), ("", "never", "never"), ("on", "never", "always"), ("off", "always", "never")],
+)
+def test_a_forced_verdict_comes_before_the_setting(configured, home, forced, setting, closed):
+    force = {"closed_path": forced} if forced else {}
+    assert make_plan(configured(views={"closed": setting}, survey={"force": force}), home).closed == closed
 
 
 def test_the_detector_looks_where_no_keypoints_are_or_everywhere(configured, capture, home):

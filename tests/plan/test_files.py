@@ -44,8 +44,13 @@ def found(tmp_path: Path) -> dict[str, Any]:
     rows = [(name, 9, "left,right", 0.9, "keypoints") for name in ("p0", "p1")]
     write_people(tmp_path / "with.tsv", rows, [("x0", 1, "left", 0.1, "keypoints", "rejected", "no depth")])
     write_people(tmp_path / "all.tsv", [*rows, ("p2", 9, "left,right", 0.8, "hull")])
-    verdicts = {"view_synthesis": "on", "exposure": "on", "moving_shadows": "on", "dynamic_objects": "undetermined"}
+    verdicts = {"exposure": "on", "moving_shadows": "on", "dynamic_objects": "undetermined"}
+    parts = {name: {"value": 0.5, "verdict": verdict} for name, verdict in (("00", "on"), ("01", "off"), ("02", "on"))}
     decided = [{"effect": effect, "verdict": verdict} for effect, verdict in verdicts.items()]
+    decided += [
+        {"effect": "view_synthesis", "verdict": "on", "detail": {"parts": parts}},
+        {"effect": "closed_path", "verdict": "off", "detail": {"widest": "02"}},
+    ]
     (tmp_path / "decisions.json").write_text(json.dumps({"decisions": decided}))
     return {
         "people_associate": {"people": str(tmp_path / "with.tsv"), "who": "who"},
@@ -164,15 +169,36 @@ def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
 def test_verdicts_call_for_files_and_what_is_forced_asks_nobody(configured, home, tmp_path, found):
     files = files_of(configured(), home, Asked(tmp_path, **found))
     assert files.gains(SCENE) == ["results/capture/survey/gains.json"]
-    assert [Path(path).name for path in files.views(SCENE)] == [f"{s}.mkv" for s in files.plan.segments]
+    assert [Path(path).name for path in files.views(SCENE)] == ["00.mkv"], "01 needs none, 02 is where nobody stands"
     assert files.loose_objects(SCENE) == [], "undetermined is not on"
     assert files.room_light(SCENE) == ["results/capture/render/room.light.json"]
     assert files.room_shade(SCENE) == ["results/capture/render/room.shade.npz"]
     asked = Asked(tmp_path)
-    off = files_of(configured(survey={"force": {"exposure": "off", "view_synthesis": "on"}}), home, asked)
+    force = {"exposure": "off", "view_synthesis": "on", "closed_path": "on"}
+    off = files_of(configured(survey={"force": force}), home, asked)
     assert off.gains(SCENE) == []
     assert off.segments(SCENE) == off.plan.segments
     assert asked.asked == []
+
+
+@pytest.mark.parametrize(
+    ("force", "views", "segments"),
+    [
+        ({"closed_path": "on"}, {}, ["00", "02"]),
+        ({"closed_path": "off", "view_synthesis": "on"}, {}, ["00", "01"]),
+        ({"view_synthesis": "on"}, {"closed": "always"}, ["00", "01", "02"]),
+        ({"view_synthesis": "on"}, {}, ["00", "01"]),
+        ({}, {"closed": "never"}, ["00"]),
+        ({"view_synthesis": "off"}, {}, []),
+    ],
+)
+def test_views_are_made_between_those_neighbours_that_need_them(
+    configured, home, tmp_path, found, force, views, segments
+):
+    config = configured(survey={"force": force}, views=views)
+    assert files_of(config, home, Asked(tmp_path, **found)).segments(SCENE) == segments
+    unused = configured(survey={"force": force}, views=views, background={"views_share": 0.0})
+    assert files_of(unused, home, Asked(tmp_path)).segments(SCENE) == [], "nothing is made that nobody learns from"
 
 
 def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home, tmp_path):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision, forced, read_decisions, switched_on, write_decisions
 from studiorecon.survey import decide as step
@@ -21,7 +22,9 @@ from studiorecon.survey.coverage import (
     stage_points,
 )
 from studiorecon.survey.effects import CLOSED_PATH, EARLY, EFFECTS, EXPOSURE, PEOPLE, VIEW_SYNTHESIS
+from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.exposures import ExposureView
+from studiorecon.survey.judge import decided as of_effect
 
 from tests.made.survey import WH, decided, files, floor_view, ring, settings  # noqa: F401
 
@@ -77,6 +80,25 @@ class TestCoverage:
         almost = list(np.arange(0, 360, 360 / 11))
         assert (verdict(almost), verdict(almost, was_on=True)) == ("off", "on")
 
+    def test_every_gap_between_neighbours_is_decided_by_itself(self, settings: step.Settings) -> None:
+        """Close together but for two gaps, of 33 and of 80 degrees; the first was called for in an earlier run."""
+        cameras = ring([0, 20, 40, 60, 93, 173, 193, 213, 233, 253, 273, 293, 313, 333], focal_px=40)
+        views = [blank(camera) for camera in cameras]
+        nobody = tracks([], {}, [], 0, 0.0)
+        evidence = Evidence(Material(cameras, None, views, [], nobody, 0.0, 30.0), settings)
+
+        def on(*was_on: str) -> set[str]:
+            found = of_effect(VIEW_SYNTHESIS, evidence, VIEW_SYNTHESIS.threshold, was_on)
+            parts = found.detail["parts"]
+            assert found.value == max(part["value"] for part in parts.values())
+            return {name for name, part in parts.items() if part["verdict"] == "on"}
+
+        assert on() == {"04"}
+        assert on("view_synthesis/03") == {"03", "04"}
+
+    def test_the_widest_gap_is_named(self, settings: step.Settings) -> None:
+        assert decided(CLOSED_PATH, settings, [blank(c) for c in ring([0, 45, 90])]).detail == {"widest": "02"}
+
     @pytest.mark.parametrize(("azimuths", "verdict"), [([0, 90, 180, 270], "on"), ([0, 45, 90], "off")])
     def test_a_ring_is_closed_and_an_arc_is_not(
         self, azimuths: list[float], verdict: str, settings: step.Settings
@@ -127,6 +149,13 @@ class TestDecisions:
         ]
         write_decisions(tmp_path / "decisions.json", forced(made, {"face": "on"}))
         assert switched_on([tmp_path / "decisions.json"]) == {"exposure"}
+
+    def test_parts_that_were_on_are_known_too(self, tmp_path: Path) -> None:
+        detail = {"parts": {"00": {"value": 1, "verdict": "on"}, "01": {"value": 0, "verdict": "off"}}}
+        made = Decision("view_synthesis", "s", 1.5, (1.4, 1.6), 1.0, "on", "r", detail=detail)
+        for forced_, was in ((False, {"view_synthesis", "view_synthesis/00"}), (True, set())):
+            write_decisions(tmp_path / "decisions.json", [replace(made, forced=forced_)])
+            assert switched_on([tmp_path / "decisions.json"]) == was
 
 
 class TestStep:

@@ -42,7 +42,7 @@ PLANNED: dict[str, set[str] | None] = {
     # Another source is another rule's work.
     "depth.source": {"depth_refine"},
     "views.synthesizer": {"views_synthesize"},
-    "views.closed": {"views_path"},
+    "views.closed": set(),  # other gaps, not other views
     # An effect forced on is another network in the training of people.
     "survey.force": {"humans_train"},
     "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},

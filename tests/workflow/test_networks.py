@@ -21,7 +21,7 @@ def test_networks_jobs_take_the_place_of_the_stages_own(house: House, dataset: P
         "detect": {"source": "comotion"},
         "depth": {"source": "moge"},
         "views": {"synthesizer": "gen3c"},
-        "survey": {"force": {"view_synthesis": "on"}},
+        "survey": {"force": {"view_synthesis": "on", "closed_path": "on"}},
     }
     plan = on(house, dataset).plan("--configfile", house.overlay(**sections))
     assert {

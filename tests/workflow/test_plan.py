@@ -176,7 +176,8 @@ def test_a_captures_calibration_is_judged_on_request(house: House, dataset: Path
 
 
 def test_views_between_cameras_wait_for_the_survey_unless_it_is_forced(house: House, dataset: Path) -> None:
-    there, known = on(house, dataset), {"exposure": "off", "view_dependent_colour": "off"}
+    known = {"exposure": "off", "view_dependent_colour": "off", "closed_path": "on"}
+    there = on(house, dataset)
     target = f"results/{dataset.name}/background/scene.ply"
     plans = {
         verdict: there.plan(

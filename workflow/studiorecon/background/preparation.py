@@ -231,15 +231,15 @@ def read_views(
     if settings.views_share == 0 or not views:
         return []
     steps, _ = read_path(path)
-    segments = list(dict.fromkeys(step.segment for step in steps))
-    if not len(segments) == len(views) == len(supports):
-        raise UserError(
-            f"{path} has {len(segments)} segments, but there are {len(views)} view videos and "
-            f"{len(supports)} masks; make views again"
-        )
+    segments = {step.segment for step in steps}
+    if len(views) != len(supports):
+        raise UserError(f"there are {len(views)} view videos and {len(supports)} masks of {path}; make views again")
     targets = []
-    for segment, video, mask in zip(segments, views, supports):
-        own = [step for step in steps if step.segment == segment]
+    for video, mask in zip(views, supports):
+        # Gaps that need none have no video.
+        if video.stem not in segments:
+            raise UserError(f"{video} is of no segment of {path}; make views again")
+        own = [step for step in steps if step.segment == video.stem]
         targets += view_targets(own, read_stack(video, 0, len(own)), read_stack(mask, 0, len(own)), cameras, settings)
     return targets
 

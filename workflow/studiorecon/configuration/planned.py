@@ -134,10 +134,17 @@ class Masks:
 
 @dataclass(frozen=True)
 class Views:
-    """Where films of a network lie."""
+    """Where films of a network lie, and which gaps get views."""
 
     precomputed: str = setting(
         "", "Folder with <segment>.mkv or .mp4 (00, 01, …) of 1280×704 or the working size, one picture per view."
+    )
+    closed: Literal["auto", "always", "never"] = setting(
+        "auto",
+        "Views also in the widest gap between neighbours; auto = where the cameras surround the stage (effect "
+        "closed_path).",
+        paper="yes for 360°, an arc otherwise; U18, U55",
+        letter="auto",
     )
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -60,6 +60,27 @@ def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) 
     gaps = np.diff(np.concatenate([azimuth[order], azimuth[order[:1]] + 2 * np.pi]))
     start = int(np.flatnonzero(order == 0)[0]) if closed else (int(gaps.argmax()) + 1) % len(order)
     return [int(i) for i in np.roll(order, -start)], float(gaps.max())
+
+
+@dataclass(frozen=True)
+class Gap:
+    """From one camera to its neighbour around the scene: indices, and the angle between them about the centre."""
+
+    first: int
+    second: int
+    rad: float
+
+
+def gaps_around(cameras: Sequence[Camera]) -> list[Gap]:
+    """The gaps between neighbours once around the scene, counter-clockwise from the first camera on (U18).
+
+    A single camera is its own neighbour. Raises ValueError without a camera.
+    """
+    centre_m = scene_centre(cameras)
+    order, _ = order_around(cameras, centre_m, closed=True)
+    azimuth = azimuths_rad(cameras, centre_m)
+    pairs = zip(order, [*order[1:], order[0]])
+    return [Gap(a, b, float((azimuth[b] - azimuth[a]) % (2 * np.pi)) if a != b else 2 * np.pi) for a, b in pairs]
 
 
 def look_at(eye_m: Num[np.ndarray, " 3"], target_m: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:

@@ -12,7 +12,10 @@ from studiorecon.plan.decisions import Plan
 from studiorecon.plan.networks import networks_of
 from studiorecon.plan.refusals import refuse
 from studiorecon.plan.sight import sight_of
-from studiorecon.scene.names import checked_name
+from studiorecon.scene.names import checked_name, segment_name
+
+# What a verdict that was forced makes of views.closed.
+_CLOSED = {"on": "always", "off": "never"}
 
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
@@ -25,7 +28,6 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     scene = str(config["scene"]) or chosen.studio or dataset.folder.resolve().name
     checked_name(scene, "the scene", "name it with --config scene=NAME")
     given_body = beside(config["body"], home)
-    gaps = len(dataset.training) - (0 if config["views"]["closed"] else 1)
     source = config["calibration"]["source"]
     position, affinity = (config["people"]["association"][key] for key in ("position", "affinity"))
     written = [f"results/{scene}/calibration/network/{name}.txt" for name in ("cameras", "images")]
@@ -44,7 +46,8 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         lifted=dataset.people and position == "scene" and affinity != "pose",
         from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sight.watched)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
-        segments=[f"{i:02d}" for i in range(gaps)],
+        segments=[segment_name(number) for number in range(len(dataset.training))],
+        closed=_CLOSED.get(config["survey"]["force"].get("closed_path"), config["views"]["closed"]),
         films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],
         forced=config["survey"]["force"],
     )

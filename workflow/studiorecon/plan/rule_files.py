@@ -255,11 +255,12 @@ class Files(Brought):
 
     def verdict(self, effect: str, wildcards: Any) -> str:
         """What the survey says of one effect: on, off or undetermined; without asking it where ``survey.force`` has."""
-        if effect in self.plan.forced:
-            return self.plan.forced[effect]
+        return self.plan.forced.get(effect) or self._decided(effect, wildcards)["verdict"]
+
+    def _decided(self, effect: str, wildcards: Any) -> Mapping[str, Any]:
         decided = self.checkpoints.survey_decide.get(scene=self._scene(wildcards)).output.decisions
         decisions = json.loads(Path(decided).read_text(encoding="utf-8"))["decisions"]
-        return next(decision["verdict"] for decision in decisions if decision["effect"] == effect)
+        return next(decision for decision in decisions if decision["effect"] == effect)
 
     def gains(self, wildcards: Any) -> list[str]:
         """What the cameras' exposures are divided by: a file, where the survey calls for it."""
@@ -281,10 +282,20 @@ class Files(Brought):
         return [*self.gains(wildcards), *self.brightness(wildcards)]
 
     def segments(self, wildcards: Any) -> list[str]:
-        """Gaps between cameras that get new views; none unless the survey calls for views."""
-        if self.verdict("view_synthesis", wildcards) != "on":
+        """Gaps between cameras that get new views: those for which the survey calls for them, without the widest where
+        it leaves the stage open."""
+        forced = self.plan.forced.get("view_synthesis")
+        if forced == "off" or self.config["background"]["views_share"] == 0:
             return []
-        return self.plan.segments[: len(self.plan.segments) + len(self.training(wildcards)) - len(self.plan.training)]
+        chosen = self.plan.segments[: len(self.training(wildcards))]
+        if not forced:
+            parts = self._decided("view_synthesis", wildcards)["detail"].get("parts", {})
+            chosen = [name for name in chosen if parts.get(name, {}).get("verdict") == "on"]
+        if chosen and self.plan.closed != "always":
+            path = self._decided("closed_path", wildcards)
+            if self.plan.closed == "never" or path["verdict"] != "on":
+                chosen = [name for name in chosen if name != path["detail"]["widest"]]
+        return chosen
 
     def views(self, wildcards: Any) -> list[str]:
         """The new views of every segment."""

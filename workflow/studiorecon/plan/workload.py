@@ -72,7 +72,7 @@ def workload(footage: Footage, config: Mapping[str, Any]) -> dict[str, Work]:
     planes = sum(base / depth[name] for base, name in zip(_PLANE_STEPS_M, ("horizontal_step_m", "wall_step_m"))) / 2
     sweep_mpx = _mpx(width, height, depth["sweep_width"])
     refine_mpx = _mpx(width, height, depth["refine_width"])
-    gaps = max(training - (0 if views["closed"] else 1), 0)
+    gaps = max(training - (views["closed"] == "never"), 0)
     seeds = training * picture_mpx / room["stride"] ** 2
     gaussians = _gaussians(room, seeds)
     films = {shot: _pictures(shot, given, footage) for shot, given in config["render"]["shots"].items()}

@@ -98,10 +98,22 @@ def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
 def switched_on(earlier: Sequence[Path]) -> frozenset[str]:
     """Effects that an earlier run's files of decisions measured to be on, for the hysteresis; none of no files.
 
-    A forced verdict does not count: lifting the force must give what was measured.
+    Where parts of a scene are decided one by one, those that were on are among them (``part_of``). A forced verdict
+    does not count: lifting the force must give what was measured.
     """
-    made = [d for path in earlier for d in read_decisions(path).values()]
-    return frozenset(d.effect for d in made if d.called_for and not d.forced)
+    made = [d for path in earlier for d in read_decisions(path).values() if not d.forced]
+    parts = {
+        part_of(d.effect, name)
+        for d in made
+        for name, part in d.detail.get("parts", {}).items()
+        if part["verdict"] == "on"
+    }
+    return frozenset({d.effect for d in made if d.called_for} | parts)
+
+
+def part_of(effect: str, part: str) -> str:
+    """How a part of the scene that an effect decides on by itself is named among those that were on."""
+    return f"{effect}/{part}"
 
 
 def read_decisions(path: Path) -> dict[str, Decision]:

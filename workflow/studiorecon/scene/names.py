@@ -30,3 +30,8 @@ def checked_place(path: Path) -> Path:
     if found := [letter for letter in _NOT_IN_PATHS if letter in str(path)]:
         raise UserError(f"the path {str(path)!r} holds {found[0]!r}, which the workflow cannot bear; rename the folder")
     return path
+
+
+def segment_name(number: int) -> str:
+    """How the views between two neighbouring cameras are called: by their gap's number, once around the scene."""
+    return f"{number:02d}"

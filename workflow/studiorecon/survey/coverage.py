@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 
@@ -73,10 +74,7 @@ def from_two_sides(points_m: np.ndarray, cameras: Sequence[Camera], seen: np.nda
 
 def largest_gap_deg(cameras: Sequence[Camera]) -> float:
     """Largest azimuth between neighbouring cameras about what they look at, degrees; 360 for a single one."""
-    centre, _ = stage(cameras)
-    offsets = np.array([c.centre_m[:2] - centre for c in cameras])
-    azimuths = np.sort(np.degrees(np.arctan2(offsets[:, 1], offsets[:, 0])))
-    return float(np.diff(azimuths, append=azimuths[0] + 360).max())
+    return float(np.degrees(max(gap.rad for gap in gaps_around(cameras))))
 
 
 def mean_pair_deg(cameras: Sequence[Camera]) -> float:

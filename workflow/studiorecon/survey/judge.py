@@ -7,9 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from studiorecon.scene.decisions import Decision
+from studiorecon.scene.decisions import Decision, part_of
 from studiorecon.scene.effects import force, thresholds
 from studiorecon.survey.effects import EARLY
+from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Sampling
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ def judge(
     was_on: Collection[str] = (),
     force: Mapping[str, str] | None = None,
 ) -> list[Decision]:
-    """One decision for every effect that shows before training; ``was_on`` names those that an earlier run found.
+    """One decision for every effect that shows before training; ``was_on`` names those that an earlier run found,
+    and their parts (``scene.decisions.part_of``).
 
     An effect without a threshold in ``thresholds`` has its own. What an effect voids while it is on, it does not void
     where ``force`` has it off.
@@ -42,17 +44,7 @@ def judge(
     verdicts = force or {}
     made: dict[str, Decision] = {}
     for effect in EARLY:
-        limit = thresholds.get(effect.name, effect.threshold)
-        found = effect.measure(evidence, limit)
-        worded = replace(effect, statistic=effect.statistic.format(**asdict(evidence.sampling)))
-        made[effect.name] = worded.decide(
-            found.value,
-            found.interval,
-            found.reason,
-            threshold=limit,
-            was_on=effect.name in was_on,
-            detail=found.detail,
-        )
+        made[effect.name] = decided(effect, evidence, thresholds.get(effect.name, effect.threshold), was_on)
     by_name = {effect.name: effect for effect in EARLY}
     for effect in EARLY:
         for hiding in effect.hidden_by:
@@ -66,3 +58,15 @@ def judge(
                     reason=by_name[hiding].voids,
                 )
     return list(made.values())
+
+
+def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float, was_on: Collection[str]) -> Decision:
+    """The decision on one effect by itself, and in its detail those on the parts of the scene that it has."""
+    found = effect.measure(evidence, threshold)
+    worded = replace(effect, statistic=effect.statistic.format(**asdict(evidence.sampling)))
+    on, parts = effect.name in was_on, {}
+    for name, own in found.parts.items():
+        part = effect.decide(*own, "", threshold=threshold, was_on=part_of(effect.name, name) in was_on)
+        parts[name] = {"value": part.value, "verdict": part.verdict}
+    detail = {**found.detail, **({"parts": parts} if parts else {})}
+    return worded.decide(found.value, found.interval, found.reason, threshold=threshold, was_on=on, detail=detail)

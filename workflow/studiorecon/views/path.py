@@ -2,7 +2,7 @@
 """Where the new views look from: between every two neighbouring training cameras, in segments that share their ends.
 
 Writes ``views/path.json`` (``scene.path``): segments "00", "01", … of ``views_per_segment`` + 1 views each, all at
-frame 0.
+frame 0. Which of them are made the survey says.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ import numpy as np
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import axis_miss_rad, between, order_around, scene_centre
+from studiorecon.geometry.camera_path import axis_miss_rad, between, gaps_around, scene_centre
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import read_manifest
+from studiorecon.scene.names import segment_name
 from studiorecon.scene.path import PathStep, write_path
 from studiorecon.signature import Written
-
-# A ring with a wider gap is an arc: views in the middle of the gap see what no camera sees (U18).
-_WIDEST_GAP_RAD = np.radians(150.0)
 
 
 @dataclass(frozen=True)
@@ -39,12 +37,6 @@ class Settings:
         maximum=10000,
         paper="120, so L = 481 = 4·120 + 1, appendix A; U17",
         letter=120,
-    )
-    closed: bool = setting(
-        True,
-        "Also between the last and the first camera.",
-        paper="yes for 360°, an arc otherwise; U18, U55",
-        letter=True,
     )
     rotations: Literal["slerp", "look_at"] = setting(
         "slerp",
@@ -65,22 +57,14 @@ class Settings:
 
 def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], list[str]]:
     """All steps in flying order, and sentences on what had to be decided."""
-    centre_m = scene_centre(cameras)
-    order, gap_rad = order_around(cameras, centre_m, settings.closed)
-    ring = [cameras[i] for i in order]
-    pairs = list(zip(ring, [*ring[1:], ring[0]] if settings.closed else ring[1:]))
+    centre_m, gaps = scene_centre(cameras), gaps_around(cameras)
     notes = [
         f"the scene's centre is ({centre_m[0]:.2f}, {centre_m[1]:.2f}, {centre_m[2]:.2f}) m; cameras in order "
-        + ", ".join(c.name for c in ring)
+        + ", ".join(cameras[gap.first].name for gap in gaps)
     ]
-    if settings.closed and gap_rad > _WIDEST_GAP_RAD:
-        notes.append(
-            f"the widest gap is {np.degrees(gap_rad):.0f}°: views inside it rest on what no "
-            "camera sees; views.closed: false leaves it out"
-        )
     steps = []
-    for number, (start, end) in enumerate(pairs):
-        name = f"{number:02d}"
+    for number, gap in enumerate(gaps):
+        name, start, end = segment_name(number), cameras[gap.first], cameras[gap.second]
         views, bent = between(
             start,
             end,
@@ -97,7 +81,7 @@ def plan(cameras: list[Camera], settings: Settings) -> tuple[list[PathStep], lis
         steps += [PathStep(replace(view, name=f"{name}.{k:04d}"), 0.0, name) for k, view in enumerate(views)]
     if steps:
         miss = max(axis_miss_rad(step.camera, centre_m) for step in steps)
-        notes.append(f"{len(pairs)} segments; the optical axis leaves the centre by at most {np.degrees(miss):.0f}°")
+        notes.append(f"{len(gaps)} segments; the optical axis leaves the centre by at most {np.degrees(miss):.0f}°")
     return steps, notes
 
 

@@ -189,5 +189,5 @@ def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0
         raise UserError(
             f"at frame {found.frames[worst]} of the path the key frames show "
             f"{100 * found.coverage[worst]:.0f} % of the picture: GEN3C "
-            "would invent it; bring cameras nearer to one another or leave this segment out (views.closed: false)"
+            "would invent it; bring cameras nearer to one another or leave this segment out (views.closed: never)"
         )

@@ -4,21 +4,27 @@ ends."""
 
 from __future__ import annotations
 
-from studiorecon.survey.coverage import largest_gap_deg, mean_pair_deg
+import numpy as np
+
+from studiorecon.geometry.camera_path import gaps_around
+from studiorecon.scene.names import segment_name
+from studiorecon.survey.coverage import mean_pair_deg
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
-    """The widest gap between neighbours, seen from what they look at."""
+    """The widest gap between neighbours, seen from what they look at; views in the middle of a wide one would show what
+    no camera sees (U18)."""
     cameras = evidence.material.cameras
-    gap = largest_gap_deg(cameras)
+    gaps = np.degrees([gap.rad for gap in gaps_around(cameras)])
+    gap = float(gaps.max())
     around = "surround the stage" if gap <= threshold else "leave one side open"
     reason = (
         f"the cameras {around}: the widest gap is {gap:.0f} degrees, and any two are "
         f"{mean_pair_deg(cameras):.0f} degrees apart on average"
     )
-    return Measured(gap, (gap, gap), reason)
+    return Measured(gap, (gap, gap), reason, {"widest": segment_name(int(gaps.argmax()))})
 
 
 EFFECT = SurveyedEffect(
@@ -28,5 +34,6 @@ EFFECT = SurveyedEffect(
     threshold=150.0,
     paper="U18",
     on_above=False,
+    obeyed_by="the plan: with views.closed auto, the widest gap gets no new views unless on",
     measure=measure,
 )

@@ -22,12 +22,14 @@ class Measured:
         value, interval: the measurement; None when there was nothing to measure.
         reason: one sentence, which says why where there is no value.
         detail: numbers for who acts on the decision.
+        parts: where parts of the scene are decided one by one: name → value and interval of its own.
     """
 
     value: float | None
     interval: tuple[float, float] | None
     reason: str
     detail: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, tuple[float, tuple[float, float]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

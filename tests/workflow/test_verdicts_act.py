@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every verdict that can be forced acts, and on nothing else: the whole plan with one effect on, against the plan with
+all of them off.
+
+Whom association found is given (two people), and that the survey was there, because a plan ends where either must be
+asked; every verdict is forced.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import pytest
+from studiorecon.scene.people import write_people
+from studiorecon.survey.effects import ARTEFACTS, EFFECTS
+
+from tests.workflow.conftest import House, make_house
+
+# Off where nothing else is said; somebody must be there for most effects to act on.
+PLAIN = dict.fromkeys((effect.name for effect in EFFECTS if effect.acts), "off") | {"people": "on", "closed_path": "on"}
+# What has to be on for an effect to have something to act on.
+BESIDE = {"closed_path": {"view_synthesis": "on"}}
+AGAIN = {"rolling_shutter": ["--forcerun", "people_fit"]}
+PEOPLE, DECISIONS = "results/tiny/people/people.tsv", "results/tiny/survey/decisions.json"
+
+
+@dataclass(frozen=True)
+class Acts:
+    """Rules whose jobs are there only when the effect is on, and those that are told or given something else."""
+
+    on: frozenset[str]
+    otherwise: frozenset[str]
+
+
+def acts(on: str = "", otherwise: str = "") -> Acts:
+    """The page shows the configuration, whatever is forced."""
+    return Acts(frozenset(on.split()), frozenset([*otherwise.split(), "report_page"]))
+
+
+OF: Mapping[str, Acts] = {
+    "moving_cameras": acts(),  # within the survey: tests/survey
+    "people": acts(
+        on="people_review people_overlay masks_segment humans_train",  # those before the survey: test_plan
+        otherwise="cameras_held_out render_shot report_audit report_evaluate deliver_scene_glb deliver_export "
+        "deliver_player",
+    ),
+    "exposure": acts(otherwise="background_train humans_train enhance_shot deliver_player"),
+    "changing_light": acts(otherwise="masks_segment humans_train enhance_shot deliver_player"),
+    "rolling_shutter": acts(otherwise="people_fit survey_decide"),
+    "closed_path": acts(on="views_synthesize", otherwise="background_train"),
+    "view_synthesis": acts(on="views_synthesize", otherwise="background_train"),
+    "view_dependent_colour": acts(otherwise="background_train"),
+    "temporal_appearance": acts(otherwise="humans_train report_audit"),
+    "moving_shadows": acts(on="render_light render_shade", otherwise="render_shot deliver_player"),
+    "dynamic_objects": acts(on="objects_find", otherwise="masks_segment render_shot deliver_player deliver_scene_glb"),
+    "enhancement": acts(otherwise="enhance_shot"),
+    "injection": acts(otherwise="enhance_shot"),
+}
+
+Jobs = dict[tuple[str, str], str]
+
+
+def planned(house: House, *arguments: str) -> Jobs:
+    """(rule, log) → options of the step, for every job of a dry run."""
+    text = house.snakemake("--dry-run", "--cores", "2", "--printshellcmds", *arguments).stdout
+    commands = re.findall(r"^Shell command: python -m studiorecon (\S+) (.*)$", text, re.MULTILINE)
+    logs = [re.search(r"--log (\S+)", options) for _, options in commands]
+    return {
+        (step.replace(".", "_"), log[1] if log else ""): options
+        for (step, options), log in zip(commands, logs, strict=True)
+    }
+
+
+def outputs(house: House, *arguments: str) -> list[str]:
+    """Files that a dry run would make, in the order in which it would; jobs that have a message do not say theirs."""
+    text = house.snakemake("--dry-run", "--cores", "2", *arguments).stdout
+    return [name for line in re.findall(r"^    output: (.*)$", text, re.MULTILINE) for name in line.split(", ")]
+
+
+def made(house: House, names: Iterable[str]) -> None:
+    """The files and folders, empty, each younger than the one before."""
+    for name in names:
+        path = house.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix:
+            path.touch()
+        else:
+            path.mkdir(exist_ok=True)
+        moment = next(_MOMENTS)
+        os.utime(path, (moment, moment))
+
+
+_MOMENTS = itertools.count(int(time.time()) - 1000)
+
+
+def force(house: House, **verdicts: str) -> list[str]:
+    return ["--configfile", house.overlay(survey={"force": PLAIN | verdicts})]
+
+
+@pytest.fixture(scope="module")
+def surveyed(tmp_path_factory: pytest.TempPathFactory) -> House:
+    """A house in which two people are known and the scene is surveyed, as if everything before had run."""
+    house = make_house(tmp_path_factory.mktemp("surveyed") / "house", "resources/studio/tiny.yaml")
+    folder = "results/tiny/people"
+    made(house, [*outputs(house, PEOPLE), f"{folder}/identities.tsv", f"{folder}/association.json", f"{folder}/who"])
+    made(house, [f"{folder}/who/{name}" for name in ("p0.tsv", "p1.tsv", "readouts.json", "readouts.doubted.json")])
+    write_people(house.folder / PEOPLE, [(p, 9, "cam1,cam2", 1.0, "keypoints") for p in ("p0", "p1")])
+    made(house, [PEOPLE])
+    made(house, outputs(house, DECISIONS, *force(house)))
+    made(house, [DECISIONS, *(f"results/tiny/survey/{name}" for name in ARTEFACTS)])
+    told = [{"effect": "closed_path", "verdict": "off", "detail": {"widest": "01"}}]
+    (house.folder / DECISIONS).write_text(json.dumps({"decisions": told}))
+    made(house, [DECISIONS])
+    return house
+
+
+@pytest.fixture(scope="module")
+def plain(surveyed: House) -> Jobs:
+    return planned(surveyed, *force(surveyed))
+
+
+def test_every_effect_that_can_be_forced_is_listed() -> None:
+    assert set(OF) == set(PLAIN)
+
+
+@pytest.mark.parametrize("effect", OF)
+def test_on_and_off_differ_in_the_jobs_that_they_should(surveyed: House, plain: Jobs, effect: str) -> None:
+    beside, again = BESIDE.get(effect, {}), AGAIN.get(effect, [])
+    first = planned(surveyed, *again, *force(surveyed, **beside)) if beside or again else plain
+    other = "on" if PLAIN[effect] == "off" else "off"
+    second = planned(surveyed, *again, *force(surveyed, **beside, **{effect: other}))
+    on, off = (second, first) if other == "on" else (first, second)
+    assert off.keys() <= on.keys(), "what is not called for is left out, and nothing takes its place"
+    told = {job for job in on.keys() & off.keys() if on[job] != off[job]}
+    assert Acts(*(frozenset(rule for rule, _ in jobs) for jobs in (on.keys() - off.keys(), told))) == OF[effect]
+    if effect == "closed_path":
+        assert [log for _, log in on.keys() - off.keys()] == ["logs/tiny/views/01.log"], "the widest gap alone"
