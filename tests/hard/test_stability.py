@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -26,3 +27,9 @@ def test_the_page_shows_every_case() -> None:
     for case in stability.CASES:
         drawn = ElementTree.fromstring(stability.plot(case))
         assert len(drawn.findall("{http://www.w3.org/2000/svg}polyline")) == 2
+
+
+def test_every_family_of_hard_cases_is_shown() -> None:
+    table = (stability.DOCS / "hard-cases.md").read_text(encoding="utf-8")
+    families = set(re.findall(r"^## ([A-Z]): ", table, re.MULTILINE))
+    assert families == {letter for case in stability.CASES for letter in re.findall(r"\b([A-Z])\d", case.ids)}
