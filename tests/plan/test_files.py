@@ -118,7 +118,7 @@ def test_cameras_that_people_do_not_place_take_no_part(configured, capture, home
     written.write_text(json.dumps({"lenses": [{"name": name} for name in ("right", "left")]}))
     assert files.judged_cameras(SCENE) == ["left"]
     assert files.judged(SCENE) == files.heldout_film(SCENE) == ["heldout"]
-    closed = configured(survey={"force": {"view_synthesis": "on"}})
+    closed = configured(survey={"force": {"view_synthesis": "on", "closed_path": "on"}})
     fewer = files_of(closed, home, Asked(tmp_path, calibration_from_people={"calibration": str(written)}))
     assert len(fewer.segments(SCENE)) == len(fewer.plan.segments) - 1
 

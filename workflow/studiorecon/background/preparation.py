@@ -237,9 +237,10 @@ def read_views(
     targets = []
     for video, mask in zip(views, supports):
         # Gaps that need none have no video.
-        if video.stem not in segments:
+        segment = video.name.partition(".")[0]
+        if segment not in segments:
             raise UserError(f"{video} is of no segment of {path}; make views again")
-        own = [step for step in steps if step.segment == video.stem]
+        own = [step for step in steps if step.segment == segment]
         targets += view_targets(own, read_stack(video, 0, len(own)), read_stack(mask, 0, len(own)), cameras, settings)
     return targets
 
