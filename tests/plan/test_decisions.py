@@ -134,6 +134,12 @@ def test_forced_away_people_are_not_looked_for(configured, home):
     assert not plan.sight.timed
 
 
+def test_people_who_are_forced_are_looked_for_in_a_room_that_is_said_to_be_empty(configured, capture, home):
+    (capture / "capture.yaml").write_text("people: 0\n")
+    assert not make_plan(configured(), home).people
+    assert make_plan(configured(survey={"force": {"people": "on"}}), home).people
+
+
 def test_a_correction_in_the_configuration_counts_before_the_datasets(configured, capture, home):
     own = capture / "identities.tsv"
     own.touch()

@@ -34,7 +34,7 @@ def beside(path: str | Path, home: Path) -> str:
 
 
 def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
-    """What ``dataset`` names, without people where ``survey.force`` says so; UserError when there is none."""
+    """What ``dataset`` names, with people or without where ``survey.force`` says so; UserError when there is none."""
     given = Path(config["dataset"])
     if given.suffix in (".yaml", ".yml"):
         description = Path(beside(given, home))
@@ -44,6 +44,7 @@ def chosen_dataset(config: Mapping[str, Any], home: Path) -> ChosenDataset:
     else:
         capture_yaml = Path(config["capture_yaml"]) if config["capture_yaml"] else None
         chosen = ChosenDataset(open_dataset(given, capture_yaml), "", "")
-    if config["survey"]["force"].get("people") == "off":
-        return dataclasses.replace(chosen, dataset=dataclasses.replace(chosen.dataset, people=False))
-    return chosen
+    forced = config["survey"]["force"].get("people")
+    if forced is None:
+        return chosen
+    return dataclasses.replace(chosen, dataset=dataclasses.replace(chosen.dataset, people=forced == "on"))
