@@ -185,7 +185,9 @@ def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
     fitted = read_person(scene / f"people/{person}.npz")
     videos, masks = ([scene / f"{kind}/{camera.name}.mkv" for camera in cameras] for kind in ("capture", "masks"))
     label = read_people(scene / "people/people.tsv").index(person) + 1
-    crops = read_crops(settings, cameras, videos, masks, fitted, body, label, len(fitted.valid))
+    crops = read_crops(
+        settings, cameras, videos, masks, fitted, body, label, len(fitted.valid), Path(tempfile.gettempdir())
+    )
     changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
     steps = settings_module.load(
         TrainingSettings, default_settings("background", training=changes)["training"], "background"

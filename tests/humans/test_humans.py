@@ -313,7 +313,7 @@ def test_masks_cut_too_small_are_measured_and_teach_no_hole(cut_px: int, expecte
         )
     inset = mask_inset_px(looks, 1)
     assert expected[0] <= inset <= expected[1]
-    crop = judged(looks, 1, 1, 12, inset)[-1]
+    crop = list(judged(looks, 1, 1, 12, inset))[-1]
     hidden = (away < 25) & (away >= 25 - cut_px)
     if inset:
         assert (crop.verdict[hidden] != OUTSIDE).all()  # taken for background it would be carved away

@@ -15,8 +15,8 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
-from studiorecon.humans.crops import OUTSIDE, PERSON, Crop
-from studiorecon.humans.drift import decide_appearance, drifting_share, followed
+from studiorecon.humans.crops import OUTSIDE, PERSON, HeldCrop
+from studiorecon.humans.drift import decide_appearance, drifting_share, followed, moments
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.humans.surface_samples import gaussians_on, sample_surface
 from studiorecon.humans.train import Settings
@@ -151,7 +151,7 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
     joints = body.rest_joints(np.zeros(10))
     dressed = gaussians_on(samples, 0)
 
-    def crops_of(fading: bool) -> list[Crop]:
+    def crops_of(fading: bool) -> list[HeldCrop]:
         made = []
         for frame in range(CLIP):
             light = 0.8 - (0.6 * frame / (CLIP - 1) if fading else 0.3)
@@ -163,7 +163,9 @@ def filmed(root: Path, default_settings: Callable) -> Callable[..., float]:
                     Gaussians(means, quaternions, dressed.log_scales, dressed.logit_opacities, sh), camera, near_m=0.05
                 )
                 verdict = np.where(seen.alpha > 0.5, PERSON, OUTSIDE).astype(np.uint8)
-                made.append(Crop(frame, view, camera, to_bytes(seen.rgb + 0.5 * (1 - seen.alpha[..., None])), verdict))
+                made.append(
+                    HeldCrop(frame, view, camera, to_bytes(seen.rgb + 0.5 * (1 - seen.alpha[..., None])), verdict)
+                )
         return made
 
     def train(use: str, fading: bool = True) -> float:
@@ -211,3 +213,16 @@ def test_clothes_that_fade_are_learned(filmed: Callable) -> None:
 
 def test_a_person_who_does_not_change_is_left_alone(filmed: Callable) -> None:
     assert filmed("auto", fading=False) == filmed("never", fading=False)
+
+
+@pytest.mark.parametrize("frames", [1, 30, 240, 241, 1200, 9000])
+def test_a_long_clip_is_followed_in_runs_and_a_short_one_whole(frames: int) -> None:
+    found = moments(frames)
+    seen = found[found >= 0]
+    assert len(found) <= 250
+    assert (np.diff(seen) > 0).all()
+    assert (seen[0], seen[-1]) == (0, frames - 1)
+    # What stands beside one another in time is compared; two runs are kept apart by a moment that nobody sees.
+    beside = (found[1:] >= 0) & (found[:-1] >= 0)
+    assert (found[1:][beside] - found[:-1][beside] == 1).all()
+    assert len(seen) == min(frames, 240)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studiorecon.body.avatar.avatar_files import Avatar, write_avatar
 from studiorecon.body.model import BodyModel
-from studiorecon.humans.crops import IGNORED, Crop, judged, looks_of
+from studiorecon.humans.crops import IGNORED, HeldCrop, judged, looks_of
 from studiorecon.humans.result_cache import keep, mark_of, still_stands
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
@@ -31,7 +31,7 @@ def body(root: Path) -> BodyModel:
     return BodyModel.load(root / "resources/body.npz")
 
 
-def crops(body: BodyModel, neighbour_at: int) -> list[Crop]:
+def crops(body: BodyModel, neighbour_at: int) -> list[HeldCrop]:
     """One frame of person 1 in the middle of a picture, and of person 2, four columns from ``neighbour_at`` on."""
     pose = np.zeros((1, 72))
     pose[0, 0] = np.pi / 2
@@ -43,14 +43,14 @@ def crops(body: BodyModel, neighbour_at: int) -> list[Crop]:
     labels[:, neighbour_at : neighbour_at + 4] = 2
     picture = np.full((*CAMERA.hw, 3), 90, np.uint8)
     looks = looks_of(0, CAMERA, iter([picture]), iter([labels]), vertices, np.array([True]), 1, 4, 5)
-    return judged(looks, 1, 1, 3, 0)
+    return list(judged(looks, 1, 1, 3, 0))
 
 
 def test_only_what_happens_within_the_crop_counts(body: BodyModel, tmp_path: Path) -> None:
     fit = tmp_path / "p0.npz"
     fit.write_bytes(b"fit")
 
-    def mark(found: list[Crop], options: Options = Options(), code: str = "code", person: str = "p0") -> str:
+    def mark(found: list[HeldCrop], options: Options = Options(), code: str = "code", person: str = "p0") -> str:
         return mark_of(options, found, [fit], code, person)
 
     far, moved = crops(body, 2), crops(body, 8)

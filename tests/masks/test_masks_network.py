@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.masks import network
+from studiorecon.masks.given import identified
 from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.models.adapters import sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.settings import load
+
+from tests.made.scene import ring
 
 HW = (30, 40)
 
@@ -32,7 +36,8 @@ def test_a_person_may_be_several_numbers_in_turn_and_strangers_stay_strangers() 
         labels[t][body(4) > 0] = 3 if t < 2 else 9
         labels[t, 3:27, 19:27] = 5
         labels[t, 2:8, 34:38] = 7
-    masks, told = assigned(labels, depths, 2)
+    found, told = assigned(labels, depths, 2)
+    masks = np.stack(list(found))
     # Naive, one number to one person: from the third frame on p0 is nobody.
     assert (masks[:, 10, 6] == 1).all()
     assert (masks[:, 10, 22] == 2).all()
@@ -45,7 +50,7 @@ def test_without_people_everybody_is_a_stranger() -> None:
     labels = np.zeros((2, *HW), np.uint8)
     labels[:, 5:9, 5:9] = 1
     masks, told = assigned(labels, [np.zeros((0, *HW), np.float32)] * 2, 0)
-    assert set(np.unique(masks)) == {0, UNASSIGNED}
+    assert set(np.unique(list(masks))) == {0, UNASSIGNED}
     assert "none" in told
 
 
@@ -84,3 +89,29 @@ def test_the_film_of_numbers(
     numbers = read_stack(tmp_path / "cam1.tracks.mkv")
     assert numbers.shape == (3, *HW)
     assert numbers.max() == min(people, 254)
+
+
+def test_memory_does_not_grow_with_the_film() -> None:
+    """A thousand frames go through both passes one by one."""
+
+    class Again:
+        def __init__(self, make: Callable[[], np.ndarray]) -> None:
+            self.make = make
+
+        def __iter__(self) -> Iterator[np.ndarray]:
+            return (self.make() for _ in range(1000))
+
+    import scipy.optimize  # what it takes to import is not the film's
+
+    assert scipy.optimize
+    labels = Again(lambda: (body(4) > 0).astype(np.uint8))
+    tracemalloc.start()
+    for match in (
+        lambda: assigned(labels, Again(lambda: body(4)[None]), 1),
+        lambda: identified(labels, Again(lambda: body(4)[None]), 1, 0.2, ring([0], "cam", wh=HW[::-1])[0]),
+    ):
+        masks, _ = match()
+        assert all((mask[10, 6], mask[0, 0]) == (1, 0) for mask in masks)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1000 * HW[0] * HW[1] / 5

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
 
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.spool import Slot, Spool
 
 IGNORED, OUTSIDE, PERSON = 0, 1, 2
 
@@ -17,8 +19,7 @@ UNASSIGNED = 255  # foreground of nobody in particular, in mask videos
 _LEAST_INSET_PX = 1.5  # less is the fitted shape's own error
 
 
-@dataclass(frozen=True)
-class Crop:
+class Crop(Protocol):
     """One picture of one person.
 
     Attributes:
@@ -29,11 +30,47 @@ class Crop:
         verdict: (h, w) uint8: PERSON, OUTSIDE (nothing of the person here) or IGNORED (no telling).
     """
 
+    @property
+    def frame(self) -> int: ...
+    @property
+    def view(self) -> int: ...
+    @property
+    def camera(self) -> Camera: ...
+    @property
+    def rgb(self) -> np.ndarray: ...
+    @property
+    def verdict(self) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class HeldCrop:
+    """A crop in memory."""
+
     frame: int
     view: int
     camera: Camera
     rgb: np.ndarray
     verdict: np.ndarray
+
+
+@dataclass(frozen=True)
+class SpooledCrop:
+    """A crop whose pixels are read when they are looked at: those of a minute fill gigabytes."""
+
+    frame: int
+    view: int
+    camera: Camera
+    spool: Spool
+    picture: Slot
+    judged: Slot
+
+    @property
+    def rgb(self) -> np.ndarray:
+        return self.spool.get(self.picture)
+
+    @property
+    def verdict(self) -> np.ndarray:
+        return self.spool.get(self.judged)
 
 
 @dataclass(frozen=True)
@@ -141,12 +178,11 @@ def looks_of(
     label: int,
     margin_px: int,
     smallest_px: int,
-) -> list[TrainingCrop]:
+) -> Iterator[TrainingCrop]:
     """One camera's looks at one person: frames in which the body is valid and shows at least ``smallest_px`` pixels.
 
     ``vertices_m``, (V, 3) a frame, is the fitted body over time; pictures and labels are the camera's frames in order.
     """
-    looks = []
     for frame, (rgb, label_map, body_m) in enumerate(zip(pictures, labels, vertices_m)):
         if frame >= len(valid) or not valid[frame]:
             continue
@@ -158,13 +194,10 @@ def looks_of(
         left, top, right, bottom = box
         body = silhouette(pixels - [left, top], (bottom - top, right - left))
         picture = np.ascontiguousarray(rgb[top:bottom, left:right])
-        looks.append(
-            TrainingCrop(frame, view, cut(camera, box), picture, label_map[top:bottom, left:right].copy(), body)
-        )
-    return looks
+        yield TrainingCrop(frame, view, cut(camera, box), picture, label_map[top:bottom, left:right].copy(), body)
 
 
-def mask_inset_px(looks: Sequence[TrainingCrop], label: int) -> int:
+def mask_inset_px(looks: Iterable[TrainingCrop], label: int) -> int:
     """How far the masks' outlines lie inside the fitted body's, whole pixels; 0 below ``_LEAST_INSET_PX`` and where
     they lie outside.
 
@@ -185,9 +218,10 @@ def mask_inset_px(looks: Sequence[TrainingCrop], label: int) -> int:
     return round(inset) if inset >= _LEAST_INSET_PX else 0
 
 
-def judged(looks: Sequence[TrainingCrop], label: int, edge_px: int, occluder_px: int, inset_px: int) -> list[Crop]:
+def judged(
+    looks: Iterable[TrainingCrop], label: int, edge_px: int, occluder_px: int, inset_px: int
+) -> Iterator[HeldCrop]:
     """The crops that the looks make for the person that masks call ``label``."""
-    return [
-        Crop(k.frame, k.view, k.camera, k.rgb, judge(k.labels, k.body, label, edge_px, occluder_px, inset_px))
-        for k in looks
-    ]
+    for k in looks:
+        verdict = judge(k.labels, k.body, label, edge_px, occluder_px, inset_px)
+        yield HeldCrop(k.frame, k.view, k.camera, k.rgb, verdict)

@@ -16,16 +16,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.arrays import require
+from studiorecon.arrays import evenly_spread, require
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.humans.colours import in_view, nearest_surface, sampled
-from studiorecon.humans.crops import OUTSIDE, PERSON, Crop
+from studiorecon.humans.crops import OUTSIDE, PERSON, Crop, HeldCrop
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 
 _NOISE_RATIO, _MEMORY = 3.0, 0.3
+# Moments that are followed at most, in runs of successive ones: a longer clip would cost more and tell no more.
+_MOMENTS, _RUN = 240, 24
 _LEAST_FRAMES, _LEAST_POINTS = 12, 50
 # Nobody sees a shade that wanders by less than this (standard deviation, of 1).
 _VISIBLE = 2 / 255
@@ -44,16 +46,19 @@ def followed(
     normals: np.ndarray,
     spacing_m: float,
 ) -> np.ndarray:
-    """(N, T) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where
-    none does.
+    """(N, M) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where
+    none does. Columns are the ``moments`` of the clip.
 
     ``draw`` renders a crop, (h, w, 3) in 0..1; ``means_m`` and ``normals`` (N, 3) are canonical.
     """
-    sums, weights = np.zeros((len(means_m), len(motion.local))), np.zeros((len(means_m), len(motion.local)))
+    columns = {int(frame): column for column, frame in enumerate(moments(len(motion.local))) if frame >= 0}
+    sums = np.zeros((len(means_m), max(columns.values(), default=-1) + 1))
+    weights = np.zeros_like(sums)
     still = np.tile(np.array([1, 0, 0, 0], np.float32), (len(means_m), 1))
     nothing = np.zeros((len(means_m), 1, 3), np.float32)
     kernel = np.ones((2 * _OUTLINE_PX + 1, 2 * _OUTLINE_PX + 1), np.uint8)
-    for crop in crops:
+    for crop in (crop for crop in crops if crop.frame in columns):
+        column = columns[crop.frame]
         missing = (crop.rgb.astype(np.float32) / 255 - draw(crop)).mean(axis=2, keepdims=True)
         inner = cv2.erode((crop.verdict == PERSON).astype(np.uint8), kernel, borderType=cv2.BORDER_REPLICATE) > 0
         means = posing.out(np.asarray(means_m, np.float32), still, nothing, motion.transforms(crop.frame))[0].astype(
@@ -61,12 +66,23 @@ def followed(
         )
         pixels, depth_m = crop.camera.project(means)
         reach = int(np.ceil(spacing_m * np.mean(crop.camera.focal_px) / max(float(np.median(depth_m)), 0.1)))
-        trusted = Crop(crop.frame, crop.view, crop.camera, crop.rgb, np.where(inner, PERSON, OUTSIDE).astype(np.uint8))
+        verdict = np.where(inner, PERSON, OUTSIDE).astype(np.uint8)
+        trusted = HeldCrop(crop.frame, crop.view, crop.camera, crop.rgb, verdict)
         surface = nearest_surface(pixels, depth_m, crop.camera.hw, reach)
         index, at, weight = in_view(trusted, means, np.einsum("nab,nb->na", posing.turn, normals), surface)
-        sums[index, crop.frame] += weight * sampled(missing, at)[:, 0]
-        weights[index, crop.frame] += weight
+        sums[index, column] += weight * sampled(missing, at)[:, 0]
+        weights[index, column] += weight
     return np.where(weights > 0, sums / np.maximum(weights, 1e-12), np.nan)
+
+
+def moments(frames: int) -> np.ndarray:
+    """Frames that are followed, in order: all of a clip of 240, else ten runs of 24 from its beginning to its end, with
+    -1, a moment that nobody sees, between two runs."""
+    if frames <= _MOMENTS:
+        return np.arange(frames)
+    starts = evenly_spread(frames - _RUN + 1, _MOMENTS // _RUN)
+    runs = [np.r_[np.arange(start, start + _RUN), -1] for start in starts]
+    return np.concatenate(runs)[:-1]
 
 
 def drifting_share(residual: np.ndarray) -> Estimate:

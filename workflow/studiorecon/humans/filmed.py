@@ -1,57 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The crops of one person, from every camera's film and masks."""
+"""The crops of one person, from every camera's film and masks: cut out, spooled, and judged when all are known.
+
+Five bytes a pixel of every crop go to a file beside the training; memory holds one look at a time, however long the
+clip is.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.footage.video import read_frames
-from studiorecon.humans.crops import Crop, TrainingCrop, judged, looks_of, mask_inset_px
+from studiorecon.humans.crops import Crop, SpooledCrop, TrainingCrop, judged, looks_of, mask_inset_px
 from studiorecon.humans.train_settings import Settings
 from studiorecon.progress import say
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import NONE, Factors
 from studiorecon.scene.people import Person
+from studiorecon.scene.spool import Slot, Spool
 
 _FRAMES_AT_ONCE = 32
 
 
+@dataclass(frozen=True)
+class _Kept:
+    """A look without its pixels: whose they are, and where they lie."""
+
+    frame: int
+    view: int
+    camera: Camera
+    rgb: Slot
+    labels: Slot
+    body: Slot
+
+
+class _Looks:
+    """Looks that were spooled, read anew at every pass."""
+
+    def __init__(self, folder: Path) -> None:
+        self.spool, self.kept = Spool(folder), list[_Kept]()
+
+    def add(self, look: TrainingCrop) -> None:
+        slots = (self.spool.put(part) for part in (look.rgb, look.labels, look.body))
+        self.kept.append(_Kept(look.frame, look.view, look.camera, *slots))
+
+    def __iter__(self) -> Iterator[TrainingCrop]:
+        for k in self.kept:
+            yield TrainingCrop(k.frame, k.view, k.camera, *map(self.spool.get, (k.rgb, k.labels, k.body)))
+
+
 def read_crops(
     settings: Settings,
-    cameras: Sequence,
+    cameras: Sequence[Camera],
     videos: list[Path],
     masks: list[Path],
     fitted: Person,
     body_model: BodyModel,
     label: int,
     frames: int,
+    folder: Path,
     exposure: Factors = NONE,
 ) -> list[Crop]:
-    """Every camera's crops of the person that masks call ``label``, camera by camera, of one exposure and light."""
-    looks: list[TrainingCrop] = []
+    """Every camera's crops of the person that masks call ``label``, camera by camera, of one exposure and light; their
+    pixels lie in a file in ``folder`` until the process ends."""
+    looks = _Looks(folder)
     for view, (camera, video, mask) in enumerate(zip(cameras, videos, masks)):
-        pictures = exposure.even_all(camera.name, read_frames(video, 0, frames))
-        looks += looks_of(
+        for look in looks_of(
             view,
             camera,
-            pictures,
+            exposure.even_all(camera.name, read_frames(video, 0, frames)),
             read_frames(mask, 0, frames),
             _surface_over_time(body_model, fitted),
             fitted.valid,
             label,
             settings.margin_px,
             settings.smallest_px,
-        )
+        ):
+            looks.add(look)
     inset_px = mask_inset_px(looks, label)
     if inset_px:
         say(
             f"{fitted.name}: the masks end {inset_px} px inside the fitted body; what "
             "lies between is taken for the person"
         )
-    return judged(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)
+    crops: list[Crop] = []
+    verdicts = judged(looks, label, settings.additions.edge_px, settings.occluder_px, inset_px)
+    for kept, crop in zip(looks.kept, verdicts):
+        looks.spool.put_back(kept.labels, crop.verdict)
+        crops.append(SpooledCrop(kept.frame, kept.view, kept.camera, looks.spool, kept.rgb, kept.labels))
+    return crops
 
 
 def _surface_over_time(model: BodyModel, fitted: Person) -> Iterator[np.ndarray]:

@@ -177,7 +177,7 @@ def run(
         )
     even = read_factors(exposure or [], footage.frames)
     crops = read_crops(
-        settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames, even
+        settings, cameras, videos, masks, fitted, body_model, names.index(person) + 1, footage.frames, working, even
     )
     if not crops:
         raise UserError(

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
+from studiorecon.masks.tracks import overlaps
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.numbered import gaps_named, pictures_in
@@ -27,61 +29,88 @@ _MOST_LABELS = 32
 _LEAST_SHARE = 0.3
 
 
-def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> np.ndarray:
-    """(T, H, W) uint8 labels in working pixels, sampled at the nearest source pixel.
+@dataclass(frozen=True)
+class Given:
+    """Masks that the user brings, frame by frame in working pixels, read anew at every pass.
 
-    The masks must have the size of the source frames (or their shape: then they are scaled), and cover the frames in
+    Attributes:
+        path: video or folder.
+        chosen: which of its pictures are the frames in use, ascending.
+        columns, rows: (H, W) pixel of the picture that lies under each working pixel.
+        exact: its values are labels; else greys that say yes or no.
+    """
+
+    path: Path
+    chosen: Sequence[int]
+    columns: np.ndarray
+    rows: np.ndarray
+    exact: bool
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """(H, W) uint8 labels of every frame."""
+        wanted = iter(self.chosen)
+        at = next(wanted, None)
+        for number, picture in enumerate(pictures_of(self.path)):
+            while at == number:
+                label = picture[self.rows, self.columns]
+                yield label if self.exact else (label > 127).astype(np.uint8)
+                at = next(wanted, None)
+
+
+def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Given:
+    """The masks of a camera, sampled at the nearest source pixel.
+
+    They must have the size of the source frames (or their shape: then they are scaled), and cover the frames in
     use: either exactly those, or the whole source. Raises UserError naming the path and the remedy.
     """
     about = read_footage(footage)
     lens = lens_of(calibration, about.camera)
-    pictures = list(pictures_of(path))
-    if len(pictures) > max(about.used) and len(pictures) != frames:
-        pictures = [pictures[k] for k in about.used]
-    if len(pictures) != frames:
+    columns = rows = np.zeros(0, int)
+    occur: list[np.ndarray] = []
+    for picture in pictures_of(path):
+        if not occur:
+            columns, rows = _source_pixels(about, lens, (picture.shape[1], picture.shape[0]), path)
+        occur.append(np.bincount(picture[rows, columns].ravel(), minlength=256) > 0)
+    count = len(occur)
+    chosen = list(about.used) if count > max(about.used) and count != frames else list(range(count))
+    if len(chosen) != frames:
         raise UserError(
-            f"masks {path} hold {len(pictures)} pictures, but {frames} frames of camera "
+            f"masks {path} hold {count} pictures, but {frames} frames of camera "
             f"{about.camera} are in use; bring one mask for each"
         )
-    columns, rows = _source_pixels(about, lens, (pictures[0].shape[1], pictures[0].shape[0]), path)
-    labels = np.stack([picture[rows, columns] for picture in pictures])
-    values = np.unique(labels)
-    if len(values) > _MOST_LABELS:
-        return np.where(labels > 127, np.uint8(1), np.uint8(0))
-    return labels
+    values = np.any([occur[k] for k in chosen], axis=0)
+    return Given(path, chosen, columns, rows, int(values.sum()) <= _MOST_LABELS)
 
 
 def identified(
-    labels: np.ndarray, depths_m: Iterable[np.ndarray], people: int, gate_m: float, camera: Camera
-) -> tuple[np.ndarray, str]:
-    """(T, H, W) uint8 masks with this project's labels, and a sentence how they were matched.
+    labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int, gate_m: float, camera: Camera
+) -> tuple[Iterator[np.ndarray], str]:
+    """(H, W) uint8 masks with this project's labels, frame by frame, and a sentence how they were matched.
 
-    ``labels`` with one value say where somebody is: each pixel goes to the fitted body in front or nearest, within
-    ``gate_m``. Several values are identities: each goes to the person it lies on most, over all frames (one to one).
+    ``labels``, gone through twice, with one value say where somebody is: each pixel goes to the fitted body in front or
+    nearest, within ``gate_m``. Several values are identities: each goes to the person it lies on most, over all frames
+    (one to one). ``depths_m``: (K, H, W) of the bodies, frame by frame, gone through twice as well.
     """
     from scipy.optimize import linear_sum_assignment  # half a second to import, for the few who bring masks
 
-    values = [int(v) for v in np.unique(labels) if v > 0]
-    depths = list(depths_m)
+    sizes = sum((np.bincount(label.ravel(), minlength=256) for label in labels), np.zeros(256, np.int64))
+    values = [int(v) for v in np.flatnonzero(sizes) if v > 0]
     if not values or not people:
-        return np.where(labels > 0, np.uint8(_UNASSIGNED), np.uint8(0)), "they show nobody who was fitted"
+        unknown = (np.where(label > 0, np.uint8(_UNASSIGNED), np.uint8(0)) for label in labels)
+        return unknown, "they show nobody who was fitted"
     if len(values) == 1:
-        return np.stack(
-            [_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths)]
-        ), "bodies tell who is who"
-    fronts = np.stack([front_person(depth) for depth in depths])
-    overlap = np.array(
-        [[np.sum((labels == v) & (fronts == k + 1)) for k in range(people)] for v in values], dtype=np.float64
-    )
-    sizes = np.array([np.sum(labels == v) for v in values])
+        by_body = (_by_body(label > 0, depth, gate_m, camera) for label, depth in zip(labels, depths_m, strict=True))
+        return by_body, "bodies tell who is who"
+    overlap = overlaps(labels, depths_m, people)[values, 1:].astype(np.float64)
     table = np.zeros(256, np.uint8)
     table[values] = _UNASSIGNED
     matched = []
     for row, k in zip(*linear_sum_assignment(-overlap)):
-        if overlap[row, k] >= _LEAST_SHARE * sizes[row]:
+        if overlap[row, k] >= _LEAST_SHARE * sizes[values[row]]:
             table[values[row]] = k + 1
             matched.append(f"{values[row]} = p{k}")
-    return table[labels], "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")
+    told = "values were matched by overlap with the bodies: " + (", ".join(matched) or "none")
+    return (table[label] for label in labels), told
 
 
 def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Camera) -> np.ndarray:

@@ -25,7 +25,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
-from studiorecon.footage.video import read_frames, read_stack, to_float, write_lossless
+from studiorecon.footage.video import read_frames, to_float, write_lossless
 from studiorecon.images.regions import signed_distance_px, without_holes, without_islands
 from studiorecon.images.silhouette import front_person, mesh_depth
 from studiorecon.masks.detector_masks import DetectorMasks, seen_in
@@ -191,6 +191,45 @@ class Film:
         return self.light.even_all(self.camera, read_frames(self.video, 0, self.count))
 
 
+@dataclass(frozen=True)
+class Numbers:
+    """A network's numbers of every frame (H, W), read anew at every pass.
+
+    Raises UserError, as it is read, for a film of another size or number of frames.
+    """
+
+    film: Path
+    count: int
+    hw: tuple[int, int]
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        number = -1
+        for number, labels in enumerate(read_frames(self.film)):
+            if labels.shape != self.hw or number >= self.count:
+                break
+            yield labels
+        else:
+            if number + 1 == self.count:
+                return
+        raise UserError(
+            f"{self.film} is not of {self.count} frames of {self.hw[1]}×{self.hw[0]}, as the video is; run "
+            "masks.network again"
+        )
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Depth (K, H, W) of the fitted bodies of every frame, drawn anew at every pass."""
+
+    people: Sequence[Person]
+    body: BodyModel
+    camera: Camera
+    count: int
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return (body_depths(self.people, self.body, self.camera, frame) for frame in range(self.count))
+
+
 def segment(
     frames: Film | np.ndarray,
     plate_rgb: np.ndarray,
@@ -276,17 +315,12 @@ def run(
     labels: Iterable[np.ndarray]
     if given:
         brought = read_given(given[0], footage, calibration, frames)
-        depths = (body_depths(fits, body_model, own, t) for t in range(frames))
+        depths = Bodies(fits, body_model, own, frames)
         labels, told = identified(brought, depths, len(fits), settings.outline.gate_m, own)
         say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
     elif tracks:
-        numbers = read_stack(tracks[0])
-        if numbers.shape != (frames, *own.hw):
-            raise UserError(
-                f"{tracks[0]} is {numbers.shape}, but the video has {frames} frames "
-                f"of {own.hw}; run masks.network again"
-            )
-        labels, told = assigned(numbers, (body_depths(fits, body_model, own, t) for t in range(frames)), len(fits))
+        numbers = Numbers(tracks[0], frames, own.hw)
+        labels, told = assigned(numbers, Bodies(fits, body_model, own, frames), len(fits))
         say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate)

@@ -4,7 +4,7 @@ numbers in turn."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -15,18 +15,16 @@ UNASSIGNED = 255
 _LEAST_SHARE = 0.3
 
 
-def assigned(labels: np.ndarray, depths_m: Iterable[np.ndarray], people: int) -> tuple[np.ndarray, str]:
-    """(T, H, W) uint8 masks with this project's labels from a network's numbers (T, H, W), and a sentence how they were
-    matched.
+def assigned(
+    labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int
+) -> tuple[Iterator[np.ndarray], str]:
+    """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence how
+    they were matched.
 
-    ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that lie on nobody are 255.
+    ``labels`` are gone through twice. ``depths_m``: (K, H, W) depth of the fitted bodies, frame by frame. Numbers that
+    lie on nobody are 255.
     """
-    overlap = np.zeros((256, people + 1), np.int64)
-    for label, depth_m in zip(labels, depths_m):
-        front = front_person(depth_m) if people else np.zeros(label.shape, np.int64)
-        overlap += np.bincount(
-            label.astype(np.int64).ravel() * (people + 1) + front.ravel(), minlength=256 * (people + 1)
-        ).reshape(256, -1)
+    overlap = overlaps(labels, depths_m, people)
     sizes = overlap.sum(axis=1)
     table = np.zeros(256, np.uint8)
     matched = []
@@ -38,4 +36,19 @@ def assigned(labels: np.ndarray, depths_m: Iterable[np.ndarray], people: int) ->
             matched.append(f"{value} = p{best}")
     strangers = int(np.sum(table == UNASSIGNED))
     told = "numbers were matched by overlap with the bodies: " + (", ".join(matched) or "none")
-    return table[labels], told + (f"; {strangers} lie on nobody who was fitted" if strangers else "")
+    masks = (table[label] for label in labels)
+    return masks, told + (f"; {strangers} lie on nobody who was fitted" if strangers else "")
+
+
+def overlaps(labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int) -> np.ndarray:
+    """(256, 1 + people) pixels of all frames that have a number, on nobody and on the body of each person in front.
+
+    Raises ValueError when there are not as many ``labels`` (H, W) as ``depths_m`` (K, H, W).
+    """
+    overlap = np.zeros((256, people + 1), np.int64)
+    for label, depth_m in zip(labels, depths_m, strict=True):
+        front = front_person(depth_m) if people else np.zeros(label.shape, np.int64)
+        overlap += np.bincount(
+            label.astype(np.int64).ravel() * (people + 1) + front.ravel(), minlength=256 * (people + 1)
+        ).reshape(256, -1)
+    return overlap

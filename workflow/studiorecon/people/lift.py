@@ -8,7 +8,7 @@ breathes from frame to frame would move everybody (U22, D06).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from studiorecon.progress import progress, say
 from studiorecon.rig.first_depth import first_moment
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
+from studiorecon.scene.spool import Slot, Spool
 from studiorecon.signature import Place, Written
 
 _HIPS = ("left_hip", "right_hip")
@@ -102,7 +103,7 @@ def aligned_to_first(predicted: Mapping[int, np.ndarray], first_m: np.ndarray, s
     rng, nobody = np.random.default_rng(0), still(first_m.shape, seen.keypoints[seen.frame == 0])
     fits = [
         align_depth(depth, first_m, nobody & still(first_m.shape, seen.keypoints[seen.frame == frame]), rng)
-        for frame, depth in sorted(predicted.items())
+        for frame, depth in ((frame, predicted[frame]) for frame in sorted(predicted))
     ]
     return shared_alignment(fits)
 
@@ -140,6 +141,26 @@ def lifted(
     return replace(seen, pelvis=pelvis)
 
 
+class DepthMaps(Mapping[int, np.ndarray]):
+    """Depth maps (H, W) by frame, in a file in ``folder`` until the process ends."""
+
+    def __init__(self, folder: Path) -> None:
+        self._spool, self._slots = Spool(folder), dict[int, Slot]()
+
+    def put(self, frame: int, depth: np.ndarray) -> None:
+        """Add one frame's."""
+        self._slots[frame] = self._spool.put(depth)
+
+    def __getitem__(self, frame: int) -> np.ndarray:
+        return self._spool.get(self._slots[frame])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._slots)
+
+    def __len__(self) -> int:
+        return len(self._slots)
+
+
 def run(
     settings: Settings,
     camera: str,
@@ -156,7 +177,7 @@ def run(
     """Write one camera's ``detections`` with pelvises at the scene's depth.
 
     ``first``: depth (EXR, metres of the model ``found``) of the first moment; ``network``: a monocular one for the
-    later frames of ``video``. Depth maps of all frames with people are in memory at once: 4 bytes a pixel.
+    later frames of ``video``. Depth maps of all frames with people lie in a file meanwhile: 4 bytes a pixel.
     """
     cameras = read_model(model.parent)
     own = next((c for c in cameras if c.name == camera), None)
@@ -168,11 +189,10 @@ def run(
         return
     wanted, last = set(seen.frame.tolist()), int(seen.frame.max()) + 1
     monocular = load("monocular depth", network, weights, device)
-    predicted = {
-        t: monocular.depth(picture, own.focal_px[0])
-        for t, picture in enumerate(progress(read_frames(video, 0, last), f"depth of {camera}", total=last))
-        if t in wanted
-    }
+    predicted = DepthMaps(lifted_detections.parent)
+    for t, picture in enumerate(progress(read_frames(video, 0, last), f"depth of {camera}", total=last)):
+        if t in wanted:
+            predicted.put(t, monocular.depth(picture, own.focal_px[0]))
     title, alignment = card_of(network).title, aligned_to_first(predicted, first_m, seen)
     if alignment.model == "undetermined":
         raise UserError(

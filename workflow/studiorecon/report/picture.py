@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from studiorecon.footage.video import read_frame, read_stack
+from studiorecon.footage.video import read_frame, read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
@@ -37,8 +37,8 @@ def _row(pictures: list[np.ndarray], gap_px: int) -> np.ndarray:
 
 def run(videos: list[Path], film: Path, picture: Path, frame: int = 0, views: int = 3) -> None:
     """Write a JPEG with ``frame`` of every video above ``views`` pictures spread over the film."""
-    frames = read_stack(film)
-    chosen = [frames[i] for i in (np.arange(views) * len(frames)) // views + len(frames) // (2 * views)]
+    count = sum(1 for _ in read_frames(film))
+    chosen = [read_frame(film, int(i)) for i in (np.arange(views) * count) // views + count // (2 * views)]
     made = overview([read_frame(video, frame) for video in videos], chosen)
     with complete(picture) as partial:
         partial.write_bytes(jpeg(made, 85))

@@ -14,7 +14,8 @@ Here are nouns and the files they live in, and nothing of this package but error
 
 * ``outside``: the door for files of users, ``values``, ``numbered`` and ``names``: what may stand in them and in their
   names;
-* ``files``: files that are complete or absent; ``intermediate``: read back whole and finite; ``dataset`` and
+* ``files``: files that are complete or absent; ``intermediate``: read back whole and finite; ``spool``: arrays that are
+  too many for memory; ``dataset`` and
   ``capture_yaml``: what the user brings;
 * ``camera``, ``path``, ``clocks``, ``readouts``, ``capture``: cameras, camera paths, times, and the working footage;
 * ``raw_detections``, ``people``: who was detected, who is who, and bodies over time;

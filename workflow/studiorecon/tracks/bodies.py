@@ -8,7 +8,7 @@ on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,14 @@ def detections_of(
     )
 
 
+def in_use(bodies: Iterable[tuple[int, Bodies]], frames: int, what: str) -> Iterator[tuple[int, Bodies]]:
+    """The same, as they come; raises UserError for bodies of a frame that is not in use."""
+    for frame, found in bodies:
+        if not 0 <= frame < frames:
+            raise UserError(f"{what} has bodies at frame {frame}, but {frames} frames are in use; they count from 0")
+        yield frame, found
+
+
 def read_bodies(path: Path, estimator: type[BodyEstimator]) -> list[tuple[int, Bodies]]:
     """(frame, bodies) of a file (npz, or a .pt of tensors) with the network's own names, one row per person and frame.
 
@@ -139,18 +147,15 @@ def run(
     """
     about = read_footage(footage)
     estimator = estimator_of(settings.source)
+    bodies: Iterable[tuple[int, Bodies]]
     if given:
         bodies = read_bodies(given[0], estimator)
     else:
         network = load("body estimator", settings.source, weights, device)
         frames = progress(read_frames(video), f"frames of {camera}", total=about.frames)
-        bodies = list(enumerate(network.bodies(frames, np.array(about.intrinsics))))
-    if beyond := [frame for frame, _ in bodies if not 0 <= frame < about.frames]:
-        raise UserError(
-            f"{given[0] if given else camera} has bodies at frame {beyond[0]}, but "
-            f"{about.frames} frames are in use; they count from 0"
-        )
-    seen_in_pictures = detections_of(bodies, estimator.layout, about, settings)
+        bodies = enumerate(network.bodies(frames, np.array(about.intrinsics)))
+    within = in_use(bodies, about.frames, str(given[0]) if given else camera)
+    seen_in_pictures = detections_of(within, estimator.layout, about, settings)
     result = at_working_moments(seen_in_pictures, read_clocks(clocks), about.wh[1])
     if not len(result.frame):
         say(f"camera {camera}: nobody in any of {about.frames} frames")
