@@ -98,7 +98,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         detections=[],
         identities=[],
         by_itself=[],
-        recognition=nobody_recognised(folder / "report"),
+        recognition=[nobody_recognised(folder / "report")],
         metrics=folder / "report/metrics.json",
         lpips=lpips,
     )

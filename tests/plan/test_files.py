@@ -161,6 +161,7 @@ def test_an_empty_room_asks_nobody(configured, capture, home, tmp_path):
         files.room_light,
         files.room_shade,
         files.detections,
+        files.recognition,
     ):
         assert nothing(SCENE) == []
     assert asked.asked == []

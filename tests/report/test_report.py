@@ -346,7 +346,7 @@ def test_a_network_that_saw_the_held_out_cameras_is_declared(
             detections=[],
             identities=[],
             by_itself=[],
-            recognition=nobody_recognised(tmp_path),
+            recognition=[nobody_recognised(tmp_path)],
             metrics=tmp_path / "metrics.json",
             calibrator=calibrator,
         )
@@ -377,7 +377,7 @@ def test_without_held_out_cameras_nothing_is_scored_and_the_reason_is_told(
         detections=[],
         identities=[],
         by_itself=[],
-        recognition=nobody_recognised(tmp_path),
+        recognition=[nobody_recognised(tmp_path)],
         metrics=tmp_path / "metrics.json",
     )
     values = read_json(tmp_path / "metrics.json")["pictures"]["raw"]["psnr"]
@@ -572,7 +572,7 @@ def test_without_held_out_cameras_the_training_cameras_are_compared_apart(
         detections=[],
         identities=[],
         by_itself=[],
-        recognition=nobody_recognised(tmp_path),
+        recognition=[nobody_recognised(tmp_path)],
         metrics=tmp_path / "metrics.json",
     )
     metrics = read_json(tmp_path / "metrics.json")

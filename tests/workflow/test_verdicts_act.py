@@ -46,7 +46,8 @@ def acts(on: str = "", otherwise: str = "") -> Acts:
 OF: Mapping[str, Acts] = {
     "moving_cameras": acts(),  # within the survey: tests/survey
     "people": acts(
-        on="people_review people_overlay masks_segment humans_train",  # those before the survey: test_plan
+        # Those before the survey: test_plan.
+        on="people_review people_overlay masks_segment humans_train report_recognition",
         otherwise="cameras_held_out render_shot report_audit report_evaluate deliver_scene_glb deliver_export "
         "deliver_player",
     ),

@@ -81,7 +81,7 @@ rule report_evaluate:
         detections=files.detections,
         identities=files.identities,
         by_itself=files.by_itself,
-        recognition="results/{scene}/report/recognition.json",
+        recognition=files.recognition,
         truth=files.truth,
     output:
         metrics="results/{scene}/report/metrics.json",

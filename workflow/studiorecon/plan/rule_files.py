@@ -243,6 +243,10 @@ class Files(Brought):
         asked = self.corrected and self._somebody
         return [f"results/{self._scene(wildcards)}/people/by_itself/identities.tsv"] if asked else []
 
+    def recognition(self, wildcards: Any) -> list[str]:
+        """Whom the detector finds in the films; nothing where nobody is there to be found."""
+        return [f"results/{wildcards.scene}/report/recognition.json"] if self.people(wildcards) else []
+
     def human_gaussians(self, wildcards: Any) -> list[str]:
         """Canonical Gaussians of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.ply" for person in self.people(wildcards)]
