@@ -104,3 +104,10 @@ rule all:
         # Nobody was warned of anything, where that is asked for.
         collect("results/{scene}/report/strict.txt", scene=PLAN.scene if config["strict"] else []),
     localrule: True
+
+
+# A first look, with --configfile config/presets/look.yaml: one film, and nothing that is only measured, compared or handed on.
+rule look:
+    input:
+        collect("results/{scene}/enhance/{shot}.mp4", scene=PLAN.scene, shot=PLAN.first_film),
+    localrule: True

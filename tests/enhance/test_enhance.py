@@ -23,6 +23,7 @@ from studiorecon.models.protocols import Moment
 from studiorecon.recursive.clip import enhanced, for_path, loop_gain
 from studiorecon.render import shot as render_shot
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.factors import Factors, write_factors
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.path import PathStep, read_path
@@ -126,8 +127,21 @@ def test_a_film_of_another_length_or_size_is_refused(
 
 def test_training_renders_of_other_cameras_are_refused(scene: Path, settings: enhance_shot.Settings) -> None:
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    film, _, depth = options["train"]
     with pytest.raises(UserError, match="render the shot train again"):
-        enhance_shot.run(settings, **{**options, "train_path": scene / "render/heldout.json"})
+        enhance_shot.run(settings, **{**options, "train": [film, scene / "render/heldout.json", depth]})
+
+
+def test_a_film_that_stays_as_it_is_drawn_needs_no_photos(
+    scene: Path, settings: enhance_shot.Settings, tmp_path: Path
+) -> None:
+    options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    options |= {"train": [], "video": tmp_path / "out.mkv", "film": tmp_path / "out.mp4"}
+    options["decisions"] = tmp_path / "decisions.json"
+    plain = replace(settings, enhancer="none", injection=replace(settings.injection, history=0))
+    enhance_shot.run(plain, **options)
+    assert (read_stack(options["video"]) == read_stack(options["render"])).all()
+    assert {d.verdict for d in read_decisions(options["decisions"]).values()} == {"off"}
 
 
 def wall_depth(camera: Camera) -> np.ndarray:

@@ -141,6 +141,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory, root: Path, default_settings
 def shot_of(scene: Path, which: str) -> dict:
     """The options of ``enhance.shot`` on one of the two sets of renders."""
     options = enhance_options(scene, "heldout", ring([0, 90, 180, 270], "cam"))
+    options["train"] = [scene / which / path.name for path in options["train"]]
     return {
         key: scene / which / value.name if isinstance(value, Path) and value.parent.name == "render" else value
         for key, value in options.items()

@@ -202,6 +202,15 @@ def test_views_are_made_between_those_neighbours_that_need_them(
     assert files_of(unused, home, Asked(tmp_path)).segments(SCENE) == [], "nothing is made that nobody learns from"
 
 
+def test_photos_are_compared_where_something_may_be_added_to_films(configured, home):
+    plain = {"enhancer": "none", "injection": {**configured()["enhance"]["injection"], "history": 0}}
+    assert files_of(configured(enhance=plain), home).drawn_beside_photos(SCENE) == []
+    off = {"force": {"enhancement": "off", "injection": "off"}}
+    assert files_of(configured(survey=off), home).drawn_beside_photos(SCENE) == []
+    names = [Path(p).name for p in files_of(configured(), home).drawn_beside_photos(SCENE)]
+    assert names == ["train.mkv", "train.json", "train.depth.mkv"]
+
+
 def test_a_shot_names_its_path_its_stand_ins_and_its_reference(configured, home, tmp_path):
     for name in ("her.ply", "her.npz"):
         (tmp_path / name).touch()

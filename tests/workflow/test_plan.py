@@ -244,6 +244,21 @@ def test_the_default_dataset_is_the_demo() -> None:
     assert "dataset: resources/studio/demo.yaml" in (ROOT / "config/config.yaml").read_text()
 
 
+def test_a_first_look_makes_one_film_and_measures_nothing(house: House, dataset: Path) -> None:
+    (dataset / "capture.yaml").write_text("people: 0\nheld_out: [back]\n")
+    there = on(house, dataset)
+    off = dict.fromkeys(
+        ("exposure", "changing_light", "view_synthesis", "view_dependent_colour", "dynamic_objects"), "off"
+    )
+    overlays = [str(ROOT / "config/presets/look.yaml"), there.overlay(survey={"force": off})]
+    plan = there.plan("look", "--configfile", *overlays)
+    (dataset / "capture.yaml").unlink()
+    assert plan["render_shot"] == plan["enhance_shot"] == 1
+    assert plan["background_train"] == 1
+    assert not [rule for rule in plan if rule.split("_")[0] in ("report", "deliver")]
+    assert not {"enhance_comparison", "people_review"} & set(plan)
+
+
 def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House) -> None:
     film = "results/tiny/render/orbit.mkv"
     arguments = ("--dry-run", "--printshellcmds", "--cores", "2", film, "--config", f"dataset={house.dataset}")

@@ -6,9 +6,8 @@ rule enhance_shot:
         render="results/{scene}/render/{shot}.mkv",
         render_path="results/{scene}/render/{shot}.json",
         render_depth="results/{scene}/render/{shot}.depth.mkv",
-        train="results/{scene}/render/train.mkv",
-        train_path="results/{scene}/render/train.json",
-        train_depth="results/{scene}/render/train.depth.mkv",
+        # Film, path and depth of the training cameras, which tell what their photos show beyond it.
+        train=files.drawn_beside_photos,
         model=MODEL,
         manifest="results/{scene}/capture/manifest.json",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),

@@ -65,11 +65,12 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = word("demo", _demo, "film a synthetic studio and reconstruct it: minutes, and needs no data")
     doctor = word("doctor", _doctor, "look at calibration, clocks, exposures and coverage before anything expensive")
+    look = word("look", _look, "a first look at a capture: one small film, and nothing else")
     run = word("run", _run, "reconstruct a capture: films, page and files for other tools")
     plan = word("plan", _plan, "say where to put cameras in a room, or which of a capture's to move, with a picture")
     view = word("view", _view, "show a finished scene's page in the browser", runs=False)
     settings = word("settings", _settings, "print every setting with its meaning and default", runs=False)
-    for made in (doctor, run):
+    for made in (doctor, look, run):
         made.add_argument(
             "folder",
             type=Path,
@@ -162,6 +163,11 @@ def first_findings(folder: Path) -> Iterator[str]:
         )
         about.append({"camera": camera, **light, "fps": seen.fps, "rotation_deg": seen.rotation_deg})
     yield from of_footage(about) if about else ()
+
+
+def _look(options: argparse.Namespace) -> int:
+    options.preset = "look"
+    return _snakemake("look", _capture(options.folder), options, "enhance/orbit.mp4")
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -57,9 +57,7 @@ def run(
     render: Path,
     render_path: Path,
     render_depth: Path,
-    train: Path,
-    train_path: Path,
-    train_depth: Path,
+    train: list[Path],
     model: Path,
     manifest: Path,
     videos: list[Path],
@@ -74,7 +72,8 @@ def run(
     exposure: list[Path] | None = None,
     earlier: list[Path] | None = None,
 ) -> None:
-    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train*`` its renders.
+    """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train`` its render:
+    film, path and depth, or nothing, where the film stays as it is drawn.
 
     Photos are divided by the gains and the light that ``exposure`` names, as the training pictures were: a residual
     would carry steps of exposure from camera to camera into the film. What was decided, and why, goes to ``decisions``;
@@ -95,8 +94,22 @@ def run(
         say(f"shot {shot}: the pictures are those of {made[0]}")
         write_decisions(decisions, [])
         return
+    drawn = Drawn(steps, render, render_depth, truth[0] if truth else None)
+    if not train:
+        _write(writers, drawn.pictures(), shot, len(steps))
+        say(f"shot {shot}: the film is the render; enhance.enhancer is none and nothing is injected")
+        left_out = [settled(ENHANCEMENT, False, "enhance.enhancer is none")]
+        left_out.append(settled(INJECTION, False, "enhance.injection.history is 0"))
+        write_decisions(decisions, forced(left_out, settings.force))
+        return
+    photographed, photographed_path, photographed_depth = train
     training = training_of(
-        read_model(model.parent), read_path(train_path)[0], videos, train, train_depth, capture.frames
+        read_model(model.parent),
+        read_path(photographed_path)[0],
+        videos,
+        photographed,
+        photographed_depth,
+        capture.frames,
     )
     training = replace(training, exposure=read_factors(exposure or [], capture.frames))
     was_on = switched_on(earlier or [])
@@ -109,7 +122,6 @@ def run(
         return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
-    drawn = Drawn(steps, render, render_depth, truth[0] if truth else None)
     injection, called = chosen_injection(settings, drawn, reference, enhancer, search, INJECTION.name in was_on)
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     write_decisions(decisions, [enhancement, called])

@@ -75,6 +75,11 @@ class Plan:
         return list(self.dataset.held_out)
 
     @property
+    def first_film(self) -> list[str]:
+        """The film of a first look: the first that is not only there to be measured."""
+        return [film for film in self.films if film != "heldout"][:1] or self.films[:1]
+
+    @property
     def shots(self) -> list[str]:
         """Every film, and "train": the training cameras themselves, which enhancement and report compare with the
         photos."""

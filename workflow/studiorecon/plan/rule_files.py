@@ -10,6 +10,7 @@ from typing import Any
 
 from studiorecon.plan.brought import Brought
 from studiorecon.plan.decisions import Plan
+from studiorecon.plan.told import section
 from studiorecon.scene.people import read_people
 
 
@@ -254,6 +255,14 @@ class Files(Brought):
     def human_avatars(self, wildcards: Any) -> list[str]:
         """Skinning and motion of every person."""
         return [f"results/{wildcards.scene}/humans/{person}.npz" for person in self.people(wildcards)]
+
+    def drawn_beside_photos(self, wildcards: Any) -> list[str]:
+        """Film, path and depth of the training cameras, which an enhancer compares with their photos; none where films
+        stay as they are drawn."""
+        told = section("enhance.shot", self.config)
+        if told["enhancer"] == "none" and not told["injection"]["history"]:
+            return []
+        return [f"results/{wildcards.scene}/render/train.{kind}" for kind in ("mkv", "json", "depth.mkv")]
 
     # ---- what the survey decided ----
 
