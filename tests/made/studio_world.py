@@ -32,6 +32,7 @@ PLANTED: Mapping[str, dict] = {
     "people": {"people": 0},
     "exposure": {"gain": 1.03},
     "changing_light": {"light": 0.06},
+    "defocus": {"edges": 0.12, "blur_px": 1.2},
     "lens_distortion": {"k1": 0.06},
     "sync_offset": {"lag_frames": 0.5},
     "rolling_shutter": {"readout": 0.9},
@@ -65,6 +66,8 @@ class Plan:
     gloss: float = 0.0
     shadow: float = 0.0
     ball_px: float = 0.0
+    edges: float = 0.0
+    blur_px: float = 0.0
     known_depth: bool = True
     texture: float = 1.0
 
@@ -108,8 +111,8 @@ def surface(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return origin + depth[..., None] * rays, depth
 
 
-def paint(points: np.ndarray, rng_seed: int, texture: float) -> np.ndarray:
-    """(h, w, 3) colours of room points: waves of 2 m down to 0.4 m."""
+def paint(points: np.ndarray, rng_seed: int, texture: float, edges: float = 0.0) -> np.ndarray:
+    """(h, w, 3) colours of room points: waves of 2 m down to 0.4 m, and tiles of 0.6 m that differ by ``edges``."""
     rng = np.random.default_rng([rng_seed, 1])
     colour = np.full(points.shape, 0.45)
     for length_m, height in ((2.0, 0.1), (1.0, 0.06), (0.4, 0.03)):
@@ -117,7 +120,16 @@ def paint(points: np.ndarray, rng_seed: int, texture: float) -> np.ndarray:
             wave = rng.normal(size=3)
             wave *= 2 * np.pi / length_m / np.linalg.norm(wave)
             colour += texture * height * np.sin((points @ wave)[..., None] + rng.uniform(0, 6, 3))
-    return colour
+    # Off the walls' own planes, where rounding would choose the tile.
+    tile = np.floor((points + 0.131) / 0.6).sum(axis=-1, keepdims=True) % 2
+    return colour + edges * (tile - 0.5)
+
+
+def out_of_focus(picture: np.ndarray, plan: Plan, view: int) -> np.ndarray:
+    """The picture of the third camera, which alone is blurred by ``blur_px`` of a width of 288."""
+    if not plan.blur_px or view != 2:
+        return picture
+    return cv2.GaussianBlur(picture, (0, 0), plan.blur_px * picture.shape[1] / WH[0])
 
 
 def highlight(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
@@ -180,7 +192,9 @@ def scene(seed: int, **planted: object) -> Material:
     for view, camera in enumerate(cameras):
         points, depth = surface(camera)
         gain = plan.gain if view == 1 else 1.0
-        plate = (paint(points, seed, plan.texture) + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+        plate = paint(points, seed, plan.texture, plan.edges)
+        plate = (plate + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+        plate = out_of_focus(plate, plan, view)
         noisy = np.clip(plate + rng.normal(0, NOISE_LEVELS / 255 / 4, plate.shape), 0, 1).astype(np.float32)
         known = np.ones(camera.hw, bool)
         depth = depth if plan.known_depth else 0 * depth
@@ -194,7 +208,9 @@ def _film(plan: Plan, seed: int, camera: Camera, view: int, rng: np.random.Gener
     small = camera.resized(WH)
     points, _ = surface(small)
     gain = plan.gain if view == 1 else 1.0
-    empty = (paint(points, seed, plan.texture) + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+    empty = paint(points, seed, plan.texture, plan.edges)
+    empty = (empty + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+    empty = out_of_focus(empty, plan, view)
     pictures, free = [], []
     floor = points[..., 2] < 1e-6
     for t in PICTURES:
