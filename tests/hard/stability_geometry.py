@@ -14,7 +14,7 @@ from studiorecon.geometry.scale import fit_scale
 from studiorecon.geometry.smoothing import smooth_rotations, smooth_vectors
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.people.association.postures import joint_differences_rad
-from studiorecon.report.metrics.motion import rotation_jitter
+from studiorecon.report.metrics.jitter import rotation_jitter
 
 from tests.hard.stability_case import Case
 from tests.made.scene import ring

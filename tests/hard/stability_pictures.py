@@ -14,10 +14,10 @@ from studiorecon.body.avatar.encoding import encode_position, in_body_box
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.fitting.start import start
 from studiorecon.body.model import BodyModel, upright_global_orientation
-from studiorecon.recursive.injection import Injection, inject
 from studiorecon.geometry import rotations
 from studiorecon.images import metrics
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.recursive.injection import Injection, inject
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.conventions import ELLIPSE_A, ELLIPSE_C, LOG2_E
 from studiorecon.splatting.cpu.rasterise import Rasteriser

@@ -32,7 +32,7 @@ WITHOUT: Mapping[str, str] = {
 """Why a setting of which the paper speaks has no value that is its word."""
 
 BUT: Mapping[str, str] = {
-    "views.closed": "for cameras all around; before an arc it is false, which the survey's closed_path tells",
+    "views.closed": "for cameras all around; before an arc it is never, which the survey's closed_path tells",
     "humans.gaussians": "read where humans.placed is evenly: SMPL has as many vertices",
     "people.lift.surface_to_joint_m": "read where the position is scene",
     "people.triangulation.solver": "points stay undetermined whose rays cross under 2° or that lie within 0.1 m of a "

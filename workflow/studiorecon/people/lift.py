@@ -8,7 +8,7 @@ breathes from frame to frame would move everybody (U22, D06).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
