@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
-from studiorecon.calibration.room_edges import edges_of, straight_edges
+from studiorecon.calibration.room_pictures import edges_of, rooms_of
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.rig.room_turns import room_turns
+from studiorecon.rig.room_turns import room_turns, straight_edges
 from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded
@@ -144,7 +144,9 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
         cv2.rectangle(picture, (60, 40), (260, 200), (200, 200, 200), -1)
         cv2.line(picture, (20 + 30 * k, 10), (50 + 30 * k, 230), (0, 0, 0), 9)
         cv2.imwrite(str(folder / f"{k:03}.png"), picture)
-    found = edges_of(["cam", "gone"], [folder, tmp_path / "gone.mp4"], {"cam": (320, 240), "gone": (320, 240)})
+    size = {"cam": (320, 240), "gone": (320, 240)}
+    rooms = rooms_of(["cam", "gone"], [folder, tmp_path / "gone.mp4"], size)
+    found = edges_of(rooms)
     assert list(found) == ["cam"]
     assert "gone" in capsys.readouterr().out
     ends = found["cam"].reshape(-1, 2, 2)
@@ -155,6 +157,6 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
 
 
 def test_a_bare_picture_has_no_edges() -> None:
-    assert straight_edges(np.full((50, 60), 128, np.uint8), 3.0).shape == (0, 4)
+    assert straight_edges(np.full((50, 60), 128, np.uint8)).shape == (0, 4)
     with pytest.raises(ValueError, match="grey"):
-        straight_edges(np.zeros((4, 4, 3), np.uint8), 1.0)
+        straight_edges(np.zeros((4, 4, 3), np.uint8))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.body.model import BodyModel
-from studiorecon.calibration.room_edges import edges_of
+from studiorecon.calibration.room_pictures import edges_of, rooms_of
 from studiorecon.errors import UserError
 from studiorecon.footage.told_lens import told_focal_px
 from studiorecon.geometry.bundle import Adjusted, LensPrior
@@ -24,9 +24,11 @@ from studiorecon.progress import say, warn
 from studiorecon.rig.arrangement import Arrangement, apart, arranged
 from studiorecon.rig.bundle import Agreement
 from studiorecon.rig.certainty import between_deg, sigma_of
+from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import Rig, bone_factor, scaled
 from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
 from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.one_floor import on_one_floor
 from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import read_clocks
@@ -90,14 +92,15 @@ def pose_cameras(
     given: GivenLengths = _NO_LENGTHS,
     stature: float = 1.7,
     edges: Mapping[str, np.ndarray] | None = None,
+    rooms: Mapping[str, RoomPicture] | None = None,
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
     little.
 
     ``focal_px``: given focal lengths by camera name, ``told_px`` those that the files tell; the others are found along
     with the poses, or kept as guessed when the people do not determine them. ``given``: lengths that were measured;
-    ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, of the
-    cameras whose pictures were looked at.
+    ``stature``: height of the mean body, metres; ``edges``: (N, 4) ends of the room's straight edges, pixels, and
+    ``rooms``, pictures of it, of the cameras whose pictures were looked at.
     """
     known = {**(told_px or {}), **focal_px}
     about = settings.people_rig
@@ -118,7 +121,9 @@ def pose_cameras(
     rig, result = self_calibrated(found.rig, found.seen, template_m, lens, known_px, settings)
     told = {v: edges[n] for v, n in enumerate(names) if n in edges} if edges else {}
     rig, result, turns = turned_by_edges(rig, result, found.seen, template_m, lens, known_px, told, settings)
-    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px, turns)
+    pictures = [(rooms or {}).get(n) for n in names]
+    rig, result, marks = on_one_floor(rig, result, found.seen, template_m, lens, known_px, pictures, settings, turns)
+    turn, place, focal_sigma = sigma_of(rig, result, lens, settings.limits, known_px, turns, marks)
     uncertain = _uncertain(names, focal_px, turn, place, focal_sigma, about)
     if found.rival is not None:
         degrees, metres = apart(found.rival, result.cameras)
@@ -150,6 +155,7 @@ def pose_cameras(
         "points": points,
         "between_deg": between_deg(turn),
         "uncertain": uncertain,
+        "on_floor": {} if marks is None else {f"{names[a]} {names[b]}": n for (a, b), n in marks.seen_by.items()},
         "along_edges": {names[v]: turn.along for v, turn in turns.items()},
         "scale": scale.told,
         "scale_sigma": scale.sigma,
@@ -285,7 +291,7 @@ def run(
     given_px = json.loads(focal_px or "{}")
     told_px = _told_by_files(cameras, sources, size_of)
     measured = GivenLengths(**json.loads(lengths or "{}"))
-    edges = edges_of(cameras, sources, size_of)
+    rooms = rooms_of(cameras, sources, size_of)
     found, report = pose_cameras(
         detections,
         wh,
@@ -296,7 +302,8 @@ def run(
         told_px,
         measured,
         stature_m(fitted),
-        edges,
+        edges_of(rooms),
+        rooms,
     )
     if sum(c.name in training for c in found) < _LEAST_CAMERAS:
         raise UserError(
@@ -313,6 +320,7 @@ def run(
             ", ".join(f"{n} ({share:.0%} of their length)" for n, share in report["along_edges"].items())
             or "none, they do not run along three directions"
         ),
+        f"places on the floor that two cameras share: {sum(report['on_floor'].values()) or 'none'}",
         report["scale"],
         report["world"],
         "focal lengths: "

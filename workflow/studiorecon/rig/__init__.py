@@ -7,6 +7,7 @@ is.
 * ``correspondences``: points that several cameras see; ``gravity``: up and the floor;
 * ``from_tracks``: cameras from nothing but people; ``arrangement``: the best of what that finds, and who is not in it;
   ``self_calibration``: made exact, with their focal lengths and, by ``room_turns``, the room's straight edges;
+  ``floor_marks``: places on the floor that cameras share, ``one_floor``: the rig laid on them;
   ``given_lengths``: their metres; ``certainty``: how well they are known;
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``held_out_pose``: those that only
   judge; ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that

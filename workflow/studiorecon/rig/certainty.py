@@ -15,6 +15,7 @@ import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior, without_drift
 from studiorecon.geometry.triangulation import Limits, Triangulated
+from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.rig.stale import HALF_OF_THE_JOINTS, moves
@@ -25,6 +26,8 @@ _FLOOR_DEG = 0.2
 # each axis in the lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
 _PRINCIPAL_SHARE = 0.006
 _LEAST_POINTS = 60
+# Fields of the floor that err together: a carpet's border, the edge of a platform.
+_FIELD_M = 0.5
 
 
 def sigma_of(
@@ -34,6 +37,7 @@ def sigma_of(
     limits: Limits,
     known_px: Mapping[int, float] | None = None,
     turns: Mapping[int, RoomTurn] | None = None,
+    marks: FloorMarks | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(V,) standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
     another.
@@ -42,15 +46,20 @@ def sigma_of(
     what half fits are off in the root mean square, of the clip and of the joints; and 0.2° of what no half shows, with
     what that means in place at the people's distance; and the principal point, which nobody looks for. The difference
     of a half from the whole is as uncertain as the whole where errors are independent. Focal lengths are known no worse
-    than ``lens`` says; ``known_px`` and ``turns`` as for ``adjusted``.
+    than ``lens`` says; ``known_px``, ``turns`` and ``marks`` as for ``adjusted``: fields of the floor
+    are halves too.
     """
     counted = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
     early = rig.seen.frame <= np.median(rig.seen.frame[counted]) if counted.any() else counted
     half, side = HALF_OF_THE_JOINTS[rig.seen.keypoint], rig.seen.keypoint % 2 == 0
     # What moments disagree by and what joints disagree by are different errors: the larger counts, not their mean.
+    about = lens, limits, known_px, turns
     of_kinds = [
-        _off_by(rig, result, patterns, counted, lens, limits, known_px, turns) for patterns in ((early,), (half, side))
+        _off_by(result, [(_part(rig, part), marks) for part in _both(patterns) if _enough(part & counted)], *about)
+        for patterns in ((early,), (half, side))
     ]
+    if marks is not None:
+        of_kinds.append(_off_by(result, [(rig, marks.of(part)) for part in _both(_fields(marks))], *about))
     joints = len(np.unique(np.stack([rig.seen.group[counted], rig.seen.keypoint[counted]]), axis=1).T)
     wider = np.sqrt(places_of_joints(rig, counted) / max(joints, 1))
     formal = (
@@ -67,23 +76,34 @@ def sigma_of(
     return turn, place, np.minimum(focal, lens.log_focal)
 
 
+def _both(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Every pattern of halves (N,) bool and its other half."""
+    return [half for pattern in patterns for half in (pattern, ~pattern)]
+
+
+def _enough(chosen: np.ndarray) -> bool:
+    return int(chosen.sum()) >= _LEAST_POINTS
+
+
+def _fields(marks: FloorMarks) -> tuple[np.ndarray, ...]:
+    """Halves of the floor: fields of a chessboard, and stripes."""
+    cells = np.floor(marks.points_m[:, :2] / _FIELD_M).astype(int)
+    return cells.sum(1) % 2 == 0, cells[:, 0] % 2 == 0
+
+
 def _off_by(
-    rig: Rig,
     result: Adjusted,
-    patterns: Sequence[np.ndarray],
-    counted: np.ndarray,
+    parts: Sequence[tuple[Rig, FloorMarks | None]],
     lens: LensPrior,
     limits: Limits,
     known_px: Mapping[int, float] | None,
     turns: Mapping[int, RoomTurn] | None,
 ) -> np.ndarray:
-    """(3, V) root mean square of what the halves of ``patterns`` (N,) bool are off ``result``: turn (degrees) and place
-    (metres) per number, focal length (share); zeros where no half has enough points."""
+    """(3, V) root mean square of what cameras from ``parts`` of the evidence are off ``result``: turn (degrees) and
+    place (metres) per number, focal length (share); zeros where there are none."""
     off = []
-    for chosen in (half for pattern in patterns for half in (pattern, ~pattern)):
-        if (chosen & counted).sum() < _LEAST_POINTS:
-            continue
-        part, _ = adjusted(_part(rig, chosen), lens, limits, known_px, turns)
+    for rig, marks in parts:
+        part, _ = adjusted(rig, lens, limits, known_px, turns, marks)
         degrees, metres = moves(without_drift(part.cameras, result.cameras)[0], result.cameras)
         focal = [np.log(a.focal_px[0] / b.focal_px[0]) for a, b in zip(part.cameras, result.cameras)]
         # A turn has three numbers and so has a place: per number, as the formal ones are.

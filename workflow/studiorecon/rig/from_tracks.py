@@ -22,6 +22,7 @@ from studiorecon.geometry.scale import scene_scale
 from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS, stable_detections
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -115,11 +116,12 @@ def adjusted(
     limits: Limits,
     known_px: Mapping[int, float] | None = None,
     turns: Mapping[int, RoomTurn] | None = None,
+    marks: FloorMarks | None = None,
 ) -> tuple[Adjusted, np.ndarray]:
     """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points (N,) it used.
 
     ``known_px``: view → the focal length that the lens's prior is about; where there is none it is the rig's own.
-    ``turns``: view → how the room's edges say that it is turned.
+    ``turns``: view → how the room's edges say that it is turned; ``marks``: what its floor shows of the views.
 
     A detector misplaces a joint in the same way wherever the body stays the same, so observations weigh by the number
     of places (cells of 20 cm) where a joint was seen, not by the number of frames: somebody who stands still is one
@@ -134,10 +136,13 @@ def adjusted(
     used = found.verified if len(cameras) > 2 else found.valid
     distinct = places_of_joints(rig, used)
     weights = np.where(found.inliers, rig.seen.confidence, 0.0)[:, used] * (distinct / max(int(used.sum()), 1))
-    return adjust_with_lenses(
-        cameras, rig.seen.pixels[:, used], weights, found.points_m[used], unit_px(cameras, limits),
-        replace(_FREE, prior_deg=held_deg), lens, given,
-    ), used  # fmt: skip
+    pixels, points_m = rig.seen.pixels[:, used], found.points_m[used]
+    if marks is not None:
+        pixels, weights, points_m = marks.joined(pixels, weights, points_m, cameras, limits)
+    result = adjust_with_lenses(
+        cameras, pixels, weights, points_m, unit_px(cameras, limits), replace(_FREE, prior_deg=held_deg), lens, given
+    )
+    return replace(result, points_m=result.points_m[: int(used.sum())]), used
 
 
 def with_focal(camera: Camera, focal_px: float) -> Camera:
@@ -280,12 +285,13 @@ def settled(
     limits: Limits,
     first_pair: bool = False,
     turns: Mapping[int, RoomTurn] | None = None,
+    marks: FloorMarks | None = None,
 ) -> Rig | None:
     """The rig after two rounds of grouping, triangulation and adjustment; a first pair is made metric by people's
     bones.
 
-    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` as for
-    ``adjusted``.
+    Before its scale is known (``first_pair``), the gate is a tenth of the pair's baseline. ``turns`` and
+    ``marks`` as for ``adjusted``.
     """
     views = sorted(placed)
     current = dict(placed)
@@ -304,7 +310,7 @@ def settled(
         rig = Rig(dict(current), found, points, int(points.inliers[:, counted].sum()))
         if round_number == 2:
             break
-        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits, turns=turns)
+        better, used = adjusted(rig, LensPrior(0.0, 0.0), limits, turns=turns, marks=marks)
         all_points = np.full_like(points.points_m, np.nan)
         all_points[used] = better.points_m
         factor = bone_factor(all_points, points, found, template_m)

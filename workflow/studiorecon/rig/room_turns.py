@@ -5,7 +5,8 @@ three directions that all cameras share.
 People leave relative rotations uncertain by degrees where they stay on one spot, since a detector misplaces joints in
 the same way all the time. Edges know nothing of people: with rotations that are right within some degrees, every
 camera's own edges say the rest (vanishing points of a Manhattan world; Coughlan and Yuille 1999). Which of the 24
-equivalent frames is meant, the people's rotations decide.
+equivalent frames is meant, the people's rotations decide. Edges are found by the line segment detector (Grompone von
+Gioi et al. 2010).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -24,6 +26,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+# Shorter edges, as a share of the longer side, say little about directions.
+_LEAST_SHARE = 0.02
 # How far people's rotations may be off, degrees, and the step of the search within that.
 _REACH_DEG, _STEP_DEG = 8.0, 2.0
 # Frames that are tried for the room: 6° apart.
@@ -40,6 +44,17 @@ _RIVAL, _ELSEWHERE_DEG = 0.8, 1.5
 # differed by, camera for camera.
 _SQUARE_DEG = 0.3
 _HELD_DEG = 1.0
+
+
+def straight_edges(grey: Num[np.ndarray, "H W"]) -> Num[np.ndarray, "N 4"]:
+    """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough to say where they
+    run, centres of pixels at +0.5. Raises ValueError for another shape."""
+    require("grey", grey, ("H", "W"))
+    found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(np.ascontiguousarray(grey))[0]
+    if found is None:
+        return np.zeros((0, 4))
+    ends = found.reshape(-1, 4).astype(np.float64) + 0.5
+    return ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _LEAST_SHARE * max(grey.shape)]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies on the floor, seen by cameras that are far apart: carpets, boards, tape, the edges of a platform.
+
+From a quarter turn away nothing in a room looks alike, except what lies in a plane whose place is known: seen from
+straight above, a carpet is the same carpet for every camera. So every picture is laid on the floor, edges are compared
+by their directions (which no light and no exposure changes; Fitch et al., Orientation correlation, 2002), and patches
+that are found again say where one camera sees what another one sees. A floor that is not quite where it was thought to
+be, or a camera that is not, only shifts them: what must hold is one homography for each pair of cameras.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from scipy import fft
+
+from studiorecon.arrays import require
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+# Part of the floor that is looked at: half its width about where people are, metres.
+_HALF_M = 2.5
+# Size of a place on the floor: coarse, for where a whole floor lies; fine, as the pictures resolve it, at least.
+_COARSE_M, _FINEST_M, _WIDEST_M = 0.02, 0.004, 0.02
+# Planes that people's feet may mean, about the one that is told.
+_HEIGHTS_M = np.arange(-0.16, 0.161, 0.04)
+# Patches: size and spacing, metres; how alike a patch is to its neighbourhood where it says nothing, and how alike two
+# views of one patch are.
+_PATCH_M, _EVERY_M, _BESIDE_M = 0.30, 0.12, 0.03
+_SELF_ALIKE, _ALIKE, _SECOND = 0.75, 0.35, 0.85
+# Share of a patch with edges in it.
+_LEAST_EDGES = 0.04
+# One homography: within so many places, for so many patches and such a share of them, spread over so much of the floor.
+# On floors that have nothing in common chance finds 9 to 19 patches, 32 to 65 % of those that are found at all; on one
+# and the same floor it is hundreds and 75 % or more.
+_SAME_PLACES, _LEAST_PATCHES, _LEAST_SHARE, _LEAST_SPREAD_M = 2.0, 20, 0.7, 0.25
+# What a patch is found again to, as a share of a place, and what lenses are off that nobody looked for, as a share of
+# the longer side; patches overlap, and each is looked for from several cameras: so much of one counts by itself.
+_SHARP, _LENS_SHARE, _ALONE = 0.4, 0.001, 0.1
+_LOOSE = 3.0
+# How far the floor that two cameras see may lie beside what the coarse look finds.
+_BEYOND_M = 0.06
+
+
+@dataclass(frozen=True)
+class RoomPicture:
+    """The room as one camera sees it.
+
+    Attributes:
+        grey: (H, W) uint8, in the camera's pixels.
+        known: (H, W) whether it shows the room there, and nobody.
+    """
+
+    grey: Integer[np.ndarray, "H W"]
+    known: Bool[np.ndarray, "H W"]
+
+
+@dataclass(frozen=True)
+class FloorMarks:
+    """N places on the floor as V cameras see them.
+
+    Attributes:
+        pixels: (V, N, 2), NaN where not seen; every place by two cameras at least.
+        points_m: (N, 3) where they are by the cameras that were given.
+        sigma_px: (V,) standard deviation of a place in every camera's picture.
+        seen_by: pairs of cameras → how many places they share.
+    """
+
+    pixels: Num[np.ndarray, "V N 2"]
+    points_m: Num[np.ndarray, "N 3"]
+    sigma_px: Num[np.ndarray, " V"]
+    seen_by: dict[tuple[int, int], int]
+
+    def of(self, which: np.ndarray) -> FloorMarks:
+        """Those places only (N,) bool."""
+        return replace(self, pixels=self.pixels[:, which], points_m=self.points_m[which])
+
+    def joined(
+        self, pixels: np.ndarray, weights: np.ndarray, points_m: np.ndarray, cameras: Sequence[Camera], limits: Limits
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What bundle adjustment of ``cameras``, in whatever world, takes: ``pixels`` (V, N, 2), ``weights`` (V, N) and
+        ``points_m`` (N, 3), where residuals are in error units; and behind them those places that the cameras agree
+        about at all."""
+        seen = np.isfinite(self.pixels).all(-1).astype(float)
+        found = triangulate(self.pixels, seen, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))
+        weight = found.inliers * (_ALONE * (unit_px(cameras, limits) / self.sigma_px) ** 2)[:, None]
+        return (
+            np.concatenate([pixels, self.pixels[:, found.valid]], axis=1),
+            np.concatenate([weights, weight[:, found.valid]], axis=1),
+            np.concatenate([points_m, found.points_m[found.valid]]),
+        )
+
+    def off_sigmas(self, cameras: Sequence[Camera], limits: Limits) -> float:
+        """Median distance of places from their projection, in their standard deviations."""
+        seen = np.isfinite(self.pixels).all(-1).astype(float)
+        wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+        error = triangulate(self.pixels, seen, cameras, wide).error_px / self.sigma_px[:, None]
+        return float(np.median(error[np.isfinite(error)])) if np.isfinite(error).any() else float("inf")
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """A picture laid on the floor: edges' directions, doubled (so that both sides of an edge are one), with their
+    strength up to 1: (H, W, 2); and where it knows the floor (H, W)."""
+
+    edges: Float[np.ndarray, "H W 2"]
+    known: Bool[np.ndarray, "H W"]
+
+
+def floor_marks(
+    cameras: Sequence[Camera],
+    rooms: Sequence[RoomPicture | None],
+    middle_m: Num[np.ndarray, " 2"],
+    height_m: float,
+    reach_m: float,
+) -> FloorMarks | None:
+    """Places on the floor about ``middle_m``, near the height ``height_m``, that cameras with a picture share; None
+    where no two do.
+
+    ``cameras`` are right up to shifts of ``reach_m`` on the floor. Raises ValueError for pictures of another size.
+    """
+    for camera, room in zip(cameras, rooms, strict=True):
+        if room is not None:
+            require("grey", room.grey, camera.hw)
+            require("known", room.known, camera.hw)
+    views = [v for v, room in enumerate(rooms) if room is not None]
+    if len(views) < 2:
+        return None
+    plane_m, shifts = _coarse(cameras, rooms, views, middle_m, height_m, reach_m)
+    middle = np.append(middle_m, plane_m)
+    pixel_m = np.array([_pixel_m(camera, middle) for camera in cameras])
+    # As the pictures resolve it, within what is worth looking at.
+    place_m = float(np.clip(np.median(pixel_m[views]), _FINEST_M, _WIDEST_M))
+    laid = {v: _laid(rooms[v], cameras[v], _grid(middle_m, place_m), plane_m) for v in views}
+    places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
+    seen_by: dict[tuple[int, int], int] = {}
+    for a in views:
+        rows, columns, patches = _patches(laid[a], place_m, reach_m)
+        found: dict[int, np.ndarray] = {}
+        for b in views:
+            if b == a:
+                continue
+            shift = shifts[a, b] if (a, b) in shifts else -shifts[b, a]
+            moved = _found_again(patches, rows, columns, laid[b], shift, place_m)
+            agreed = _one_homography(np.stack([columns, rows], 1), moved, place_m)
+            if agreed.any():
+                found[b] = np.where(agreed[:, None], moved, np.nan)
+                seen_by[a, b] = int(agreed.sum())
+        places += [(a, np.array([columns[k], rows[k]]), {b: m[k] for b, m in found.items()}) for k in range(len(rows))]
+    kept = [p for p in places if any(np.isfinite(at).all() for at in p[2].values())]
+    if not kept:
+        return None
+    pixels = np.full((len(cameras), len(kept), 2), np.nan)
+    corner_m = np.asarray(middle_m) - _HALF_M
+    at_m = np.array([np.append(corner_m + p[1] * place_m, plane_m) for p in kept])
+    for k, (a, _, others) in enumerate(kept):
+        pixels[a, k] = cameras[a].project(at_m[k : k + 1])[0][0]
+        for b, moved in others.items():
+            if np.isfinite(moved).all():
+                there_m = np.append(corner_m + moved * place_m, plane_m)
+                pixels[b, k] = cameras[b].project(there_m[None])[0][0]
+    sigma_px = np.maximum(_SHARP * place_m / pixel_m, [_LENS_SHARE * max(c.wh) for c in cameras])
+    return FloorMarks(pixels, at_m, sigma_px, seen_by)
+
+
+def _grid(middle_m: np.ndarray, place_m: float) -> np.ndarray:
+    """(H, W, 2) middles of the places of the floor, metres."""
+    along = np.arange(-_HALF_M, _HALF_M, place_m) + place_m / 2
+    x, y = np.meshgrid(middle_m[0] + along, middle_m[1] + along)
+    return np.stack([x, y], axis=-1)
+
+
+def _pixel_m(camera: Camera, place_m: np.ndarray) -> float:
+    """What a pixel is at a place of the floor, metres: the mean of along and across the line of sight."""
+    away_m = float(np.linalg.norm(camera.centre_m - place_m))
+    slope = abs(camera.centre_m[2] - place_m[2]) / away_m
+    return away_m / float(np.mean(camera.focal_px)) / float(np.sqrt(max(slope, 0.1)))
+
+
+def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m: float) -> _Laid:
+    assert room is not None
+    shape = grid_m.shape[:2]
+    pixels, depth_m = camera.project(np.concatenate([grid_m, np.full((*shape, 1), plane_m)], axis=-1).reshape(-1, 3))
+    pixels, depth_m = pixels.reshape(*shape, 2), depth_m.reshape(shape)
+    known = (depth_m > 0) & (pixels >= 1).all(-1) & (pixels < np.array(camera.wh) - 1).all(-1)
+    at = np.where(known[..., None], pixels, -1.0).astype(np.float32) - 0.5
+    # Where places are larger than pixels, pixels between them count too.
+    shrink = max(1.0, float(np.median(_spacing_px(pixels)[known[:-1, :-1]]))) if known[:-1, :-1].any() else 1.0
+    grey = cv2.GaussianBlur(room.grey, (0, 0), 0.5 * shrink) if shrink > 1.2 else room.grey
+    grey = cv2.remap(grey.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    shown = cv2.remap(room.known.astype(np.uint8), at[..., 0], at[..., 1], cv2.INTER_NEAREST)
+    known = cv2.erode((known & (shown > 0)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    across, down = (cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1)))
+    strength = np.hypot(across, down)
+    usual = float(np.quantile(strength[known], 0.9)) if known.any() else 1.0
+    weight = np.where(known & (strength > 0.25 * usual), np.minimum(strength / max(usual, 1e-6), 1.0), 0.0)
+    per = weight / np.maximum(strength, 1e-6) ** 2
+    edges = np.stack([(across**2 - down**2) * per, 2 * across * down * per], axis=-1)
+    return _Laid(edges.astype(np.float32), known)
+
+
+def _spacing_px(pixels: np.ndarray) -> np.ndarray:
+    """(H - 1, W - 1) pixels from a place to the next, the lesser of both ways."""
+    right = np.linalg.norm(pixels[:-1, 1:] - pixels[:-1, :-1], axis=-1)
+    below = np.linalg.norm(pixels[1:, :-1] - pixels[:-1, :-1], axis=-1)
+    nearest: np.ndarray = np.minimum(right, below)
+    return nearest
+
+
+def _coarse(
+    cameras: Sequence[Camera],
+    rooms: Sequence[RoomPicture | None],
+    views: Sequence[int],
+    middle_m: np.ndarray,
+    height_m: float,
+    reach_m: float,
+) -> tuple[float, dict[tuple[int, int], np.ndarray]]:
+    """The height at which the floors of all cameras agree best, and by how much each pair's are shifted there, all in
+    metres."""
+    grid_m, reach = _grid(middle_m, _COARSE_M), max(1, round(reach_m / _COARSE_M))
+    best: tuple[float, float, dict[tuple[int, int], np.ndarray]] | None = None
+    for plane_m in height_m + _HEIGHTS_M:
+        spectra = {v: _spectra(_laid(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
+        total, shifts = 0.0, {}
+        for a, b in itertools.combinations(views, 2):
+            score = _alike(spectra[a], spectra[b], reach)
+            row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+            total += float(score[row, column])
+            shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
+        if best is None or total > best[0]:
+            best = total, float(plane_m), shifts
+    assert best is not None
+    return best[1], best[2]
+
+
+def _spectra(laid: _Laid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fourier transforms of the edges, of their strength and of what is known, padded against wrapping round."""
+    shape = [fft.next_fast_len(2 * n) for n in laid.known.shape]
+    edges = laid.edges[..., 0] + 1j * laid.edges[..., 1]
+    known = laid.known.astype(np.float32)
+    whole = (edges.astype(np.complex64), (np.abs(edges) ** 2).astype(np.float32), known)
+    first, second, third = (fft.fft2(x, shape) for x in whole)
+    return first, second, third
+
+
+def _alike(first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...], reach: int) -> np.ndarray:
+    """(2 reach + 1, 2 reach + 1) how alike two floors are by the second one's shift, at most 1; -1 where they share too
+    little."""
+    at = np.arange(-reach, reach + 1)
+
+    def over(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        summed: np.ndarray = fft.ifft2(np.conj(one) * other).real[np.ix_(at, at)]
+        return summed
+
+    edges = over(first[0], second[0])
+    of_first, of_second = over(first[1], second[2]), over(first[2], second[1])
+    shared = over(first[2], second[2])
+    alike = edges / np.sqrt(np.maximum(of_first, 1.0) * np.maximum(of_second, 1.0))
+    return np.where(shared > 1.0 / _COARSE_M**2, alike, -1.0)
+
+
+def _patches(laid: _Laid, place_m: float, reach_m: float) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Rows and columns (K,) of the middles of patches that look like nothing beside them, and their edges."""
+    half, step, beside = (max(1, round(m / place_m)) for m in (_PATCH_M / 2, _EVERY_M, _BESIDE_M))
+    reach = max(2 * beside, round(reach_m / place_m))
+    rows, columns, patches = [], [], []
+    height, width = laid.known.shape
+    edged = (np.abs(laid.edges).sum(-1) > 0).astype(np.float32)
+    size = (2 * half + 1, 2 * half + 1)
+    share = cv2.boxFilter(edged, -1, size)
+    seen = cv2.boxFilter(laid.known.astype(np.float32), -1, size)
+    for row, column in itertools.product(range(half, height - half, step), range(half, width - half, step)):
+        if share[row, column] < _LEAST_EDGES or seen[row, column] < 0.9:
+            continue
+        patch = laid.edges[row - half : row + half + 1, column - half : column + half + 1]
+        around = _window(laid.edges, row, column, half + reach)
+        alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
+        alike[_disc(alike.shape, reach, reach, beside)] = -1
+        if alike.max() < _SELF_ALIKE:
+            rows.append(row)
+            columns.append(column)
+            patches.append(patch)
+    return np.array(rows, int), np.array(columns, int), patches
+
+
+def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
+    """(2 half + 1, 2 half + 1, 2) edges about a place, none beyond the rim."""
+    height, width = edges.shape[:2]
+    top, left, bottom, right = row - half, column - half, row + half + 1, column + half + 1
+    inside = edges[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+    rim = [
+        (min(max(0, -top), 2 * half + 1), min(max(0, bottom - height), 2 * half + 1)),
+        (min(max(0, -left), 2 * half + 1), min(max(0, right - width), 2 * half + 1)),
+        (0, 0),
+    ]
+    padded = np.pad(inside, rim)[: 2 * half + 1, : 2 * half + 1]
+    return np.ascontiguousarray(padded)
+
+
+def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndarray:
+    rows, columns = np.ogrid[: shape[0], : shape[1]]
+    inside: np.ndarray = (rows - row) ** 2 + (columns - column) ** 2 <= radius**2
+    return inside
+
+
+def _found_again(
+    patches: Sequence[np.ndarray],
+    rows: np.ndarray,
+    columns: np.ndarray,
+    laid: _Laid,
+    shift_m: np.ndarray,
+    place_m: float,
+) -> np.ndarray:
+    """(K, 2) column and row where each patch is found in another camera's floor near ``shift_m`` beside, NaN where it
+    is not."""
+    found = np.full((len(patches), 2), np.nan)
+    reach, beside = max(2, round(_BEYOND_M / place_m)), max(1, round(_BESIDE_M / place_m))
+    begin = np.rint(np.asarray(shift_m) / place_m).astype(int)
+    for k, patch in enumerate(patches):
+        row, column = int(rows[k] + begin[1]), int(columns[k] + begin[0])
+        around = _window(laid.edges, row, column, len(patch) // 2 + reach)
+        if (np.abs(around).sum(-1) > 0).mean() < _LEAST_EDGES / 2:
+            continue
+        alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
+        top, left = (int(i) for i in np.unravel_index(int(np.argmax(alike)), alike.shape))
+        best = float(alike[top, left])
+        if best < _ALIKE or not (0 < top < 2 * reach and 0 < left < 2 * reach):
+            continue
+        rest = alike.copy()
+        rest[_disc(alike.shape, top, left, beside)] = -1
+        if rest.max() > _SECOND * best:
+            continue
+        down = _vertex(alike[top - 1 : top + 2, left])
+        across = _vertex(alike[top, left - 1 : left + 2])
+        found[k] = column + left - reach + across, row + top - reach + down
+    return found
+
+
+def _vertex(three: np.ndarray) -> float:
+    """Where between three neighbours the parabola through them is highest, from the middle one."""
+    before, at, after = (float(x) for x in three)
+    bend = before - 2 * at + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0
+
+
+def _one_homography(here: np.ndarray, there: np.ndarray, place_m: float) -> np.ndarray:
+    """(K,) which patches (K, 2), found at ``there``, one homography explains; none where these are too few, or a
+    minority, or too near one another."""
+    told = np.flatnonzero(np.isfinite(there).all(-1))
+    agreed = np.zeros(len(here), bool)
+    if len(told) < _LEAST_PATCHES:
+        return agreed
+    cv2.setRNGSeed(0)
+    _, mask = cv2.findHomography(
+        here[told].astype(np.float64), there[told], cv2.RANSAC, _SAME_PLACES, maxIters=5000, confidence=0.9999
+    )
+    inside = told[mask.reshape(-1) > 0] if mask is not None else told[:0]
+    if len(inside) < max(_LEAST_PATCHES, _LEAST_SHARE * len(told)):
+        return agreed
+    spread_m = place_m * np.sqrt(np.linalg.eigvalsh(np.cov(here[inside].T.astype(float)))[0])
+    if spread_m < _LEAST_SPREAD_M:
+        return agreed
+    agreed[inside] = True
+    return agreed

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig from people, laid on the one floor that all of its cameras see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from studiorecon.geometry.bundle import Adjusted, LensPrior
+from studiorecon.progress import say
+from studiorecon.rig.bundle import Agreement
+from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
+from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
+from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.room_turns import RoomTurn
+
+# How far floors may lie beside one another, metres: by what people leave uncertain, then by what is left of it.
+_REACH_M = (0.30, 0.12, 0.12)
+# What people may lose by it, and what the floor must be explained to, in its own standard deviations.
+_KEPT_SUPPORT, _FLOOR_COSTS, _MOST_SIGMAS = 0.85, 1.35, 3.0
+
+
+def on_one_floor(
+    rig: Rig,
+    result: Adjusted,
+    seen: Sightings,
+    template_m: np.ndarray,
+    lens: LensPrior,
+    known_px: Mapping[int, float],
+    rooms: Sequence[RoomPicture | None],
+    agreement: Agreement,
+    turns: Mapping[int, RoomTurn],
+) -> tuple[Rig, Adjusted, FloorMarks | None]:
+    """The rig with what the floor shows joined, and that; as it is where the floor shows nothing, or where people
+    contradict it."""
+    held, after, marks = rig, result, None
+    for reach_m in _REACH_M:
+        found = _marks(held, after, rooms, reach_m)
+        if found is None:
+            break
+        cameras = dict(enumerate(after.cameras))
+        for _ in range(2):
+            again = settled(seen, cameras, template_m, agreement.gate_m, agreement.limits, turns=turns, marks=found)
+            if again is None:
+                return rig, result, None
+            held, (after, _) = again, adjusted(again, lens, agreement.limits, known_px, turns, found)
+            cameras = dict(enumerate(after.cameras))
+        marks = found
+    if marks is None:
+        return rig, result, None
+    people, floor = after.error_units / result.error_units, marks.off_sigmas(after.cameras, agreement.limits)
+    if held.support < _KEPT_SUPPORT * rig.support or people > _FLOOR_COSTS or floor > _MOST_SIGMAS:
+        say(
+            f"the floor was left out: with it people agree less ({held.support} keypoints instead of {rig.support}, "
+            f"{people - 1:+.0%} error), or it contradicts itself ({floor:.1f} standard deviations)"
+        )
+        return rig, result, None
+    return held, after, marks
+
+
+def _marks(rig: Rig, result: Adjusted, rooms: Sequence[RoomPicture | None], reach_m: float) -> FloorMarks | None:
+    """What cameras that stand upright by the people on it see of the floor."""
+    used = rig.points.verified if len(result.cameras) > 2 else rig.points.valid
+    points_m = np.full_like(rig.points.points_m, np.nan)
+    points_m[used] = result.points_m
+    upright = world_from_people(points_m, rig.seen.group, rig.seen.frame, rig.seen.keypoint)
+    if upright is None:
+        return None
+    rig_from_world = np.linalg.inv(upright[0])
+    cameras = [replace(c, camera_from_world=c.camera_from_world @ rig_from_world) for c in result.cameras]
+    return floor_marks(cameras, rooms, np.zeros(2), 0.0, reach_m)
