@@ -3,8 +3,9 @@
 
 FOLDER is where Snakemake was started, SCENE the name of its results, PRESET a preset's name or ``default``, DATASET
 what was reconstructed. Prints predicted beside spent processor seconds of every run, and its time from start to end
-where FOLDER's Snakemake log tells it; ``--write`` writes ``resources/prices.json``. The points' scores are those of
-the runs of the first DATASET.
+where FOLDER's Snakemake log tells it; ``--write`` writes ``resources/prices.json``. A point of the list is a preset,
+with the scores that it reached on every DATASET (called by its name) where it was run; ``--check`` prints how far the
+list as it is bundled is off on runs that it was not made from, and writes tests/bench/results/budget.json.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ import numpy as np
 import yaml
 from scipy.optimize import nnls
 from studiorecon.home import HOME, SCHEMA
-from studiorecon.plan.budget import laid_over, preset
+from studiorecon.plan.budget import Stated, laid_over, preset
+from studiorecon.plan.foreseen import foreseen
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
+from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, read_prices, spent
 from studiorecon.plan.workload import Work, footage_of, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.schema import typed
 
 CORES = 2
+CHECKED = Path(__file__).parent / "results" / "budget.json"
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,13 @@ class Run:
 
 def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str = "") -> Run:
     """What a finished run asked for and took."""
-    defaults = yaml.safe_load((HOME / "config/config.yaml").read_text())
-    config = laid_over(defaults, defaults, preset("" if name == "default" else name))
-    config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml}, yaml.safe_load(SCHEMA.read_text()))
-    work = workload(footage_of(make_plan(config, HOME), config["capture"]["picture_fps"]), config)
+    defaults, schema = yaml.safe_load((HOME / "config/config.yaml").read_text()), yaml.safe_load(SCHEMA.read_text())
+    config = laid_over(defaults, Stated({}, schema), preset("" if name == "default" else name))
+    config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
+    plan = make_plan(config, HOME)
+    # What it has decided is known now.
+    gaps = foreseen(plan, config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}})
+    work = workload(footage_of(plan, config["capture"]["picture_fps"]), config, gaps.likely)
     jobs: dict[str, list[float]] = {}
     for stage, steps in cost(folder / "benchmarks" / scene)["stages"].items():
         for step, entry in steps["rules"].items():
@@ -85,26 +91,39 @@ def main() -> None:
     parser.add_argument("--run", nargs="+", action="append", required=True, metavar="WORD")
     parser.add_argument("--start-s", type=float, default=10.0, help="seconds the workflow takes by itself")
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     runs = [run_of(Path(words[0]), *words[1:]) for words in options.run]
-    rules = fit(runs)
-    scored = [Point(run.preset, run.psnr_db) for run in runs if run.dataset == runs[0].dataset and run.psnr_db]
-    held = PriceList(probe_s(), options.start_s, (1.0, 1.0), rules, tuple(scored))
-    print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
-    ratios = []
+    scored: dict[str, dict[str, float]] = {}
     for run in runs:
-        guessed = sum(spent(run.work, held).values())
+        if run.psnr_db:
+            scored.setdefault(run.preset, {})[Path(run.dataset).stem] = round(run.psnr_db, 2)
+    made = PriceList(
+        probe_s(), options.start_s, (1.0, 1.0), fit(runs), tuple(Point(name, own) for name, own in scored.items())
+    )
+    held = read_prices() if options.check else made
+    pace = held.probe_s / made.probe_s if options.check else 1.0
+    print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
+    ratios, rows = [], []
+    for run in runs:
+        guessed = sum(spent(run.work, held).values()) / pace
         real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
         ratios.append(real / guessed)
-        whole = predict(run.work, held, CORES, 1.0).seconds
+        whole = predict(run.work, held, CORES, pace).seconds
+        rows.append(
+            {"run": run.name, "preset": run.preset, "predicted_cpu_s": round(guessed), "spent_cpu_s": round(real)}
+            | {"predicted_s": round(whole), "took_s": round(run.wall_s) if run.wall_s else None}
+        )
         took = f"{run.wall_s:8.0f}" if run.wall_s else "        "
         score = f"{run.psnr_db:.2f} dB" if run.psnr_db else ""
         print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {real / guessed:5.2f} {whole:8.0f} s {took} s  {score}")
+    if options.check:
+        write_json(CHECKED, {"pace": round(pace, 3), "runs": rows})
     if options.write:
         # Never narrower than what other work on the machine does to a run.
         spread = [round(min(0.8, *ratios), 2), round(max(1.25, *ratios), 2)]
         points = sorted(
-            scored, key=lambda p: next(sum(spent(r.work, held).values()) for r in runs if r.preset == p.preset)
+            held.points, key=lambda p: next(sum(spent(r.work, held).values()) for r in runs if r.preset == p.preset)
         )
         write_json(
             PRICES,
@@ -112,8 +131,8 @@ def main() -> None:
                 "probe_s": round(held.probe_s, 3),
                 "start_s": held.start_s,
                 "spread": spread,
-                "rules": {rule: asdict(price) for rule, price in rules.items()},
-                "points": [{"preset": p.preset, "psnr_db": round(p.psnr_db, 2)} for p in points],
+                "rules": {rule: asdict(price) for rule, price in held.rules.items()},
+                "points": [asdict(point) for point in points],
             },
         )
         print(f"wrote {PRICES.relative_to(HOME)}")

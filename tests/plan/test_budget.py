@@ -15,25 +15,30 @@ import pytest
 import yaml
 from studiorecon.errors import UserError
 from studiorecon.plan import prices as price_list
-from studiorecon.plan.budget import bought, choose, laid_over, preset
+from studiorecon.plan.budget import Stated, bought, choose, laid_over, preset
+from studiorecon.plan.foreseen import Gaps, foreseen
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
 from studiorecon.plan.workload import Footage, Work, footage_of, workload
+from studiorecon.scene.decisions import Decision, write_decisions
 
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = yaml.safe_load((ROOT / "config/config.yaml").read_text(encoding="utf-8"))
+SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text(encoding="utf-8"))
+NOBODY = Stated({}, SCHEMA)
+USUAL = 4  # gaps between the cameras of a ring of four
 DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), people=2)
 
 
 def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
-    config = laid_over(DEFAULTS, DEFAULTS, preset(name))
-    return predict(workload(footage, config), read_prices(), cores, 1.0).seconds / 60
+    config = laid_over(DEFAULTS, NOBODY, preset(name))
+    return predict(workload(footage, config, USUAL), read_prices(), cores, 1.0).seconds / 60
 
 
 def test_every_rule_with_work_is_a_rule_and_has_a_price() -> None:
     text = "\n".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     rules = set(re.findall(r"(?:rule|checkpoint) (\w+):", text)) | set(re.findall(r"use rule \w+ as (\w+) with", text))
-    work = workload(DEMO, DEFAULTS)
+    work = workload(DEMO, DEFAULTS, USUAL)
     assert set(work) <= rules
     assert set(work) == set(read_prices().rules)
     assert all(price.job_s + price.unit_s > 0 for price in read_prices().rules.values())
@@ -51,19 +56,19 @@ def test_every_rule_with_work_is_a_rule_and_has_a_price() -> None:
 )
 def test_more_footage_is_more_work(more: dict, rule: str) -> None:
     config = copy.deepcopy(DEFAULTS)
-    less, greater = workload(DEMO, config)[rule], workload(replace(DEMO, **more), config)[rule]
+    less, greater = workload(DEMO, config, USUAL)[rule], workload(replace(DEMO, **more), config, USUAL)[rule]
     assert greater.jobs * greater.units > 1.5 * less.jobs * less.units
 
 
 def test_larger_footage_is_only_decoded_longer_where_frames_keep_their_size() -> None:
-    small, large = workload(DEMO, DEFAULTS), workload(replace(DEMO, wh=(1920, 1088)), DEFAULTS)
+    small, large = (workload(replace(DEMO, wh=wh), DEFAULTS, USUAL) for wh in (DEMO.wh, (1920, 1088)))
     assert {rule for rule in small if small[rule] != large[rule]} == {"capture_frames"}
 
 
 def test_an_empty_room_and_recorded_keypoints_ask_for_less() -> None:
-    empty = workload(replace(DEMO, people=0), DEFAULTS)
-    assert not {"humans_train", "masks_segment", "people_fit"} & set(empty)
-    assert "detect_people" not in workload(replace(DEMO, detected=0), DEFAULTS)
+    empty = workload(replace(DEMO, people=0), DEFAULTS, USUAL)
+    assert not {"humans_train", "masks_segment", "people_fit", "report_recognition"} & set(empty)
+    assert "detect_people" not in workload(replace(DEMO, detected=0), DEFAULTS, USUAL)
 
 
 def test_presets_stand_in_the_order_of_their_cost_from_a_first_look_on() -> None:
@@ -87,47 +92,144 @@ def test_a_prediction_is_work_over_cores_and_the_chain_that_cannot_be_shared() -
     assert (twice.low_s, twice.high_s) == pytest.approx((0.8 * 18.75, 1.5 * 18.75))
 
 
-def bought_for(minutes: float, points: tuple[Point, ...], config: dict | None = None) -> Any:
-    held = replace(read_prices(), points=points)
-    return choose(minutes, config or DEFAULTS, DEFAULTS, DEMO, held, 2, 1.0)
+class Planned:
+    """What of a plan a prediction asks for."""
+
+    def __init__(self, forced: dict[str, str] | None = None, closed: str = "auto", cameras: int = 4) -> None:
+        self.scene, self.people, self.forced, self.closed = "there", True, forced or {}, closed
+        self.training = [f"cam{k}" for k in range(cameras)]
+        self.segments = [f"{k:02d}" for k in range(cameras)]
+
+
+def points(**scores: float) -> tuple[Point, ...]:
+    """Points by their scores on one scene; ``defaults`` are the defaults."""
+    return tuple(Point("" if name == "defaults" else name, {"demo": db}) for name, db in scores.items())
+
+
+def bought_for(minutes: float, of: tuple[Point, ...], config: dict | None = None, stated: Stated = NOBODY) -> Any:
+    held = replace(read_prices(), points=of)
+    return choose(minutes, config or DEFAULTS, stated, DEMO, Planned(), held, 2, 1.0)
 
 
 def test_the_best_score_that_fits_is_chosen_not_the_dearest() -> None:
-    points = (Point("look", 22.0), Point("", 23.0), Point("standard", 22.5))
-    whole_night = bought_for(600, points)
-    assert whole_night.chosen.preset == ""
-    assert "more time would buy nothing" in whole_night.sentence()
-    between = bought_for((minutes_of("look") + minutes_of("")) / 2, points)
-    assert between.chosen.preset == "look"
+    three = points(look=22.0, defaults=23.0, standard=22.5)
+    whole_night = bought_for(600, three)
+    assert whole_night.chosen.name == "the defaults"
+    assert "nothing that was measured scores higher, not even standard" in whole_night.sentence()
+    between = bought_for((minutes_of("look") + minutes_of("")) / 2, three)
+    assert between.chosen.name == "look"
     assert "the defaults would take" in between.sentence()
     assert "1.0 dB more" in between.sentence()
 
 
+def test_scores_are_compared_where_both_were_measured() -> None:
+    demo, second = {"demo": 23.0, "annex": 20.0}, {"demo": 23.4, "annex": 19.8, "take": 30.0}
+    choice = bought_for(1.2 * minutes_of(""), (Point("", demo), Point("standard", second)))
+    assert "standard would take" in choice.sentence()
+    assert "for 0.1 dB more (-0.2 to +0.4 on 2 scenes)" in choice.sentence()
+    assert bought_for(6000, (Point("", demo), Point("max", {"take": 40.0}))).chosen.name == "the defaults"
+
+
 def test_too_little_time_takes_the_quickest_and_says_so() -> None:
-    choice = bought_for(0.01, (Point("look", 22.0), Point("", 23.0)))
-    assert choice.chosen.preset == "look"
+    choice = bought_for(0.01, points(look=22.0, defaults=23.0))
+    assert choice.chosen.name == "look"
     assert not choice.fits
     assert "the quickest there is" in choice.sentence()
+    told = choice.as_json()
+    assert told["more"] in choice.sentence()
+    assert sum(told["listed_s"].values()) == pytest.approx(told["work_s"], rel=0.02)
+    assert {"detect", "views", "background", "report"} <= set(told["listed_s"])
 
 
 def test_settings_of_the_user_stay() -> None:
-    own = laid_over(DEFAULTS, DEFAULTS, {})
+    own = copy.deepcopy(DEFAULTS)
     own["capture"]["width"] = 360
-    made = bought_for(0.01, (Point("look", 22.0),), own).chosen.config
+    made = bought_for(0.01, points(look=22.0, defaults=23.0), own).chosen.config
+    look = preset("look")
     assert made["capture"]["width"] == 360
-    assert made["depth"]["solids"] == preset("look")["depth"]["solids"]
-    assert made["background"]["training"]["iterations"] == preset("look")["background"]["training"]["iterations"]
+    assert made["depth"]["solids"] == look["depth"]["solids"]
+    assert made["background"]["training"]["iterations"] == look["background"]["training"]["iterations"]
     assert made["background"]["training"]["sh_degree"] == DEFAULTS["background"]["training"]["sh_degree"]
 
 
+def test_a_default_that_the_user_says_stays_too() -> None:
+    said = {"capture": {"width": DEFAULTS["capture"]["width"]}, "background": {"training": {"iterations": 1500}}}
+    made = bought_for(0.01, points(look=22.0, defaults=23.0), stated=Stated(said, SCHEMA)).chosen.config
+    assert made["capture"]["width"] == DEFAULTS["capture"]["width"]
+    assert made["background"]["training"]["iterations"] == 1500
+    assert made["humans"]["iterations"] == preset("look")["humans"]["iterations"]
+
+
+def test_the_schema_names_the_defaults_that_the_configuration_holds() -> None:
+    assert not [name for name, value in leaves(DEFAULTS) if NOBODY.keeps(name, value)], (
+        "written by studiorecon.configuration.written"
+    )
+
+
+def leaves(values: dict[str, Any], above: str = "") -> list[tuple[str, Any]]:
+    found = []
+    for name, value in values.items():
+        inner = isinstance(value, dict) and value and f"{above}{name}" != "render.shots"
+        found += leaves(value, f"{above}{name}.") if inner else [(f"{above}{name}", value)]
+    return found
+
+
+class TestForeseen:
+    def test_what_is_forced_is_known_and_what_is_open_spans_an_interval(self) -> None:
+        assert foreseen(Planned(), DEFAULTS) == Gaps(0, 4, 4)
+        assert foreseen(Planned({"view_synthesis": "on"}), DEFAULTS) == Gaps(4, 4, 4)
+        assert foreseen(Planned({"view_synthesis": "off"}), DEFAULTS) == Gaps(0, 0, 0)
+
+    def test_a_dense_ring_is_expected_to_need_no_views(self) -> None:
+        assert foreseen(Planned(cameras=16), DEFAULTS) == Gaps(0, 0, 16)
+
+    def test_the_widest_gap_of_an_arc_is_not_filled(self) -> None:
+        assert foreseen(Planned(), DEFAULTS | {"views": DEFAULTS["views"] | {"closed": "never"}}) == Gaps(0, 3, 3)
+
+    def test_views_that_nothing_learns_from_are_not_made(self) -> None:
+        assert foreseen(Planned(), DEFAULTS | {"background": {"views_share": 0.0}}) == Gaps(0, 0, 0)
+
+    def test_an_earlier_run_of_the_scene_has_decided(self, tmp_path: Path) -> None:
+        measured = Decision("view_synthesis", "s", 0.3, (0.2, 0.4), 0.1, "on", "r", detail={"parts": PARTS})
+        config = DEFAULTS | {"survey": DEFAULTS["survey"] | {"earlier": str(tmp_path)}}
+        assert foreseen(Planned(), config) == Gaps(0, 4, 4), "no such run yet"
+        write_decisions(tmp_path / "survey/decisions.json", [measured])
+        assert foreseen(Planned(), config) == Gaps(1, 1, 1)
+        write_decisions(tmp_path / "survey/decisions.json", [replace(measured, forced=True)])
+        assert foreseen(Planned(), config) == Gaps(0, 4, 4), "what was forced there is open here"
+
+    def test_fewer_gaps_are_less_work_and_open_ones_a_wider_interval(self) -> None:
+        prices, usual = read_prices(), workload(DEMO, DEFAULTS, USUAL)
+        none = workload(DEMO, DEFAULTS, 0)
+        assert set(usual) - set(none) == {"views_synthesize"}
+        plain, wide = predict(usual, prices, 2, 1.0), predict(usual, prices, 2, 1.0, none, usual)
+        assert wide.seconds == plain.seconds
+        assert wide.low_s < plain.low_s
+        assert wide.high_s == plain.high_s
+
+
+PARTS = {name: {"value": 0.5, "verdict": verdict} for name, verdict in (("00", "on"), ("01", "off"), ("02", "off"))}
+
+
 def test_the_pace_is_probed_once_and_then_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    held = replace(read_prices(), probe_s=1.0)
+    held, remembered = replace(read_prices(), probe_s=1.0), tmp_path / "pace.json"
     monkeypatch.setattr(price_list, "probe_s", lambda: 0.5)
-    assert pace_here(held, tmp_path / "pace.json") == pytest.approx(2.0)
+    assert pace_here(held, remembered, "a 10") == pytest.approx(2.0)
     monkeypatch.setattr(price_list, "probe_s", lambda: 5.0)
-    assert pace_here(held, tmp_path / "pace.json") == pytest.approx(2.0)
-    (tmp_path / "pace.json").write_text(json.dumps({}))
-    assert pace_here(held, tmp_path / "pace.json") == pytest.approx(0.2)
+    assert pace_here(held, remembered, "a 10") == pace_here(held, remembered, "a 20") == pytest.approx(2.0)
+    remembered.write_text(json.dumps({}))
+    assert pace_here(held, remembered, "a 10") == pytest.approx(0.2)
+
+
+def test_runs_that_a_budget_chose_tell_the_pace_and_change_none_that_was_planned(tmp_path: Path) -> None:
+    prices, remembered = read_prices(), tmp_path / "pace.json"
+    first = pace_here(prices, remembered, "a 10")
+    costs = []
+    for name, budget in (("with", {"listed_s": 300, "spent_s": 100.0}), ("without", None)):
+        costs.append(tmp_path / f"{name}.json")
+        costs[-1].write_text(json.dumps({"total": {}} | ({"budget": budget} if budget else {})))
+    assert pace_here(prices, remembered, "b 10", costs) == pytest.approx(3.0)
+    assert pace_here(prices, remembered, "a 10", costs) == first, "planned again it is planned alike"
 
 
 def test_the_probe_takes_a_moment_of_real_work() -> None:
@@ -147,4 +249,4 @@ def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], h
 def test_networks_have_no_price(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml", budget_min=5.0, depth={"source": "moge"})
     with pytest.raises(UserError, match="moge"):
-        bought(config, home, make_plan(config, home), 2)
+        bought(config, {}, SCHEMA, make_plan(config, home), 2)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.report.page import learned
 from studiorecon.report.sections import appendix, comparison_slider, timeline
 from studiorecon.report.sections import tables as sections
 from studiorecon.scene.decisions import Decision
@@ -199,10 +200,17 @@ def test_a_budget_is_told_beside_what_its_jobs_took() -> None:
     total = {"count": 3.0, "seconds": 400.0, "cpu_seconds": 361.0, "peak_memory_mb": 900.0}
     spent = {"reason": None, "total": total, "stages": {"render": total}}
     budget = {"minutes": 5.0, "preset": "look", "predicted_s": 120, "low_s": 96, "high_s": 150, "work_s": 200}
+    budget["more"] = "the defaults would take 5 min for 0.9 dB more"
     told = sweep_section.single({"pictures": {}}, spent, budget)
     assert "A budget of 5 min chose look: predicted 2 min 00 s from nothing (1 min 36 s to 2 min 30 s)." in told
     assert "predicted to take 3 min 20 s of processor time and took 6 min 01 s." in told
+    assert "The defaults would take 5 min for 0.9 dB more." in told
     assert "budget" not in sweep_section.single({"pictures": {}}, spent, {})
+
+
+def test_the_next_prediction_learns_from_stages_that_were_predicted_and_took_something() -> None:
+    spent = {"stages": {name: {"cpu_seconds": s} for name, s in (("studio", 50.0), ("depth", 90.0), ("clocks", None))}}
+    assert learned({"depth": 60.0, "clocks": 1.0, "views": 9.0}, spent) == {"listed_s": 60.0, "spent_s": 90.0}
 
 
 def test_warnings_are_told_once_with_their_step(tmp_path: Path) -> None:

@@ -27,11 +27,13 @@ from studiorecon.schema import mistakes, typed
 HOME = Path(workflow.basedir)
 
 
+SCHEMA = yaml.safe_load((HOME / "workflow/schemas/config.schema.yaml").read_text())
+
+
 def check_settings():
     """Read every setting as what the schema says it is; refuse a configuration that breaks it, in a sentence per mistake."""
-    schema = yaml.safe_load((HOME / "workflow/schemas/config.schema.yaml").read_text())
-    config.update(typed(config, schema))
-    if wrong := mistakes(config, schema):
+    config.update(typed(config, SCHEMA))
+    if wrong := mistakes(config, SCHEMA):
         raise WorkflowError("\n".join([*wrong, "config/README.md explains every setting"]))
 
 
@@ -54,7 +56,8 @@ def bought_by_budget():
 
     try:
         # workflow.cores is what --cores allows; --lint and --unlock are given no number.
-        choice = bought(config, HOME, decided(), workflow.cores or os.cpu_count() or 1)
+        said = workflow.config_settings.overwrite_config  # of --config and --configfile
+        choice = bought(config, said, SCHEMA, decided(), workflow.cores or os.cpu_count() or 1)
     except UserError as refusal:
         raise WorkflowError(str(refusal)) from None
     config.update(choice.chosen.config)

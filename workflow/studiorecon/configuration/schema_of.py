@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from studiorecon.configuration.setting import Setting, choices_of, options_of
+from studiorecon.configuration.setting import Setting, choices_of, options_of, plain
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "string"}
 _BOUNDS = {"minimum": "minimum", "above": "exclusiveMinimum", "maximum": "maximum", "below": "exclusiveMaximum"}
@@ -27,6 +28,12 @@ def schema_of(setting: Setting) -> dict[str, Any]:
     told = setting.described
     if setting.is_section:
         return section_schema(setting.inner(), told.meaning)
+    default = {} if setting.default is dataclasses.MISSING else {"default": plain(setting.default)}
+    return _shape(setting) | default
+
+
+def _shape(setting: Setting) -> dict[str, Any]:
+    told = setting.described
     if told.shape is not None:
         return {"description": told.meaning, **told.shape}
     if choices := choices_of(setting):

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """A budget of minutes chooses the preset: of those that are predicted to end in time, the one that scored best.
 
-What the user says still counts: a preset only changes settings that stand at their default.
+What the user says still counts: settings on the command line and in configuration files of the user's own stay, also
+where they repeat a default, and so does what somebody has edited in ``config/config.yaml``.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import yaml
@@ -17,24 +19,46 @@ import yaml
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.prices import Predicted, PriceList, pace_here, predict, read_prices, spent
+from studiorecon.plan.foreseen import foreseen
+from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
 from studiorecon.plan.workload import Footage, footage_of, workload
+from studiorecon.schema import part_of
+
+_RESULTS, _PACE = Path("results"), Path("benchmarks") / "pace.json"
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a user has said: ``said`` on the command line and in configuration files, and what differs in the
+    configuration from the default that its ``schema`` names."""
+
+    said: Mapping[str, Any] = field(default_factory=dict)
+    schema: Mapping[str, Any] = field(default_factory=dict)
+
+    def keeps(self, name: str, value: Any) -> bool:
+        """Whether the setting of that dotted name, which has ``value`` now, is the user's own; None is no value."""
+        inner: Any = self.said
+        for step in name.split("."):
+            if not isinstance(inner, Mapping) or step not in inner:
+                return value is not None and value != part_of(self.schema, name).get("default", value)
+            inner = inner[step]
+        return True
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A preset ("" = the defaults), what it scored where it was measured, how long it will take, the processor seconds
-    in that, and the configuration that it makes."""
+    """A point, how long it will take, the likeliest processor seconds in that here and, stage by stage, on the machine
+    of the list, and the configuration that it makes."""
 
-    preset: str
-    psnr_db: float
+    point: Point
     predicted: Predicted
     work_s: float
+    listed_s: Mapping[str, float]
     config: Mapping[str, Any]
 
     @property
     def name(self) -> str:
-        return self.preset or "the defaults"
+        return self.point.preset or "the defaults"
 
 
 @dataclass(frozen=True)
@@ -52,52 +76,66 @@ class Choice:
     def sentence(self) -> str:
         """What was chosen and why, with its interval and what the next one would take."""
         p = self.chosen.predicted
-        said = (
+        return (
             f"budget of {self.minutes:g} min: {self.chosen.name}, about {_minutes(p.seconds)} "
-            f"({_minutes(p.low_s)} to {_minutes(p.high_s)})"
+            f"({_minutes(p.low_s)} to {_minutes(p.high_s)}); {self.more()}"
         )
+
+    def more(self) -> str:
+        """What more time would buy, or what takes less where nothing fits."""
         if not self.fits:
-            return f"{said}, more than that: it is the quickest there is; fewer frames or fewer films take less"
-        better = [o for o in self.offers if o.psnr_db > self.chosen.psnr_db]
+            return "that is more, but the quickest there is; fewer frames or fewer films take less"
+        better = [offer for offer in self.offers if gain_db(offer.point, self.chosen.point) > 0]
         if better:
-            first = min(better, key=lambda o: o.predicted.seconds)
-            gain = first.psnr_db - self.chosen.psnr_db
-            return f"{said}; {first.name} would take {_minutes(first.predicted.seconds)} for {gain:.1f} dB more"
-        return f"{said}; nothing measured scores higher, so more time would buy nothing"
+            first = min(better, key=lambda offer: offer.predicted.seconds)
+            gains = first.point.gains_db(self.chosen.point)
+            span = f" ({min(gains):+.1f} to {max(gains):+.1f} on {len(gains)} scenes)" if len(gains) > 1 else ""
+            return f"{first.name} would take {_minutes(first.predicted.seconds)} for {mean(gains):.1f} dB more{span}"
+        dearer = [offer.name for offer in self.offers if offer.predicted.seconds > self.chosen.predicted.seconds]
+        tried = f", not even {', '.join(dearer)}" if dearer else ""
+        return f"nothing that was measured scores higher{tried}"
 
     def as_json(self) -> dict[str, Any]:
         """For the page."""
         p = self.chosen.predicted
         return {
             "minutes": self.minutes,
-            "preset": self.chosen.preset,
+            "preset": self.chosen.point.preset,
             "predicted_s": round(p.seconds),
             "low_s": round(p.low_s),
             "high_s": round(p.high_s),
             "work_s": round(self.chosen.work_s),
+            "listed_s": {stage: round(seconds, 1) for stage, seconds in self.chosen.listed_s.items()},
+            "more": self.more(),
         }
 
 
-def bought(config: Mapping[str, Any], home: Path, plan: Plan, cores: int) -> Choice:
-    """What ``budget_min`` buys on this machine, whose pace is probed once and kept in ``benchmarks/pace.json``; raises
-    UserError where footage cannot be read."""
+def bought(
+    config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
+) -> Choice:
+    """What ``budget_min`` buys on this machine, whose pace is told by runs that a budget chose before, or probed once
+    and kept in ``benchmarks/pace.json``; raises UserError where footage cannot be read.
+
+    ``said`` is what command line and configuration files hold, ``schema`` the configuration's.
+    """
     if plan.networks.selected:
         raise UserError(
             f"budget_min knows what our own methods cost, not {', '.join(plan.networks.selected)}; choose a preset by "
             "hand where networks are asked for"
         )
     prices = read_prices()
-    defaults = yaml.safe_load((home / "config" / "config.yaml").read_text(encoding="utf-8"))
     footage = footage_of(plan, config["capture"]["picture_fps"])
-    pace = pace_here(prices, Path("benchmarks") / "pace.json")
-    return choose(config["budget_min"], config, defaults, footage, prices, cores, pace)
+    minutes = config["budget_min"]
+    pace = pace_here(prices, _PACE, f"{plan.scene} {minutes:g}", sorted(_RESULTS.glob("*/report/cost.json")))
+    return choose(minutes, config, Stated(said, schema), footage, plan, prices, cores, pace)
 
 
 def choose(
     minutes: float,
     config: Mapping[str, Any],
-    defaults: Mapping[str, Any],
+    stated: Stated,
     footage: Footage,
+    plan: Plan,
     prices: PriceList,
     cores: int,
     pace: float,
@@ -105,15 +143,27 @@ def choose(
     """The best that fits into ``minutes``; where nothing does, the quickest, and ``fits`` says so."""
     offers = []
     for point in prices.points:
-        made = laid_over(config, defaults, preset(point.preset))
-        work = workload(footage, made)
-        work_s = sum(spent(work, prices).values()) / pace
-        offers.append(Offer(point.preset, point.psnr_db, predict(work, prices, cores, pace), work_s, made))
+        made = laid_over(config, stated, preset(point.preset))
+        gaps = foreseen(plan, made)
+        least, likely, most = (workload(footage, made, n) for n in (gaps.fewest, gaps.likely, gaps.most))
+        listed_s: dict[str, float] = {}
+        for rule, seconds in spent(likely, prices).items():
+            stage = rule.partition("_")[0]
+            listed_s[stage] = listed_s.get(stage, 0.0) + seconds
+        took = predict(likely, prices, cores, pace, least, most)
+        offers.append(Offer(point, took, sum(listed_s.values()) / pace, listed_s, made))
     offers.sort(key=lambda offer: offer.predicted.seconds)
     fitting = [offer for offer in offers if offer.predicted.seconds <= 60 * minutes]
+    defaults = next(offer.point for offer in offers if not offer.point.preset)
     # Of equal scores the quicker.
-    chosen = max(fitting, key=lambda offer: (offer.psnr_db, -offer.predicted.seconds)) if fitting else offers[0]
-    return Choice(minutes, chosen, tuple(offers))
+    ranked = [(gain_db(offer.point, defaults), -offer.predicted.seconds, k) for k, offer in enumerate(fitting)]
+    return Choice(minutes, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
+
+
+def gain_db(point: Point, over: Point) -> float:
+    """What a point scores more than another in the mean over the scenes where both were measured; -inf for none."""
+    gains = point.gains_db(over)
+    return mean(gains) if gains else float("-inf")
 
 
 def preset(name: str) -> dict[str, Any]:
@@ -121,14 +171,14 @@ def preset(name: str) -> dict[str, Any]:
     return yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8")) if name else {}
 
 
-def laid_over(config: Mapping[str, Any], defaults: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy of ``config`` with the values of ``over`` wherever ``config`` still has the default."""
+def laid_over(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """A copy of ``config`` with the values of ``over`` wherever the user has not ``stated`` one."""
     made = copy.deepcopy(dict(config))
     for name, value in over.items():
-        own, default = made.get(name), defaults.get(name)
+        own, full = made.get(name), f"{above}{name}"
         if isinstance(value, Mapping) and isinstance(own, Mapping):
-            made[name] = laid_over(own, default if isinstance(default, Mapping) else {}, value)
-        elif own == default:
+            made[name] = laid_over(own, stated, value, f"{full}.")
+        elif not stated.keeps(full, own):
             made[name] = copy.deepcopy(value)
     return made
 

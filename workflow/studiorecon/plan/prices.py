@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from studiorecon.home import RESOURCES
 from studiorecon.plan.workload import Work
-from studiorecon.scene.files import write_json
+from studiorecon.scene.files import read_json, write_json
 
 PRICES = RESOURCES / "prices.json"
 ASIDE = ("cameras_held_out", "people_second_look", "enhance_comparison", "deliver_player", "deliver_scene_glb")
@@ -32,10 +32,14 @@ class Price:
 
 @dataclass(frozen=True)
 class Point:
-    """A preset ("" = the defaults) and what it reached where it was measured."""
+    """A preset ("" = the defaults) and what it reached on every scene where it was measured."""
 
     preset: str
-    psnr_db: float
+    psnr_db: Mapping[str, float]
+
+    def gains_db(self, over: Point) -> list[float]:
+        """What it scores more than another point, on every scene where both were measured."""
+        return [self.psnr_db[scene] - over.psnr_db[scene] for scene in self.psnr_db if scene in over.psnr_db]
 
 
 @dataclass(frozen=True)
@@ -86,18 +90,30 @@ def spent(work: Mapping[str, Work], prices: PriceList) -> dict[str, float]:
     }
 
 
-def predict(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> Predicted:
-    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list.
+def predict(
+    work: Mapping[str, Work],
+    prices: PriceList,
+    cores: int,
+    pace: float,
+    least: Mapping[str, Work] | None = None,
+    most: Mapping[str, Work] | None = None,
+) -> Predicted:
+    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list; from ``least`` to ``most`` work
+    where it is not known how much there will be.
 
     Graham's bound for any schedule that never idles: total work over the cores, and of the longest chain of jobs the
     rest (SIAM J. Appl. Math. 17, 1969).
     """
+    shortest, likeliest, longest = (_seconds(one, prices, cores, pace) for one in (least or work, work, most or work))
+    low, high = prices.spread
+    return Predicted(likeliest, min(shortest, likeliest) * low, max(longest, likeliest) * high)
+
+
+def _seconds(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> float:
     seconds = spent(work, prices)
     chain = sum(s / work[rule].jobs for rule, s in seconds.items() if rule not in ASIDE)
     jobs_s = sum(seconds.values()) / cores + chain * (1 - 1 / cores)
-    likeliest = prices.start_s + jobs_s / pace
-    low, high = prices.spread
-    return Predicted(likeliest, likeliest * low, likeliest * high)
+    return prices.start_s + jobs_s / pace
 
 
 def probe_s() -> float:
@@ -115,13 +131,21 @@ def probe_s() -> float:
     return min(took)
 
 
-def pace_here(prices: PriceList, remembered: Path) -> float:
-    """How much faster this machine is than the list's: probed once, then read from ``remembered``, so that a run
-    planned again is planned alike."""
-    held: dict[str, Any] = {}
-    if remembered.is_file():
-        held = json.loads(remembered.read_text(encoding="utf-8"))
-    if not isinstance(held.get("probe_s"), float):
-        held = {"probe_s": probe_s()}
-        write_json(remembered, held)
-    return prices.probe_s / held["probe_s"]
+def pace_here(prices: PriceList, remembered: Path, run: str, finished: Sequence[Path] = ()) -> float:
+    """How much faster this machine is than the list's, told by runs that a budget chose here before, or else by the
+    probe; remembered for ``run``, so that a run planned again is planned alike.
+
+    ``finished`` are the costs of runs (``report/cost.json``), in which stand the processor seconds that were predicted
+    for the machine of the list and those that their jobs took here.
+    """
+    held: dict[str, Any] = read_json(remembered) if remembered.is_file() else {}
+    if run in held.get("runs", {}):
+        return held["runs"][run]
+    told = [entry for path in finished if (entry := read_json(path).get("budget")) and entry["spent_s"]]
+    if told:
+        pace = sum(entry["listed_s"] for entry in told) / sum(entry["spent_s"] for entry in told)
+    else:
+        held["probe_s"] = held.get("probe_s") or probe_s()
+        pace = prices.probe_s / held["probe_s"]
+    write_json(remembered, held | {"runs": held.get("runs", {}) | {run: pace}})
+    return pace

@@ -62,8 +62,9 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     return Footage(*cameras, max(frames, 1), widest, _EXPECTED_PEOPLE if plan.people else 0)
 
 
-def workload(footage: Footage, config: Mapping[str, Any]) -> dict[str, Work]:
-    """Rule → its work, in jobs and in units of its own; megapixels are of all pictures that a job goes through."""
+def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str, Work]:
+    """Rule → its work where ``gaps`` between cameras get new views, in jobs and in units of its own; megapixels are of
+    all pictures that a job goes through."""
     width, height = _working(footage.wh, config["capture"]["width"])
     training, frames, people = footage.training, footage.frames, footage.people
     everyone = training + footage.held_out
@@ -72,7 +73,6 @@ def workload(footage: Footage, config: Mapping[str, Any]) -> dict[str, Work]:
     planes = sum(base / depth[name] for base, name in zip(_PLANE_STEPS_M, ("horizontal_step_m", "wall_step_m"))) / 2
     sweep_mpx = _mpx(width, height, depth["sweep_width"])
     refine_mpx = _mpx(width, height, depth["refine_width"])
-    gaps = max(training - (views["closed"] == "never"), 0)
     seeds = training * picture_mpx / room["stride"] ** 2
     gaussians = _gaussians(room, seeds)
     films = {shot: _pictures(shot, given, footage) for shot, given in config["render"]["shots"].items()}
@@ -104,7 +104,7 @@ def workload(footage: Footage, config: Mapping[str, Any]) -> dict[str, Work]:
         "render_shot": Work(len(films) + 1, mean_drawn * picture_mpx),
         "enhance_shot": Work(len(films), mean_film * picture_mpx),
         "enhance_comparison": Work(len(films), mean_film * picture_mpx),
-        "report_recognition": Work(1, films.get("heldout", training * frames) * picture_mpx),
+        "report_recognition": Work(1 if people else 0, films.get("heldout", training * frames) * picture_mpx),
         "report_evaluate": Work(1, films.get("heldout", training * frames) * picture_mpx),
         "deliver_player": Work(1, seeds),
         "deliver_scene_glb": Work(1, seeds),
@@ -126,10 +126,11 @@ def _mpx(width: int, height: int, at_most: int) -> float:
 
 def _gaussians(room: Mapping[str, Any], seeds: float) -> float:
     """Millions of Gaussians that the room is trained with: those of the photos, those where nobody sees, or the cap."""
-    if room["training"]["densify"] != "none":
-        return room["training"]["cap"] / _MEGA
+    cap = room["training"]["cap"] / _MEGA or float("inf")
+    if room["training"]["densify"] != "none" and cap < float("inf"):
+        return cap
     unseen = min(_UNSEEN * (_UNSEEN_STEP_M / room["fill_step_m"]) ** 2, room["fill_limit"]) if room["fill"] else 0.0
-    return min(seeds + unseen / _MEGA, room["training"]["cap"] / _MEGA)
+    return min(seeds + unseen / _MEGA, cap)
 
 
 def _pictures(shot: str, given: Mapping[str, Any], footage: Footage) -> int:

@@ -65,7 +65,7 @@ def _bought(budget: Mapping[str, Any], spent: Mapping[str, Any]) -> str:
     return (
         f"A budget of {budget['minutes']:g} min chose {budget['preset'] or 'the defaults'}: predicted {predicted} from "
         f"nothing ({ends}). Its jobs were predicted to take {duration(budget['work_s'])} of processor time and took "
-        f"{duration(took) if took else MISSING}."
+        f"{duration(took) if took else MISSING}. {budget['more'][:1].upper()}{budget['more'][1:]}."
     )
 
 
