@@ -14,7 +14,7 @@ from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
 from studiorecon.detector.following import believed, people_in
 from studiorecon.detector.windows import small, usual
 from studiorecon.footage.video import write_lossless
-from studiorecon.geometry.rotations import exp
+from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.reading import detections_of_found
 from studiorecon.people import associate
@@ -29,7 +29,7 @@ from studiorecon.studio import rig
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.description import RESOURCES, Description, read_description
 from studiorecon.studio.film import backdrop, exposed, touched_pixels
-from studiorecon.studio.meshes import Mesh, lathe, plain, transformed
+from studiorecon.studio.meshes import Mesh, box, lathe, placed, plain, transformed
 from studiorecon.studio.room import room
 from studiorecon.studio.sensor import Sensor, developed
 from studiorecon.studio.tracing import Tracer
@@ -41,6 +41,7 @@ FPS, SECONDS = 12.0, 2.0
 # Where a picture of somebody stands: opposite the arc of cameras, facing its middle.
 PLACE_M, FACING_RAD = np.array([-1.45, -1.45, 0.0]), np.radians(45.0)
 _PIECES = 40
+SEAT_M = (-0.9, 0.6, 0.45)
 Extra = Callable[[int], list[Mesh]]
 
 
@@ -79,12 +80,21 @@ class Looked:
         return "; ".join(one.reason for one in self.left_out)
 
 
-def looked_at(people: int, extra: Extra, still: Sequence[Mesh], folder: Path, root: Path) -> Looked:
-    """Film the play with ``still`` and moving ``extra`` things (frame → solids) in the room, detect and associate."""
+def looked_at(
+    people: int,
+    extra: Extra,
+    still: Sequence[Mesh],
+    folder: Path,
+    root: Path,
+    changed: Callable[[Actors], None] = lambda troupe: None,
+) -> Looked:
+    """Film the play, ``changed``, with ``still`` and moving ``extra`` things (frame → solids) in the room, detect and
+    associate."""
     about = described(people)
     cameras = rig.cameras(about)
     lenses = rig.true_lenses(about, cameras)
     troupe = Actors(about, BodyModel.load(RESOURCES / "body.npz"), np.arange(about.frames) / about.fps)
+    changed(troupe)
     files = [root / "resources/detector" / name for name in ("pose_detection.onnx", "pose_landmark_full.onnx")]
     network, found, witnesses, videos = BlazePose(*files), [], [], []
     for camera, lens in zip(cameras, lenses):
@@ -152,6 +162,29 @@ def filmed(about: Description, lens: Lens, troupe: Actors, extra: Extra, still: 
     return pictures
 
 
+def keeping_still(troupe: Actors) -> None:
+    """The second of the play stands as at its beginning, all the time."""
+    actor, count = troupe.actors[1], len(troupe.times_s)
+    poses, places = np.repeat(actor.poses[:1], count, axis=0), np.repeat(actor.trans_m[:1], count, axis=0)
+    troupe.actors[1] = replace(actor, poses=poses, trans_m=places)
+
+
+def sitting(troupe: Actors) -> None:
+    """The second of the play sits on a ``stool``, and breathes at most."""
+    keeping_still(troupe)
+    actor = troupe.actors[1]
+    local = exp(actor.poses.reshape(-1, 24, 3))
+    c, s = np.cos(FACING_RAD), np.sin(FACING_RAD)
+    local[:, 0] = np.array([[-s, 0, c], [c, 0, s], [0, 1, 0]])
+    for hip, knee, ankle in ((1, 4, 7), (2, 5, 8)):
+        local[:, hip], local[:, knee], local[:, ankle] = (
+            exp(np.array([angle, 0.0, 0.0])) for angle in (-1.5, 1.45, 0.05)
+        )
+    seat = np.array([*SEAT_M[:2], SEAT_M[2] + 0.09])
+    poses = log(local).reshape(len(local), 72)
+    troupe.actors[1] = replace(actor, poses=poses, trans_m=np.repeat(seat[None], len(local), axis=0))
+
+
 def portrait(number: int, time_s: float) -> np.ndarray:
     """(600, 400, 3) linear light: a picture of somebody of the play, head to foot, from the front."""
     about = replace(described(number + 1), frames=1)
@@ -196,6 +229,11 @@ def panel(picture: np.ndarray, height_m: float, above_m: float, glow: float = 0.
         return picture[rows.astype(int), columns.astype(int)]
 
     return Mesh("panel", corners, faces, paint, np.eye(4), emission=glow, mirror=mirror)
+
+
+def stool() -> Mesh:
+    """What ``sitting`` sits on."""
+    return box("stool", (0.4, 0.4, SEAT_M[2]), placed((SEAT_M[0], SEAT_M[1], 0.0), FACING_RAD), plain((0.2, 0.3, 0.1)))
 
 
 def dog(position_m: tuple[float, float], heading_rad: float, stride: float) -> list[Mesh]:

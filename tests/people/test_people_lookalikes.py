@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What looks like people and is none, in pictures: filmed in the synthetic studio, found by the detector, and told from
-people by the rule that is named."""
+"""What looks like people and is none, and people who look like furniture, in pictures: filmed in the synthetic studio,
+found by the detector, and told apart by the rule that is named."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studiorecon.people.association.proportions import lengths_m, shares, why_no
 from studiorecon.studio.meshes import Mesh
 
 from tests.made.cameras import STANDING
-from tests.made.lookalikes import FPS, SECONDS, dog, looked_at, panel, portrait
+from tests.made.lookalikes import FPS, SECONDS, dog, keeping_still, looked_at, panel, portrait, sitting, stool
 
 FRAMES = round(FPS * SECONDS)
 
@@ -56,6 +56,22 @@ def test_a_dog_has_not_a_person_s_proportions(
 
     seen = looked_at(people, walking, [], tmp_path, root)
     assert seen.people == seen.named(0) == ({"p0"} if people else set())
+
+
+@pytest.mark.slow
+def test_somebody_who_stands_still_all_the_time_is_a_person(root: Path, tmp_path: Path) -> None:
+    seen = looked_at(2, lambda t: [], [], tmp_path, root, keeping_still)
+    assert len(seen.named(1)) == 1, seen.reasons
+    assert seen.people == seen.named(0) | seen.named(1)
+    assert len(seen.people) == 2
+
+
+@pytest.mark.slow
+def test_somebody_who_sits_on_a_stool_is_a_person(root: Path, tmp_path: Path) -> None:
+    seen = looked_at(2, lambda t: [], [stool()], tmp_path, root, sitting)
+    assert len(seen.named(1)) == 1, seen.reasons
+    assert seen.people == seen.named(0) | seen.named(1)
+    assert len(seen.people) == 2
 
 
 def test_people_of_all_sizes_have_a_person_s_proportions_and_what_has_not_is_told() -> None:
