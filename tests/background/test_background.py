@@ -136,6 +136,9 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
     assert 0.2 < floor.seen.mean() < 0.9
     assert np.abs(floor.rgb[~floor.seen].mean(axis=0) - floor.rgb[floor.seen].mean(axis=0)).max() < 0.2
     assert np.allclose(floor.points_m[..., 2], 0)
+    # The room as painted, from the camera that it was painted from.
+    again = room.seen_from(cameras[0], list(painted.values()))
+    assert np.abs(again - pictures[0])[depths[0] > 0].mean() < 0.06
     # This camera sees nothing of the ceiling: it borrows, and stays a colour.
     assert not painted["ceiling"].seen.any()
     assert np.all((painted["ceiling"].rgb >= 0) & (painted["ceiling"].rgb <= 1))
@@ -190,8 +193,28 @@ def test_generated_frames_stand_aside_for_photos(
     views = [cameras[0], between[0], cameras[1]]
     pictures, supports = [np.zeros((*v.hw, 3), np.uint8) for v in views], [np.full(v.hw, 255, np.uint8) for v in views]
     steps = [PathStep(v, 0.0, "00") for v in views]
-    (kept,) = preparation.view_targets(steps, pictures, supports, cameras, settings())
+    (kept,) = preparation.view_targets(steps, pictures, supports, cameras, [], settings())
     assert np.array_equal(kept.camera.camera_from_world, between[0].camera_from_world)
+
+
+def test_holes_of_views_show_the_painted_room(cameras: list[Camera], between: list[Camera], settings: Callable) -> None:
+    view = between[0]
+    truth, depth_m = look(view)
+    painted = [
+        room.Painted(face, nodes, np.full(nodes.shape, 0.25), np.ones(nodes.shape[:2], bool))
+        for face in room.faces_of(BOX)
+        for nodes in [face.nodes(0.1)]
+    ]
+    support = np.full(view.hw, 255, np.uint8)
+    support[:20] = 0
+    picture, steps = np.rint(truth * 255).astype(np.uint8), [PathStep(view, 0.0, "00")]
+    (target,) = preparation.view_targets(steps, [picture], [support], cameras, painted, settings())
+    inside = depth_m[:20] > 0
+    assert inside.any()
+    np.testing.assert_allclose(target.rgb[:20][inside], 0.25, atol=1e-6)
+    np.testing.assert_allclose(target.rgb[20:], picture[20:] / 255, atol=1e-6)
+    (bare,) = preparation.view_targets(steps, [picture], [support], cameras, [], settings())
+    np.testing.assert_allclose(bare.rgb, picture / 255, atol=1e-6)
 
 
 @pytest.mark.parametrize(

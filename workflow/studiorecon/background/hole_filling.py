@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closing the room: discs on the parts of its floor, walls and ceiling that no training camera sees.
+"""Closing the room: floor, walls and ceiling where no training camera sees them.
 
-Six per cent of black pixels cost more decibels than anything else in a background, so what nobody saw is painted from
-what lies beside it on the same wall, and marked invented.
+Six per cent of black pixels cost more decibels than anything else in a background, so what nobody saw goes on as the
+rest of the same wall does, and is marked invented. The painted room gives discs where nobody looks, and the colours of
+what synthesized views do not see.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import cv2
 import numpy as np
 import scipy
 
+from studiorecon.images.self_similar import Scale, filled
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import FACES, RoomBox
 
@@ -21,8 +23,12 @@ from studiorecon.scene.room import FACES, RoomBox
 _AGREE_SHARE, _AGREE_M = 0.03, 0.03
 # Beside something this much nearer (share, metres) the plate's colours are mixed; such pixels do not paint walls.
 _NEARER_SHARE, _NEARER_M = 0.9, 0.05
-_INPAINT_RADIUS_NODES = 5.0
-_BLUR_UNSEEN_NODES = 8.0
+# A wall of which less is seen is one of which nothing is: a strip at its edge does not say how it goes on.
+_LEAST_SEEN = 0.02
+# Over how far light is even, how large a piece of wallpaper is copied, and from where on it is another one.
+_LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
+# What nobody sees anything of is painted on so coarse a grid, and blurred so far: it has no detail.
+_COARSE, _BLUR_NODES = 2, 4.0
 
 
 @dataclass(frozen=True)
@@ -89,6 +95,15 @@ class Painted:
     rgb: np.ndarray
     seen: np.ndarray
 
+    @property
+    def step_m(self) -> float:
+        """From node to node, along the edge where it is longer."""
+        rows, columns = self.seen.shape
+        return max(
+            float(np.linalg.norm(edge)) / count
+            for edge, count in ((self.face.along_u, columns), (self.face.along_v, rows))
+        )
+
 
 def paint(
     faces: Sequence[Face],
@@ -98,8 +113,8 @@ def paint(
     depths_m: Sequence[np.ndarray],
     step_m: float,
 ) -> list[Painted]:
-    """The atlas of every face: photographed where a camera sees it, inpainted beside that, borrowed where nothing of it
-    was seen.
+    """The atlas of every face: photographed where a camera sees it, going on alike beside that, borrowed where nothing
+    of it was seen.
 
     ``plates`` (H, W, 3) float, ``known`` (H, W) bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
     """
@@ -107,22 +122,41 @@ def paint(
     gathered = [_gather(face, nodes, cameras, plates, known, depths_m) for face, nodes in looked]
     all_points = np.concatenate([nodes[seen] for (_, nodes), (_, seen) in zip(looked, gathered)])
     all_rgb = np.concatenate([rgb[seen] for rgb, seen in gathered])
+    nearest = scipy.spatial.cKDTree(all_points) if len(all_points) else None
+    patch = 2 * round(_PATCH_M / step_m / 2) + 1
+    scale = Scale(_LIGHT_M / step_m, max(patch, 3), max(round(_SHIFT_M / step_m), 2))
     painted = []
     for (face, nodes), (rgb, seen) in zip(looked, gathered):
-        if seen.any():
-            # Telea's method works on bytes; what it paints is soft anyway.
-            stamp = np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
-            filled = cv2.inpaint(stamp, (~seen).astype(np.uint8), _INPAINT_RADIUS_NODES, cv2.INPAINT_TELEA) / 255
-            rgb = np.where(seen[..., None], rgb, filled)
-        elif len(all_points):
-            nearest = scipy.spatial.cKDTree(all_points).query(nodes.reshape(-1, 3))[1]
-            rgb = cv2.GaussianBlur(
-                all_rgb[nearest].reshape(nodes.shape), (0, 0), _BLUR_UNSEEN_NODES, borderType=cv2.BORDER_REPLICATE
-            )
-        else:
+        if seen.mean() >= _LEAST_SEEN:
+            painted.append(Painted(face, nodes, filled(rgb, seen, scale, np.random.default_rng(0)), seen))
+            continue
+        nodes = face.nodes(step_m * _COARSE)
+        if nearest is None:
             rgb = np.full(nodes.shape, 0.5)
-        painted.append(Painted(face, nodes, rgb, seen))
+        else:
+            borrowed = all_rgb[nearest.query(nodes.reshape(-1, 3))[1]].reshape(nodes.shape)
+            rgb = cv2.GaussianBlur(borrowed, (0, 0), _BLUR_NODES, borderType=cv2.BORDER_REPLICATE)
+        painted.append(Painted(face, nodes, rgb, np.zeros(nodes.shape[:2], bool)))
     return painted
+
+
+def seen_from(camera: Camera, painted: Sequence[Painted]) -> np.ndarray:
+    """(H, W, 3) float64: the painted room without anything in it, from a camera; black where no face is in view."""
+    rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
+    nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))
+    for own in painted:
+        face, (rows, columns) = own.face, own.rgb.shape[:2]
+        towards = rays @ face.normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = ((face.corner_m - camera.centre_m) @ face.normal) / towards
+            on_face = camera.centre_m + rays * far[..., None] - face.corner_m
+            u, v = (on_face @ edge / (edge @ edge) for edge in (face.along_u, face.along_v))
+        there = (far > 0) & (far < nearest) & (np.abs(u - 0.5) <= 0.5) & (np.abs(v - 0.5) <= 0.5)
+        # cv2 counts centres as integers
+        at = (np.where(there, share * count - 0.5, 0).astype(np.float32) for share, count in ((u, columns), (v, rows)))
+        colours = cv2.remap(own.rgb, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        nearest, rgb = np.where(there, far, nearest), np.where(there[..., None], colours, rgb)
+    return rgb
 
 
 def _gather(

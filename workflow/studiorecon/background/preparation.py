@@ -88,9 +88,19 @@ class Photo:
     confidence: np.ndarray
 
 
-def seeds(photos: Sequence[Photo], shell: RoomBox, settings: Settings) -> tuple[Gaussians, np.ndarray]:
-    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the shell where nobody sees
-    it."""
+def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
+    """The room's faces as the photos show them, and going on alike where nobody sees them."""
+    faces = hole_filling.faces_of(box)
+    step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
+    cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
+    return hole_filling.paint(faces, cameras, plates, known, depths, step_m)
+
+
+def seeds(
+    photos: Sequence[Photo], painted: Sequence[hole_filling.Painted], settings: Settings
+) -> tuple[Gaussians, np.ndarray]:
+    """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the ``painted`` room where
+    nobody sees it."""
     degree = settings.training.sh_degree
     sets, marks = [], []
     for photo in photos:
@@ -107,18 +117,11 @@ def seeds(photos: Sequence[Photo], shell: RoomBox, settings: Settings) -> tuple[
         sure = photo.confidence[at[:, 0], at[:, 1]] > settings.measured_confidence
         sets.append(made)
         marks.append(np.where(sure, MEASURED, INFERRED))
-    if settings.fill:
-        faces = hole_filling.faces_of(shell)
-        step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
-        cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
-        for painted in hole_filling.paint(faces, cameras, plates, known, depths, step_m):
-            unseen = ~painted.seen
-            normals = np.tile(painted.face.normal, (int(unseen.sum()), 1))
-            width_m = step_m * _WIDTH_SHARE
-            sets.append(
-                discs(painted.points_m[unseen], normals, painted.rgb[unseen], width_m, _FLATNESS, _FILL_OPACITY, degree)
-            )
-            marks.append(np.full(len(normals), INVENTED))
+    for own in painted:
+        points_m, rgb = own.points_m[~own.seen], own.rgb[~own.seen]
+        normals = np.tile(own.face.normal, (len(points_m), 1))
+        sets.append(discs(points_m, normals, rgb, own.step_m * _WIDTH_SHARE, _FLATNESS, _FILL_OPACITY, degree))
+        marks.append(np.full(len(normals), INVENTED))
     return concatenate(sets), np.concatenate(marks).astype(np.uint8)
 
 
@@ -153,10 +156,12 @@ def view_targets(
     pictures: Iterable[np.ndarray],
     supports: Iterable[np.ndarray],
     cameras: Sequence[Camera],
+    painted: Sequence[hole_filling.Painted],
     settings: Settings,
 ) -> list[Target]:
     """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
-    C).
+    C). Where it has no support it shows the ``painted`` room, if there is one: a hole's own rim is furniture as often
+    as not.
 
     Views that stand where a photo does are left out: the photo is there already (U16).
     """
@@ -168,8 +173,11 @@ def view_targets(
         if beside < _SAME_PLACE_M and nearest < _SAME_ANGLE_RAD:
             continue
         weight = view_weight(nearest, cutoff, settings.plate_boost)
+        picture, hole = to_float(rgb), support == 0
+        if painted and hole.any():
+            picture[hole] = hole_filling.seen_from(step.camera, painted)[hole]
         targets.append(
-            Target(step.camera, to_float(rgb), support_weight(support, settings.hole_weight) * np.float32(weight))
+            Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight))
         )
     return targets
 
@@ -225,7 +233,12 @@ def read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path]
 
 
 def read_views(
-    path: Path, views: list[Path], supports: list[Path], cameras: Sequence[Camera], settings: Settings
+    path: Path,
+    views: list[Path],
+    supports: list[Path],
+    cameras: Sequence[Camera],
+    painted: Sequence[hole_filling.Painted],
+    settings: Settings,
 ) -> list[Target]:
     """All synthesized views; none when their share of the draws is 0, or there are none."""
     if settings.views_share == 0 or not views:
@@ -241,7 +254,8 @@ def read_views(
         if segment not in segments:
             raise UserError(f"{video} is of no segment of {path}; make views again")
         own = [step for step in steps if step.segment == segment]
-        targets += view_targets(own, read_stack(video, 0, len(own)), read_stack(mask, 0, len(own)), cameras, settings)
+        pictures, masks = (read_stack(film, 0, len(own)) for film in (video, mask))
+        targets += view_targets(own, pictures, masks, cameras, painted, settings)
     return targets
 
 
@@ -254,8 +268,9 @@ def prepared(
     photos = read_photos(cameras, sources.plates, sources.depth, factors)
     if settings.photos == "first_frames":
         photos = without_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
+    painted = painted_room(photos, box, settings) if settings.fill else []
     if settings.start == "depth":
-        start, marks = seeds(photos, box, settings)
+        start, marks = seeds(photos, painted, settings)
         shares = [int((marks == kind).sum()) for kind in (MEASURED, INFERRED, INVENTED)]
         say(
             f"{start.count} Gaussians to start from: {shares[0]} measured, {shares[1]} on "
@@ -269,7 +284,7 @@ def prepared(
         say(f"{start.count} Gaussians to start from, anywhere: the baseline that knows nothing but the photos")
     settings = supported(settings, start, cameras, varied)
     real = plate_targets(photos, settings.plate_boost)
-    synthesized = read_views(sources.path, sources.views, sources.supports, cameras, settings)
+    synthesized = read_views(sources.path, sources.views, sources.supports, cameras, painted, settings)
     drawn = settings.views_share if synthesized else 0.0
     say(f"{len(real)} plates and {len(synthesized)} synthesized views, the latter in {drawn:.0%} of the steps")
     return Prepared(settings, photos, start, marks, real, synthesized)
