@@ -130,7 +130,7 @@ def test_unknown_depth_seeds_nothing(cameras: list[Camera]) -> None:
 def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -> None:
     pictures, depths = zip(*(look(c) for c in cameras))
     known = [np.ones(c.hw, bool) for c in cameras]
-    faces = room.faces_of(BOX)
+    faces = BOX.rectangles
     painted = {p.face.name: p for p in room.paint(faces, cameras[:1], pictures, known, depths, 0.1)}
     floor = painted["floor"]
     assert 0.2 < floor.seen.mean() < 0.9
@@ -145,7 +145,7 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
 
 
 def test_the_grid_of_a_far_away_shell_stays_within_its_limit() -> None:
-    faces = room.faces_of(RoomBox(0.0, np.full(3, -40.0), np.full(3, 40.0), np.zeros(6, bool), np.ones(6)))
+    faces = RoomBox(0.0, np.full(3, -40.0), np.full(3, 40.0), np.zeros(6, bool), np.ones(6)).rectangles
     step_m = room.node_step(faces, 0.04, 5000)
     assert sum(f.nodes(step_m)[..., 0].size for f in faces) < 5500
 
@@ -202,7 +202,7 @@ def test_holes_of_views_show_the_painted_room(cameras: list[Camera], between: li
     truth, depth_m = look(view)
     painted = [
         room.Painted(face, nodes, np.full(nodes.shape, 0.25), np.ones(nodes.shape[:2], bool))
-        for face in room.faces_of(BOX)
+        for face in BOX.rectangles
         for nodes in [face.nodes(0.1)]
     ]
     support = np.full(view.hw, 255, np.uint8)

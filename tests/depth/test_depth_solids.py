@@ -13,7 +13,7 @@ from studiorecon.depth.layout.furniture import allowed, around, furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
-from studiorecon.depth.stereo.photo_cost import Explained, colour_odds
+from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
@@ -208,20 +208,6 @@ def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None
     if case == "elsewhere in the picture":
         seen = replace(seen, keypoints=seen.keypoints + np.array([0.2 * camera.wh[0], 0, 0]))
     assert seen_through([camera], [person], [seen], whose).shape == (0, 4)
-
-
-def test_colours_unlike_a_wall_are_told_from_its_own() -> None:
-    rng = np.random.default_rng(0)
-    rgb = np.zeros((1, 40, 60, 3), np.float32)
-    rgb[..., 2] = 0.5 + 0.05 * rng.random((1, 40, 60))
-    face = np.full((1, 40, 60), 3, np.int32)
-    rgb[:, 10:30, 20:30] = [0.8, 0.2, 0.1]
-    cost = np.where(rgb[..., 0] > 0.5, 0.5, 0.1).astype(np.float32)
-    odds = colour_odds(rgb, np.ones(face.shape, bool), face, cost)
-    assert (odds[:, 12:28, 22:28] > 0.9).all()
-    assert (odds[:, :, :18] < 0.2).all()
-    # A wall of which nothing was matched says nothing about its colours.
-    assert not colour_odds(rgb, np.ones(face.shape, bool), face, np.full(face.shape, 0.9, np.float32)).any()
 
 
 def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:

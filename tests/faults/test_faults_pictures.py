@@ -165,7 +165,7 @@ def test_background_starts_from_the_rest(fault: float) -> None:
 @FAULTS
 def test_background_paints_the_shell_from_the_rest(fault: float) -> None:
     pictures = [look(v) for v in VIEWS]
-    faces = room.faces_of(BOX)
+    faces = BOX.rectangles
     plates, known = [rgb for rgb, _ in pictures], [np.ones(v.hw, bool) for v in VIEWS]
     right = room.paint(faces, VIEWS, plates, known, [depth for _, depth in pictures], 0.5)
     broken = [with_faults(depth, fault, seed)[0] for seed, (_, depth) in enumerate(pictures)]

@@ -17,7 +17,7 @@ import scipy
 
 from studiorecon.images.self_similar import Scale, filled
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.room import FACES, RoomBox
+from studiorecon.scene.room import Face
 
 # A face point counts as seen when the depth map agrees within this share of the distance plus this many metres.
 _AGREE_SHARE, _AGREE_M = 0.03, 0.03
@@ -29,47 +29,6 @@ _LEAST_SEEN = 0.02
 _LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
 # What nobody sees anything of is painted on so coarse a grid, and blurred so far: it has no detail.
 _COARSE, _BLUR_NODES = 2, 4.0
-
-
-@dataclass(frozen=True)
-class Face:
-    """A rectangle of the room's shell.
-
-    Attributes:
-        name: "floor", "ceiling" or a wall's.
-        corner_m: (3,) one corner; ``along_u``, ``along_v``: (3,) the two edges from it, metres.
-    """
-
-    name: str
-    corner_m: np.ndarray
-    along_u: np.ndarray
-    along_v: np.ndarray
-
-    @property
-    def normal(self) -> np.ndarray:
-        n = np.cross(self.along_u, self.along_v)
-        return n / np.linalg.norm(n)
-
-    def nodes(self, step_m: float) -> np.ndarray:
-        """(R, C, 3) points in the middle of cells of about ``step_m``, rows along v."""
-        columns = max(1, round(float(np.linalg.norm(self.along_u)) / step_m))
-        rows = max(1, round(float(np.linalg.norm(self.along_v)) / step_m))
-        u, v = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
-        return self.corner_m + u[None, :, None] * self.along_u + v[:, None, None] * self.along_v
-
-
-def faces_of(shell: RoomBox) -> list[Face]:
-    """The six rectangles of a room, in the order of ``scene.room.FACES``."""
-    low, high, size = shell.low_m, shell.high_m, shell.high_m - shell.low_m
-    edges = shell.axes * size[:, None]
-    faces = []
-    for index, name in enumerate(FACES):
-        axis, far = divmod(index, 2)
-        corner = low.copy()
-        corner[axis] = high[axis] if far else low[axis]
-        u, v = [edges[k] for k in range(3) if k != axis]
-        faces.append(Face(name, corner @ shell.axes, u, v))
-    return faces
 
 
 def node_step(faces: Sequence[Face], step_m: float, limit: int) -> float:
@@ -145,16 +104,14 @@ def seen_from(camera: Camera, painted: Sequence[Painted]) -> np.ndarray:
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))
     for own in painted:
-        face, (rows, columns) = own.face, own.rgb.shape[:2]
-        towards = rays @ face.normal
+        face, shape = own.face, own.seen.shape
         with np.errstate(divide="ignore", invalid="ignore"):
-            far = ((face.corner_m - camera.centre_m) @ face.normal) / towards
-            on_face = camera.centre_m + rays * far[..., None] - face.corner_m
-            u, v = (on_face @ edge / (edge @ edge) for edge in (face.along_u, face.along_v))
-        there = (far > 0) & (far < nearest) & (np.abs(u - 0.5) <= 0.5) & (np.abs(v - 0.5) <= 0.5)
-        # cv2 counts centres as integers
-        at = (np.where(there, share * count - 0.5, 0).astype(np.float32) for share, count in ((u, columns), (v, rows)))
-        colours = cv2.remap(own.rgb, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            far = ((face.corner_m - camera.centre_m) @ face.normal) / (rays @ face.normal)
+            cells = face.cells(camera.centre_m + rays * far[..., None], shape)
+            on_face = np.all(np.abs(cells - (np.array(shape) - 1) / 2) <= np.array(shape) / 2, axis=-1)
+        there = on_face & (far > 0) & (far < nearest)
+        rows, columns = np.where(there, np.moveaxis(cells, -1, 0), 0).astype(np.float32)
+        colours = cv2.remap(own.rgb, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         nearest, rgb = np.where(there, far, nearest), np.where(there[..., None], colours, rgb)
     return rgb
 

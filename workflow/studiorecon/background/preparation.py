@@ -90,7 +90,7 @@ class Photo:
 
 def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
     """The room's faces as the photos show them, and going on alike where nobody sees them."""
-    faces = hole_filling.faces_of(box)
+    faces = box.rectangles
     step_m = hole_filling.node_step(faces, settings.fill_step_m, settings.fill_limit)
     cameras, plates, known, depths = zip(*((p.camera, p.rgb, p.known, p.depth_m) for p in photos))
     return hole_filling.paint(faces, cameras, plates, known, depths, step_m)
@@ -176,9 +176,7 @@ def view_targets(
         picture, hole = to_float(rgb), support == 0
         if painted and hole.any():
             picture[hole] = hole_filling.seen_from(step.camera, painted)[hole]
-        targets.append(
-            Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight))
-        )
+        targets.append(Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight)))
     return targets
 
 

@@ -51,7 +51,11 @@ class Settings:
         letter=False,
     )
     fill_step_m: float = setting(
-        0.06, "Grid of those discs; coarser when the room would need more than fill_limit nodes.", unit="m", above=0
+        0.04,
+        "Grid of those discs; coarser when the room would need more than fill_limit nodes, and twice as coarse on "
+        "faces of which nothing is seen.",
+        unit="m",
+        above=0,
     )
     fill_limit: int = setting(150000, "Most nodes of that grid.", minimum=1)
     views_share: float = setting(

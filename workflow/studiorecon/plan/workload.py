@@ -22,7 +22,7 @@ _EXPECTED_PEOPLE = 2
 """People in the footage, who are counted only once somebody has looked."""
 _MEGA = 1e6
 # Gaussians where nobody sees, in the demo's room of 60 m² at this step.
-_UNSEEN, _UNSEEN_STEP_M = 28_500, 0.06
+_UNSEEN, _UNSEEN_STEP_M = 36_000, 0.04
 # What the defaults of depth's catalogue of planes stand for.
 _PLANE_STEPS_M = (0.04, 0.06)
 

@@ -20,6 +20,40 @@ FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
 
 
 @dataclass(frozen=True)
+class Face:
+    """One rectangle of the room.
+
+    Attributes:
+        name: one of ``FACES``.
+        corner_m: (3,) one corner; ``along_u``, ``along_v``: (3,) the two edges from it, metres.
+    """
+
+    name: str
+    corner_m: Num[np.ndarray, " 3"]
+    along_u: Num[np.ndarray, " 3"]
+    along_v: Num[np.ndarray, " 3"]
+
+    @property
+    def normal(self) -> Num[np.ndarray, " 3"]:
+        n = np.cross(self.along_u, self.along_v)
+        return n / np.linalg.norm(n)
+
+    def nodes(self, step_m: float) -> Num[np.ndarray, "R C 3"]:
+        """(R, C, 3) points in the middle of cells of about ``step_m``, rows along v."""
+        columns = max(1, round(float(np.linalg.norm(self.along_u)) / step_m))
+        rows = max(1, round(float(np.linalg.norm(self.along_v)) / step_m))
+        u, v = (np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows
+        return self.corner_m + u[None, :, None] * self.along_u + v[:, None, None] * self.along_v
+
+    def cells(self, points_m: Num[np.ndarray, "*N 3"], shape: tuple[int, int]) -> Num[np.ndarray, "*N 2"]:
+        """(..., 2) row and column, first cell's centre at 0, where points (..., 3) lie among ``shape`` cells."""
+        rows, columns = shape
+        there = points_m - self.corner_m
+        shares = [there @ edge / (edge @ edge) for edge in (self.along_v, self.along_u)]
+        return np.stack([shares[0] * rows - 0.5, shares[1] * columns - 0.5], axis=-1)
+
+
+@dataclass(frozen=True)
 class RoomBox:
     """A box with vertical walls that encloses every camera.
 
@@ -56,6 +90,19 @@ class RoomBox:
         """(6, 4) n·p = o of the faces in the order of ``FACES``."""
         offsets = np.stack([self.low_m, self.high_m], axis=1).reshape(6)
         return np.concatenate([np.repeat(self.axes, 2, axis=0), offsets[:, None]], axis=1)
+
+    @property
+    def rectangles(self) -> list[Face]:
+        """The six faces in the order of ``FACES``."""
+        edges = self.axes * (self.high_m - self.low_m)[:, None]
+        found = []
+        for index, name in enumerate(FACES):
+            axis, far = divmod(index, 2)
+            corner = self.low_m.copy()
+            corner[axis] = self.high_m[axis] if far else self.low_m[axis]
+            u, v = [edges[k] for k in range(3) if k != axis]
+            found.append(Face(name, corner @ self.axes, u, v))
+        return found
 
     def contains(self, points_m: np.ndarray, margin_m: float = 0.0) -> Bool[np.ndarray, " ..."]:
         """(...,) bool: points (..., 3) inside the box grown by ``margin_m``."""

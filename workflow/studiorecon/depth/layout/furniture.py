@@ -20,8 +20,9 @@ _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MOST_MOVES = 8
 _LEAST_SIDE_M, _LEAST_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
-# A box is tried as a cylinder when its sides differ by less than this share.
-_SQUARE_SHARE = 0.4
+# A box is tried as a cylinder when its sides differ by less than this share; one of one photo always is, and may
+# explain so much less.
+_SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
 # So many proposals are priced anew at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
 
@@ -167,10 +168,17 @@ def furnish(
 def rounded(
     room: Explained, shell: RoomBox, taken: np.ndarray, solid: np.ndarray, gain: float
 ) -> tuple[np.ndarray, float]:
-    """A cylinder in place of a nearly square box when it explains more; two numbers less, so a tie is its own."""
-    side = solid[4:6].mean()
-    if solid[0] != 0 or abs(solid[4] - solid[5]) > _SQUARE_SHARE * side:
+    """A cylinder in place of a nearly square box when it explains more; two numbers less, so a tie is its own.
+
+    Of what one photo alone shows nobody knows how deep it is: it is as deep as it is wide, a cylinder, unless that
+    explains clearly less.
+    """
+    if solid[0] != 0:
+        return solid, gain
+    alone = gain - float(room.gains(solid[None], looks=False)[0]) > gain / 2
+    side = solid[4:6].max() if alone else solid[4:6].mean()
+    if not alone and abs(solid[4] - solid[5]) > _SQUARE_SHARE * side:
         return solid, gain
     start = np.array([1, *solid[1:3], 0, side, side, *solid[6:]])
     round_solid, round_gain = climb(room, shell, taken, start, float(room.gains(start[None])[0]), _STEPS_M[1:])
-    return (round_solid, round_gain) if round_gain >= gain else (solid, gain)
+    return (round_solid, round_gain) if round_gain >= (_ROUND_SHARE if alone else 1.0) * gain else (solid, gain)

@@ -34,7 +34,8 @@ _TO_WALL_M = 1.0
 # How far outside the cameras furniture is looked for where there is no wall.
 _REACH_M = 2.5
 _SLAB_M = 0.06
-_LEAST_AREA, _LEAST_ON_FLOOR = 40, 4
+# What is unlike the face behind it, how far up and aside its pieces may lie apart, and how much of it there must be.
+_UNLIKE, _GAP_PX, _LEAST_AREA, _LEAST_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
 def advantage(room: Explained, points_m: np.ndarray, outward: np.ndarray) -> np.ndarray:
@@ -199,9 +200,9 @@ def standing(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarra
     point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
-        unlike = cv2.morphologyEx(
-            (alone & (room.odds[v] > 0.2)).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)
-        )
+        unlike = (alone & (room.odds[v] > _UNLIKE)).astype(np.uint8)
+        for how, gap in ((cv2.MORPH_OPEN, (2, 2)), (cv2.MORPH_CLOSE, _GAP_PX)):
+            unlike = cv2.morphologyEx(unlike, how, np.ones(gap, np.uint8))
         count, labels, stats, _ = cv2.connectedComponentsWithStats(unlike, connectivity=4)
         for k in range(1, count):
             left, top, columns, rows, area = stats[k]

@@ -24,8 +24,12 @@ _LEAST_PIXELS = 8
 _NEAR_M = 0.1
 # Depth is stored in single precision: what is nearer by less than this share is the same surface.
 _BEFORE = 1 - 1e-5
-# Worth of a pixel that one camera alone sees and whose colour is not at all the wall's.
-_ODDS_WEIGHT = 0.3
+# Worth of a pixel that one camera alone sees and that looks not at all like the wall; of one of a thing that stands
+# before everybody's eyes, which is explained as well then as what two cameras agree on.
+_ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
+# A thing stands before everybody's eyes when so much of its foot has floor before it, seen this many pixels below, and
+# what is this many pixels beside it is wall again; its foot is on the floor within so many metres.
+_CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
 # Surfaces are numbered: the shell's faces 0-5, then ten for every solid; a solid on trial has the numbers from here.
 FIRST, _TRIAL = 10, 30_000
 
@@ -204,18 +208,63 @@ def draw(lens, pose, centre, known, depth, surface, solid, first):
 
 
 @njit(cache=True, parallel=True)
-def gains(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, solids):
-    """(N,) by how much the cost of all pixels falls with each of N solids (N, 8) added alone."""
+def gains(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, solids):
+    """(N,) by how much the cost of all pixels falls with each of N solids (N, 8) added alone; ``floor_m``: height of
+    the floor."""
     found = np.zeros(len(solids))
     for k in prange(len(solids)):
         found[k] = _gain(
-            lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, solids[k]
+            lens,
+            pose,
+            centre,
+            rgb,
+            known,
+            depth,
+            surface,
+            pair,
+            at,
+            z,
+            cost,
+            odds,
+            half,
+            mean_weight,
+            floor_m,
+            solids[k],
         )
     return found
 
 
 @njit(cache=True)
-def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, solid):
+def _stands_clear(number, known, surface, odds, top, bottom, left, right):
+    """Whether a thing on trial, where ``number`` (H, W) is not 0, shows its whole outline to one camera: floor before
+    its foot, and on either side what looks like the wall behind."""
+    height, width = number.shape
+    foot, clear, beside, total = 0, 0, 0, 0.0
+    for x in range(left, right):
+        low = -1
+        for y in range(top, bottom):
+            if number[y, x] > 0:
+                low = y
+        if low < 0:
+            continue
+        foot += 1
+        y = low + _BELOW
+        if y < height and known[y, x] and number[y, x] == 0 and surface[y, x] == 4 and odds[y, x] < 0:
+            clear += 1
+    for y in range(top, bottom):
+        for x in range(left, right):
+            if number[y, x] == 0:
+                continue
+            for step in (-_BESIDE, _BESIDE):
+                i = x + step
+                if 0 <= i < width and number[y, i] == 0 and known[y, i] and 0 <= surface[y, i] < 6:
+                    total += odds[y, i]
+                    beside += 1
+    return clear >= _CLEAR_FOOT * foot and beside > 0 and total < 0
+
+
+@njit(cache=True)
+def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, solid):
     views, height, width = known.shape
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int32)
@@ -231,8 +280,9 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
                     trial[v, y, x], number[v, y, x] = d, _TRIAL + face
                     touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
                     touched[v, 2], touched[v, 3] = min(touched[v, 2], x), max(touched[v, 3], x + 1)
-    gain, unlike = 0.0, 0.0
+    gain, unlike, clear = 0.0, 0.0, 0.0
     for v in range(views):
+        before_view = unlike
         # Pixels that now show the solid.
         top, bottom, left, right = touched[v]
         rows, columns = max(bottom - top, 0), max(right - left, 0)
@@ -284,6 +334,10 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
                     gain += was - UNSEEN
                 elif surface[v, y + top, x + left] < 6:
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
+        own = (unlike - before_view) / _ODDS_WEIGHT
+        stands = own > 0 and solid[6] <= floor_m + _STANDING_M
+        if stands and _stands_clear(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
+            clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.
         for y in range(height):
             for x in range(width):
@@ -304,6 +358,6 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
                         n += 1
                 if lost:
                     gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
-    # Colour extends what cameras agree on, and is never worth more than that: one photo does not tell where a thing
-    # stands.
-    return gain + min(unlike, max(gain, 0.0))
+    # Looks extend what cameras agree on, and are never worth more than that: one photo does not tell where a thing
+    # floats. It does tell where a thing stands whose foot it sees.
+    return gain + max(min(unlike, max(gain, 0.0)), clear)

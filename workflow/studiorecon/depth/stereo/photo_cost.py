@@ -5,7 +5,8 @@ solid more changes.
 A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
 correlation over the pixels of one surface). So a solid is paid for by its faces that match and by wrong matches behind
 it that it hides, and it pays for everything true that it would hide. What no other camera sees of it wins nothing by
-matching; colours unlike the wall behind may extend what is matched elsewhere (``colour_odds``).
+matching; what looks unlike the wall behind may extend what is matched elsewhere, or make up a thing that stands on the
+floor before everybody's eyes (``unlikeness``).
 """
 
 from __future__ import annotations
@@ -13,15 +14,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, gains
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.unlikeness import surface_odds
 from studiorecon.scene.room import RoomBox
-
-# A face of the shell whose pixels match this well, and so many of them, say what its colours are.
-_LIKE_FACE, _LEAST_FACE = 0.4, 100
 
 
 @dataclass
@@ -37,8 +35,9 @@ class Explained:
         cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
         judges: how many other cameras see its surface.
         half, mean_weight: half a window in pixels, price of a difference of means.
+        floor_m: height of the floor.
         bare: depth and surface of the shell alone.
-        odds: ``colour_odds`` of the shell alone.
+        odds: ``unlikeness.surface_odds`` of the shell alone.
         solids: (K, 8) those added so far.
     """
 
@@ -56,6 +55,7 @@ class Explained:
     judges: np.ndarray
     half: int
     mean_weight: float
+    floor_m: float
     bare: tuple[np.ndarray, np.ndarray]
     odds: np.ndarray
     solids: np.ndarray
@@ -96,16 +96,19 @@ class Explained:
             judges,
             window // 2,
             mean_weight,
+            float(shell.low_m[2]),
             bare,
             odds,
             np.zeros((0, 8)),
         )
         room.replace_all(room.solids)
-        room.odds[:] = colour_odds(rgb, known, surface, room.cost)
+        for own, unlike in zip(room.odds, surface_odds(pictures, shell)):
+            own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
-    def gains(self, solids: np.ndarray) -> np.ndarray:
-        """(N,) by how much the cost of all pixels would fall with each of N solids (N, 8) added alone."""
+    def gains(self, solids: np.ndarray, looks: bool = True) -> np.ndarray:
+        """(N,) by how much the cost of all pixels would fall with each of N solids (N, 8) added alone; without
+        ``looks`` only what cameras agree on counts."""
         return gains(
             *self._photos,
             self.depth,
@@ -114,9 +117,10 @@ class Explained:
             self.at,
             self.z,
             self.cost,
-            self.odds,
+            self.odds if looks else np.zeros_like(self.odds),
             self.half,
             self.mean_weight,
+            self.floor_m,
             np.ascontiguousarray(solids, np.float64),
         )
 
@@ -146,29 +150,3 @@ class Explained:
     def add(self, solid: np.ndarray) -> None:
         """Add one solid (8,)."""
         self.replace_all(np.concatenate([self.solids, np.asarray(solid, np.float64)[None]]))
-
-
-def colour_odds(rgb: np.ndarray, known: np.ndarray, face: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """(V, H, W) float32 in [-1, 1]: log of how much likelier a pixel's colour is in the whole room than on its own face
-    of the shell.
-
-    A face's colours are those of its pixels that match in another view; what looks unlike them, and nobody else sees,
-    may stand before it.
-    """
-    bins = 8
-    code = np.minimum((np.sqrt(np.clip(rgb, 0, 1)) * bins).astype(np.int64), bins - 1) @ np.array(
-        [bins * bins, bins, 1]
-    )
-    groups = [known, *(known & (face == f) & (cost < _LIKE_FACE) for f in range(6))]
-    smooth = [cv2.GaussianBlur(_histogram(code[where], bins), (0, 0), 0.7) for where in groups]
-    shares = [(h + 1e-3 * max(h.sum(), 1) / h.size) / (h.sum() + 1e-3 * max(h.sum(), 1)) for h in smooth]
-    odds = np.zeros(rgb.shape[:3], np.float32)
-    for f in range(6):
-        mine = known & (face == f)
-        if (mine & (cost < _LIKE_FACE)).sum() >= _LEAST_FACE:
-            odds[mine] = np.clip(np.log(shares[0].ravel()[code[mine]] / shares[1 + f].ravel()[code[mine]]), -1, 1)
-    return np.stack([cv2.blur(o, (3, 3)) for o in odds])
-
-
-def _histogram(code: np.ndarray, bins: int) -> np.ndarray:
-    return np.bincount(code, minlength=bins**3).astype(np.float64).reshape(bins * bins, bins)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What in a photo looks unlike the wall or floor that it would lie on, if nothing stood in the room.
+
+Walls and floors repeat themselves: a piece of wallpaper has others like it further along. A pillar that is laid on the
+wall behind it has not. So every piece of a face is compared with pieces elsewhere on the same face, as all cameras show
+them; a poster is unlike its wall too, but it does not reach the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.scene.room import Face, RoomBox
+
+# Cells that a face is laid out in, and half the side of a piece of it.
+_CELL_M, _HALF = 0.06, 2
+# Nearer pieces of a floor, or of a wall in either direction along it, may show the same thing.
+_ELSEWHERE_M = 0.6
+# Pieces are described by so many principal components, and compared with so many others; the fifth nearest counts.
+_COMPONENTS, _OTHERS, _NEAREST = 12, 1500, 4
+_AT_ONCE = 4096
+# Fewer pieces do not say how a face looks.
+_LEAST_PIECES = 200
+# Unlike is what is this much further from others than half of all pieces are; so much is camera noise.
+_USUAL, _NOISE = 1.5, 0.01
+
+
+def surface_odds(pictures: Sequence[Picture], shell: RoomBox) -> list[np.ndarray]:
+    """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the shell
+    behind it, -1 where just like it, 0 where that cannot be told.
+
+    2 s for four pictures 160 pixels wide.
+    """
+    where = [shell.intersect(*p.camera.rays()) for p in pictures]
+    odds = [np.zeros(p.camera.hw, np.float32) for p in pictures]
+    for index, face in enumerate(shell.rectangles):
+        nodes = face.nodes(_CELL_M)
+        pieces = [_pieces(picture, on == index, nodes) for picture, (_, on) in zip(pictures, where)]
+        if sum(len(at) for at, _ in pieces) < _LEAST_PIECES:
+            continue
+        apart = _apart(np.concatenate([p for _, p in pieces]), np.concatenate([at for at, _ in pieces]), index < 4)
+        usual = _USUAL * float(np.median(apart)) + _NOISE
+        for own, picture, (at, _), (depth_m, on), values in zip(
+            odds, pictures, pieces, where, np.split(apart, np.cumsum([len(at) for at, _ in pieces])[:-1])
+        ):
+            laid, unknown = np.zeros(nodes.shape[:2], np.float32), np.ones(nodes.shape[:2], bool)
+            laid[tuple(at.T)], unknown[tuple(at.T)] = np.clip(values / usual - 1, -1, 1), False
+            if face.name == "floor":
+                # A piece is unlike from where its rim touches something on: things would seem to stand nearer.
+                laid[unknown] = 1
+                laid = np.asarray(cv2.erode(laid, np.ones((3, 3))), np.float32)
+            laid[unknown] = 0
+            own[on == index] = _seen(laid, face, picture, depth_m)[on == index]
+    return odds
+
+
+def _pieces(picture: Picture, on_face: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2) cells of a face that a picture shows whole, and (N, P) the colours of the pieces around them."""
+    pixels, z = picture.camera.project(nodes)
+    # cv2 counts centres as integers
+    columns, rows = (np.where(z > 0, pixels[..., k] - 0.5, -2).astype(np.float32) for k in (0, 1))
+    usable = (picture.known & on_face).astype(np.float32)
+    seen = cv2.remap(usable, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0.99
+    at = np.argwhere(seen)
+    if not len(at):
+        return at, np.zeros((0, 3 * (2 * _HALF + 1) ** 2), np.float32)
+    rgb = cv2.remap(picture.rgb.astype(np.float32), columns, rows, cv2.INTER_LINEAR)
+    # Beside a rim a piece goes on with what is nearest.
+    nearest = distance_transform_edt(~seen, return_distances=False, return_indices=True)
+    wide = np.pad(rgb[tuple(nearest)], ((_HALF, _HALF), (_HALF, _HALF), (0, 0)), mode="edge")
+    side = range(2 * _HALF + 1)
+    return at, np.concatenate([wide[at[:, 0] + a, at[:, 1] + b] for a in side for b in side], axis=1)
+
+
+def _apart(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
+    """(N,) root mean square per cell by which every piece (N, P) differs from the nearest elsewhere on its face."""
+    rng = np.random.default_rng(0)
+    pieces = pieces - pieces.mean(axis=0)
+    _, directions = np.linalg.eigh(pieces.T @ pieces)
+    described = np.ascontiguousarray(pieces @ directions[:, -_COMPONENTS:])
+    chosen = rng.permutation(len(pieces))[:_OTHERS]
+    others, places = described[chosen], at[chosen]
+    squared = np.empty(len(pieces), np.float32)
+    for first in range(0, len(pieces), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        distance = (
+            (described[some] ** 2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2 * described[some] @ others.T
+        )
+        beside = np.abs(at[some, None] - places) * _CELL_M < _ELSEWHERE_M
+        distance[beside[..., 1] if upright else beside.all(axis=-1)] = np.inf
+        rank = min(_NEAREST, distance.shape[1] - 1)
+        squared[some] = np.partition(distance, rank, axis=1)[:, rank]
+    finite = squared[np.isfinite(squared)]
+    # A face so narrow that nothing is elsewhere says nothing.
+    squared = np.where(np.isfinite(squared), squared, np.median(finite) if len(finite) else 0.0)
+    return np.sqrt(np.maximum(squared, 0) / (2 * _HALF + 1) ** 2)
+
+
+def _seen(laid: np.ndarray, face: Face, picture: Picture, depth_m: np.ndarray) -> np.ndarray:
+    """(H, W) what is ``laid`` out on a face, as a camera sees it."""
+    points_m = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
+    rows, columns = np.moveaxis(face.cells(points_m, laid.shape), -1, 0).astype(np.float32)
+    return cv2.remap(laid, columns, rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
