@@ -12,6 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration.doctor import nobody, undistorted
@@ -19,9 +20,10 @@ from studiorecon.calibration.room_pictures import rooms_of
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
+from studiorecon.geometry.lens import video_from_working
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.floor_marks import RoomPicture
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.tracks import keypoints as tracks_keypoints
@@ -39,7 +41,8 @@ class Filmed:
 
     Attributes:
         name, fps, frames: of the take.
-        cameras: the reference, in pixels of the films.
+        cameras: the reference, in pixels of the films; ``lenses``: the same as calibrated.
+        other_lenses: of ``others``.
         seen: what the detector found, pixels of the films.
         rooms: camera → its room without people.
         others: another calibration of the same take, if there is one.
@@ -49,9 +52,31 @@ class Filmed:
     fps: float
     frames: int
     cameras: list[Camera]
+    lenses: dict[str, Lens]
     seen: list[Detections]
     rooms: dict[str, RoomPicture]
     others: list[Camera]
+    other_lenses: dict[str, Lens]
+
+    def straightened(
+        self, lenses: Mapping[str, Lens]
+    ) -> tuple[list[Camera], list[Detections], list[RoomPicture | None]]:
+        """Cameras, sightings and rooms without the distortion of ``lenses``, as a calibrated capture has them."""
+        cameras, seen, rooms = [], [], []
+        for d, camera in zip(self.seen, self.cameras, strict=True):
+            pinhole, straight = undistorted(d, lenses[camera.name], camera.wh)
+            cameras.append(pinhole)
+            seen.append(straight)
+            room = self.rooms.get(camera.name)
+            if room is None:
+                rooms.append(None)
+                continue
+            at = video_from_working(pinhole.pixel_centres(), lenses[camera.name], camera.wh, pinhole.intrinsics)
+            columns, rows = np.moveaxis(at.astype(np.float32) - 0.5, -1, 0)
+            grey = cv2.remap(room.grey, columns, rows, cv2.INTER_LINEAR)
+            known = cv2.remap(room.known.astype(np.uint8), columns, rows, cv2.INTER_NEAREST) > 0
+            rooms.append(RoomPicture(grey, known))
+        return cameras, seen, rooms
 
 
 def found_in(camera: str, video: Path, folder: Path) -> Path:
@@ -96,7 +121,7 @@ def the_man(folder: Path) -> Filmed:
         lenses = calibration.lenses_of(reading, name, list(MAN), dataset.pixel_maps, loaded(calibration.Settings))[0]
         read.append({lens.name: lens for lens in lenses})
     pinholes = [[undistorted(nobody(c), lenses[c], size[c])[0] for c in MAN] for lenses in read]
-    return Filmed("man", 60.0, 100, pinholes[0], seen, rooms_of(MAN, videos, size), pinholes[1])
+    return Filmed("man", 60.0, 100, pinholes[0], read[0], seen, rooms_of(MAN, videos, size), pinholes[1], read[1])
 
 
 def the_demo(folder: Path) -> Filmed:
@@ -110,7 +135,7 @@ def the_demo(folder: Path) -> Filmed:
     lenses = calibration.lenses_of(reading, "demo", list(DEMO), {}, loaded(calibration.Settings))[0]
     pinholes = [undistorted(nobody(n.name), n, size[n.name])[0] for n in lenses]
     rooms = rooms_of(DEMO, videos, size)
-    return Filmed("demo", 30.0, 60, pinholes, seen, rooms, [])
+    return Filmed("demo", 30.0, 60, pinholes, {n.name: n for n in lenses}, seen, rooms, [], {})
 
 
 TAKES = {"demo": the_demo, "man": the_man}

@@ -154,6 +154,11 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
     assert len(ends) >= 4
     assert (ways.min(1) < 2).all(), "what passes through is no edge of the room"
     assert ways.max() == pytest.approx(200, abs=6)
+    hidden = rooms["cam"].known.copy()
+    hidden[:, :150] = False
+    assert straight_edges(rooms["cam"].grey, hidden)[:, [0, 2]].min() > 150, (
+        "where nobody knows the room it has no edges"
+    )
 
 
 def test_a_bare_picture_has_no_edges() -> None:

@@ -130,6 +130,7 @@ def test_cameras_are_refined_on_the_rest(tmp_path: Path, default_settings: Calla
         tmp_path / "manifest.json",
         paths,
         [],
+        [],
         tmp_path / "m/images.txt",
         tmp_path / "m/heldout/images.txt",
         tmp_path / "refinement.json",

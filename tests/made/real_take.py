@@ -59,13 +59,13 @@ def front_end_of(
         detections.run(load(detections), name, *about, out / f"{name}.json", lenses, path)
     model = out / "model" / "images.txt"
     reports = [out / "refinement.json", out / "refinement.png"]
-    refine.run(
-        load(refine), lenses, out / "manifest.json", found, videos, model, out / "heldout" / "images.txt", *reports
-    )
-    plates = [out / f"{n}.plate.png" for n in names]
+    plates = [out / "plates" / f"{n}.png" for n in names]
     for name, video, picture in zip(names, videos, plates):
         known = [out / f"{name}.npz"] if data.keypoints else []
         plate.run(load(plate), video, out / f"{name}.json", lenses, known, [data.plates[name]], picture)
+    refine.run(
+        load(refine), lenses, out / "manifest.json", found, videos, plates, model, out / "heldout/images.txt", *reports
+    )
     scene, body = (model, out / "manifest.json"), root / "resources" / "body.npz"
     outputs = [out / "with_keypoints.tsv", out / "identities.tsv", out / "association.json", out / "who"]
     associate.run(load(associate), *scene, found, videos, [], *outputs)

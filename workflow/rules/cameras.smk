@@ -7,6 +7,7 @@ rule cameras_refine:
         manifest="results/{scene}/capture/manifest.json",
         detections=files.first_detections,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
+        plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
     output:
         model="results/{scene}/cameras/images.txt",
         intrinsics="results/{scene}/cameras/cameras.txt",

@@ -14,6 +14,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.cameras.by_the_floor import by_the_floor, changes_of, on_the_same_floor, room_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
@@ -32,6 +33,7 @@ from studiorecon.rig.bundle import (
 )
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.gravity import tell_tilt
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
@@ -100,9 +102,10 @@ def decide(
     frames: int,
     floor_known: bool,
     settings: Settings,
+    rooms: Sequence[RoomPicture | None] = (),
 ) -> Refinement:
     """The cameras to use, with the reasons; raises UserError when the people say that the calibration is not of these
-    cameras."""
+    cameras. ``rooms``: the room as each training camera sees it, where there are pictures of it."""
     report: dict[str, Any] = {
         "cameras": [c.name for c in training],
         "held_out": [c.name for c in held_out],
@@ -119,7 +122,7 @@ def decide(
     few = chosen[:: max(1, len(chosen) // 6)]
     told = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
     anew = (
-        where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit)
+        where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit, rooms)
         if settings.refine
         else None
     )
@@ -152,6 +155,10 @@ def decide(
     adjusted, after = training, before
     if settings.refine and len(training) > 2 and (len(points) or anew):
         adjusted, seen, report = _try_refinement(training, seen, report, settings)
+    if settings.refine and anew is None and len(rooms):
+        adjusted, report = by_the_floor(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
+    if settings.refine and anew is None:
+        adjusted, report = on_the_same_floor(given, adjusted, seen, report, settings.limits)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
     if anew is not None:
@@ -161,7 +168,7 @@ def decide(
             "reason": "the cameras stand elsewhere than the calibration says",
             "unseen_before_px": before_px,
         }
-        report["changes"] = _changes(given, adjusted, radial)
+        report["changes"] = changes_of(given, adjusted, radial)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
         raise UserError(
@@ -246,29 +253,10 @@ def _try_refinement(
     report |= {
         "refined": True,
         "reason": "refinement clearly helped",
-        "changes": _changes(training, refined.cameras, refined.radial),
+        "changes": changes_of(training, refined.cameras, refined.radial),
     }
     _tell(report, lens.focal or lens.radial, lens.radial)
     return refined.cameras, straightened(seen, refined.cameras, refined.radial), report
-
-
-def _changes(given: Sequence[Camera], refined: Sequence[Camera], radial: np.ndarray) -> list[dict[str, Any]]:
-    changes = []
-    for old, new, k1 in zip(given, refined, radial):
-        turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
-        degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
-        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
-        longer = new.focal_px[0] / old.focal_px[0] - 1
-        changes.append(
-            {
-                "camera": old.name,
-                "turned_deg": degrees,
-                "moved_m": moved_m,
-                "focal_longer": longer,
-                "radial_k1": float(k1),
-            }
-        )
-    return changes
 
 
 def _tell(report: dict[str, Any], focal: bool, radial: bool) -> None:
@@ -317,13 +305,14 @@ def run(
     manifest: Path,
     detections: list[Path],
     videos: list[Path],
+    plates: list[Path],
     model: Written,
     heldout_model: Written,
     refinement: Written,
     sheet: Written,
 ) -> None:
     """Write the COLMAP models ``model`` and ``heldout_model`` (their images.txt), ``refinement`` (JSON) and ``sheet``
-    (PNG)."""
+    (PNG). ``plates`` are the training cameras'."""
 
     found = read_manifest(manifest)
     given = read_json(calibration)
@@ -333,8 +322,15 @@ def run(
     unusable = sum(count for _, count in seen)
     if unusable:
         warn(f"{unusable} keypoints are not finite or at exactly (0, 0), and were left out")
+    looks = {path.stem: room_of(path) for path in plates}
     outcome = decide(
-        training, held_out, [d for d, _ in seen], found.frames, bool(given.get("floor_known", True)), settings
+        training,
+        held_out,
+        [d for d, _ in seen],
+        found.frames,
+        bool(given.get("floor_known", True)),
+        settings,
+        [looks.get(c.name) for c in training],
     )
     by_name = {p.stem: p for p in videos}
     pictures = [read_frame(by_name[c.name], found.frames // 2) if c.name in by_name else None for c in outcome.training]

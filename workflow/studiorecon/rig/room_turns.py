@@ -24,7 +24,7 @@ from studiorecon.geometry.rotations import angle, exp, log
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 # Shorter edges, as a share of the longer side, say little about directions.
 _LEAST_SHARE = 0.02
@@ -46,15 +46,27 @@ _SQUARE_DEG = 0.3
 _HELD_DEG = 1.0
 
 
-def straight_edges(grey: Num[np.ndarray, "H W"]) -> Num[np.ndarray, "N 4"]:
+def straight_edges(
+    grey: Num[np.ndarray, "H W"], known: Bool[np.ndarray, "H W"] | None = None
+) -> Num[np.ndarray, "N 4"]:
     """(N, 4) ends x0, y0, x1, y1 of the straight edges of ``grey`` (H, W, uint8) that are long enough to say where they
-    run, centres of pixels at +0.5. Raises ValueError for another shape."""
-    require("grey", grey, ("H", "W"))
+    run, centres of pixels at +0.5; with ``known`` (H, W) only those that run where it is set. Raises ValueError for
+    another shape."""
+    size = require("grey", grey, ("H", "W"))
     found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(np.ascontiguousarray(grey))[0]
     if found is None:
         return np.zeros((0, 4))
     ends = found.reshape(-1, 4).astype(np.float64) + 0.5
-    return ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _LEAST_SHARE * max(grey.shape)]
+    kept = np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= _LEAST_SHARE * max(grey.shape)
+    if known is not None:
+        require("known", known, ("H", "W"), size)
+        # A pixel beside the edge of what is unknown is already beside it.
+        sure = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8))
+        for share in (0.0, 0.5, 1.0):
+            at = (1 - share) * ends[:, :2] + share * ends[:, 2:]
+            column, row = np.clip(at.astype(int), 0, np.array(grey.shape[::-1]) - 1).T
+            kept &= sure[row, column] > 0
+    return ends[kept]
 
 
 @dataclass(frozen=True)

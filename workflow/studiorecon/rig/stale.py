@@ -22,8 +22,11 @@ from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.progress import warn
 from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.by_the_room import by_the_room
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import rigs, sightings
+from studiorecon.rig.level import levelled, under_feet
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -77,17 +80,14 @@ def where_they_stand_now(
     bundle: BundleSettings,
     before_px: float,
     allowed_px: float,
+    rooms: Sequence[RoomPicture | None] = (),
 ) -> Stale | None:
     """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
 
     ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
-    ``gain``, and within ``allowed_px``.
+    ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any.
     """
-    found = (
-        moved_since(given, detections, frames, gate_m, limits, bundle, not before_px < allowed_px)
-        if len(given) > 2
-        else None
-    )
+    found = moved_since(given, detections, frames, gate_m, limits, bundle, not before_px < allowed_px, rooms)
     if found is None:
         return None
     after_px = error_medians(found.cameras, found.seen, limits)[0]
@@ -121,13 +121,15 @@ def moved_since(
     limits: Limits,
     bundle: BundleSettings,
     lost: bool,
+    rooms: Sequence[RoomPicture | None] = (),
 ) -> Stale | None:
     """The cameras under the narrowest prior that explains unseen halves; None where that is ``bundle``'s own, or people
     say too little.
 
     ``lost``: nearly nothing agrees as the cameras were given, so wider gates are tried too, since who is who hangs on
     the poses and the poses on who is who, and at last a rig from nothing (``people_rig``), laid on the given cameras.
-    At least three cameras.
+    What ``rooms`` show of the room joins people where it explains itself. Two cameras have nobody to confirm them but
+    frames and joints that the fit has not seen, and the room.
     """
     wide = replace(bundle, prior_deg=FREE_DEG, prior_m=FREE_M)
     best: tuple[int, list[Camera]] = (0, [])
@@ -151,6 +153,9 @@ def moved_since(
     if chosen == 0 or used is None:
         return None
     result = _fit(used, best[1], given, limits, 1.0, rungs[chosen])
+    room = by_the_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
+    if room is not None and room.explained:
+        result = room.adjusted
     turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
     if turn_deg.max() > _MOST_SIGMA_DEG or place_m.max() > _MOST_SIGMA_M:
         return None
@@ -161,7 +166,16 @@ def moved_since(
         "sigma_deg": dict(zip(names, turn_deg.tolist())),
         "sigma_m": dict(zip(names, place_m.tolist())),
     }
-    return Stale(result.cameras, observe(detections, result.cameras, frames, gate_m)[0], report)
+    if room is not None:
+        report["room"] = room.report
+    seen = observe(detections, result.cameras, frames, gate_m)[0]
+    marks_m = room.marks_m(limits) if room is not None and room.explained else np.zeros((0, 3))
+    floor = under_feet(result.cameras, seen, marks_m, limits)
+    cameras = result.cameras
+    if floor is not None:
+        cameras, tilt_deg, lift_m = levelled(result.cameras, *floor)
+        report["levelled"] = {"tilt_deg": tilt_deg, "lift_m": lift_m}
+    return Stale(cameras, observe(detections, cameras, frames, gate_m)[0], report)
 
 
 def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -179,12 +193,12 @@ class _Used:
 
 
 def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
-    """What three views or more agree on; all frames of a joint weigh as one observation, as in
+    """What three views or more agree on, or both of two; all frames of a joint weigh as one observation, as in
     ``people_bundle.fitted``."""
     if not len(seen.frame):
         return None
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
-    used = found.verified
+    used = found.verified if len(cameras) > 2 else found.valid
     if used.sum() < 10 * len(cameras):
         return None
     joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
@@ -238,12 +252,12 @@ def _unseen_error(
     """Mean error in error units, at most 3, of halves (first and second of the clip, and of the joints) after fitting
     the other half.
 
-    Points that no three views agree on any more count as 3. ``found``: the cameras under the wide prior, which start
-    every search.
+    Points that no three views (no two, of two) agree on any more count as 3. ``found``: the cameras under the wide
+    prior, which start every search.
     """
     agreed = triangulate(seen.pixels, seen.confidence, found, limits)
-    kept = seen.of(agreed.verified)
-    inliers = agreed.inliers[:, agreed.verified]
+    counted = agreed.verified if len(found) > 2 else agreed.valid
+    kept, inliers = seen.of(counted), agreed.inliers[:, counted]
     early = kept.frame <= np.median(kept.frame)
     half = HALF_OF_THE_JOINTS[kept.keypoint]
     units, errors = unit_px(found, limits)[:, None], []
@@ -252,8 +266,8 @@ def _unseen_error(
         if used is None:
             return float("inf")
         cameras = _fit(used, found, given, limits, 1.0, bundle).cameras
-        judged, counted = kept.of(~fit_on), inliers[:, ~fit_on]
+        judged, agreed_in = kept.of(~fit_on), inliers[:, ~fit_on]
         wide = replace(limits, outlier_units=limits.outlier_units * _MOST_UNITS)
         error = triangulate(judged.pixels, judged.confidence, cameras, wide).error_px / units
-        errors.append(np.minimum(np.nan_to_num(error, nan=_MOST_UNITS), _MOST_UNITS)[counted].mean())
+        errors.append(np.minimum(np.nan_to_num(error, nan=_MOST_UNITS), _MOST_UNITS)[agreed_in].mean())
     return float(np.mean(errors))

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the room's floor says of calibrated cameras, and a refinement that neither tilts nor lifts it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from studiorecon.cameras import refine
+from studiorecon.cameras.by_the_floor import room_of
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.rotations import angle, exp
+from studiorecon.rig.correspondences import observe
+from studiorecon.rig.level import floor_of, levelled, under_feet
+from studiorecon.rig.stale import moved_since
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+from tests.defaults import loaded
+from tests.made.cameras import LIMITS, detect, ring, walk
+from tests.made.floors import carpet, off, room
+
+FRAMES = 40
+PEOPLE = [walk([-1.2, -0.5, 0], [0.04, 0.02, 0], FRAMES), walk([1.1, 0.9, 0], [0, -0.04, 0], FRAMES, 2.0)]
+
+
+def between_deg(found: list[Camera], truth: list[Camera]) -> float:
+    """Largest error of the rotation between two cameras."""
+    rotations = [[c.camera_from_world[:3, :3] for c in group] for group in (found, truth)]
+    pairs = itertools.combinations(range(len(truth)), 2)
+    return max(
+        float(np.degrees(angle(rotations[0][a] @ rotations[0][b].T, rotations[1][a] @ rotations[1][b].T)))
+        for a, b in pairs
+    )
+
+
+def leant(cameras: list[Camera], degrees: float, lift_m: float) -> list[Camera]:
+    """The same cameras in a world whose floor is tilted about x and lifted."""
+    turn, up = exp(np.radians([degrees, 0.0, 0.0])), np.array([0, 0, lift_m])
+    return [moved(c, c.camera_from_world[:3, :3] @ turn.T, turn @ c.centre_m + up) for c in cameras]
+
+
+def small_ring() -> list[Camera]:
+    """Four cameras of 640×352."""
+    intrinsics = np.array([[500.0, 0, 320], [0, 500, 176], [0, 0, 1]])
+    return [Camera(c.name, c.wh, intrinsics, c.camera_from_world) for c in ring(wh=(640, 352), height_m=1.8)]
+
+
+def seen_askew(truth: list[Camera], seed: int, bias_px: float) -> list[Detections]:
+    """Joints that lie beside themselves in every camera's own way: no number of frames averages that away."""
+    found = []
+    for v, d in enumerate(detect(truth, PEOPLE, 1.0, np.random.default_rng(seed))):
+        points = d.keypoints.copy()
+        points[..., :2] += bias_px * np.random.default_rng(100 * seed + v).normal(size=(points.shape[1], 2))
+        found.append(replace(d, keypoints=points))
+    return found
+
+
+def test_a_carpet_puts_knocked_cameras_right_where_a_detector_errs_all_the_time() -> None:
+    truth, settings = small_ring(), loaded(refine.Settings)
+    seen, given = seen_askew(truth, 1, 1.5), off(truth, 1, 2.0, 0.1)
+    rooms = [room(c, carpet(1), v) for v, c in enumerate(truth)]
+    by_people, with_floor = (
+        moved_since(
+            given, seen, np.arange(FRAMES), settings.gate_m, settings.limits, settings.bundle, lost=True, rooms=told
+        )
+        for told in ((), rooms)
+    )
+    assert by_people is not None
+    assert with_floor is not None
+    left_deg, by_people_deg = between_deg(with_floor.cameras, truth), between_deg(by_people.cameras, truth)
+    assert left_deg < 0.1 < 0.5 * by_people_deg, (left_deg, by_people_deg)
+    assert max(with_floor.report["sigma_deg"].values()) > left_deg / 2
+
+
+def test_pictures_of_other_rooms_move_no_camera() -> None:
+    truth = small_ring()
+    seen = detect(truth, PEOPLE, 1.0, np.random.default_rng(0))
+    rooms = [room(c, carpet(10 + v), v) for v, c in enumerate(truth)]
+    outcome = refine.decide(truth, [], seen, FRAMES, True, loaded(refine.Settings), rooms)
+    assert not outcome.report["refined"]
+    assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))
+
+
+@pytest.mark.parametrize(("degrees", "lift_m"), [(1.0, 0.05), (-0.4, 0.0), (0.0, -0.03)])
+def test_a_world_that_was_tilted_and_lifted_is_put_back(degrees: float, lift_m: float) -> None:
+    rng = np.random.default_rng(0)
+    before_m = rng.uniform([-2, -2, 0], [2, 2, 1.8], (400, 3))
+    turn = exp(np.radians([degrees, 0.0, 0.0]))
+    risen_m = before_m @ turn.T + [0, 0, lift_m] + rng.normal(0, 0.01, before_m.shape)
+    floor = floor_of(before_m, risen_m[:, 2] - before_m[:, 2])
+    assert floor is not None
+    cameras = ring()
+    back, tilt_deg, _ = levelled(leant(cameras, degrees, lift_m), floor, np.zeros(2))
+    assert tilt_deg == pytest.approx(abs(degrees), abs=0.1)
+    for camera, true in zip(back, cameras):
+        assert np.degrees(angle(camera.camera_from_world[:3, :3], true.camera_from_world[:3, :3])) < 0.1
+        assert np.abs(camera.centre_m - true.centre_m).max() < 0.012
+
+
+def test_a_floor_that_stayed_keeps_the_cameras() -> None:
+    rng = np.random.default_rng(1)
+    points_m = rng.uniform(-2, 2, (400, 3))
+    floor = floor_of(points_m, rng.normal(0, 0.01, 400))
+    assert floor is not None
+    assert levelled(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
+
+
+def test_one_spot_shows_no_slope_and_too_few_points_no_floor() -> None:
+    rng = np.random.default_rng(2)
+    points_m = np.tile([0.4, 0.2, 0.0], (100, 1)) + rng.normal(0, 1e-4, (100, 3))
+    floor = floor_of(points_m, np.full(100, 0.02) + rng.normal(0, 1e-3, 100))
+    assert floor is not None
+    assert floor.tilt_deg < 0.2
+    assert floor_of(points_m[:20], np.zeros(20)) is None
+
+
+def test_feet_and_marks_tell_the_floor_that_people_stand_on() -> None:
+    cameras = leant(ring(), 2.0, 0.0)
+    seen, _ = observe(detect(cameras, PEOPLE, 0.5, np.random.default_rng(3)), cameras, np.arange(FRAMES), 0.25)
+    rng = np.random.default_rng(4)
+    marks_m = np.column_stack([rng.uniform(-2, 2, (300, 2)), np.zeros(300)]) @ exp(np.radians([2.0, 0, 0])).T
+    floor = under_feet(cameras, seen, marks_m, LIMITS)
+    assert floor is not None
+    assert floor[0].tilt_deg == pytest.approx(2.0, abs=0.1)
+    assert under_feet(cameras, seen.of(np.zeros(len(seen.frame), bool)), marks_m, LIMITS) is None
+
+
+def test_a_plate_shows_the_room_where_it_was_measured(tmp_path: Path) -> None:
+    picture = np.full((20, 30, 4), 255, np.uint8)
+    picture[:, 10:, :3] = 51
+    picture[:5, :, 3] = 0
+    cv2.imwrite(str(tmp_path / "cam.1.png"), picture)
+    shown = room_of(tmp_path / "cam.1.png")
+    assert shown.grey[10, 5] == 255
+    assert shown.grey[10, 20] == 51
+    assert shown.known[5:].all()
+    assert not shown.known[:5].any()

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the room's floor says of cameras that stand about where they were calibrated, and a refinement that keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from studiorecon.footage.stills import read_plate
+from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.progress import say
+from studiorecon.rig.by_the_room import by_the_room
+from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.level import floor_of, levelled
+from studiorecon.scene.camera import Camera
+
+# How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
+_ROOM_REACH_M = (0.15, 0.08)
+
+
+def by_the_floor(
+    given: list[Camera],
+    adjusted: list[Camera],
+    seen: Observations,
+    rooms: Sequence[RoomPicture | None],
+    report: dict[str, Any],
+    limits: Limits,
+    bundle: BundleSettings,
+) -> tuple[list[Camera], dict[str, Any]]:
+    """The cameras where the room's floor calls for them too, if it explains itself and people are not the worse for
+    it."""
+    about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
+    found = by_the_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M)
+    if found is None:
+        return adjusted, report
+    report = {**report, "room": found.report}
+    pairs = f"{found.report['places']} places on the floor that two cameras share"
+    before, after = found.report["off_sigmas_before"], found.report["off_sigmas_after"]
+    if not found.believed:
+        say(f"{pairs} move no camera: they are {before:.1f} of their own standard deviations off, {after:.1f} after")
+        return adjusted, report
+    changes = changes_of(given, found.cameras, np.array([c["radial_k1"] for c in report.get("changes", [])] or 0.0))
+    say(
+        f"the cameras were refined on {pairs}, {before:.1f} of their own standard deviations off before, {after:.1f} "
+        "after: "
+        + ", ".join(f"{c['camera']} by {c['turned_deg']:.2f}° and {1000 * c['moved_m']:.0f} mm" for c in changes)
+    )
+    return found.cameras, {**report, "refined": True, "reason": "the room's floor calls for it", "changes": changes}
+
+
+def on_the_same_floor(
+    given: list[Camera], adjusted: list[Camera], seen: Observations, report: dict[str, Any], limits: Limits
+) -> tuple[list[Camera], dict[str, Any]]:
+    """The refined cameras, all of them moved back by as much as what people stand on has tilted and risen."""
+    if not report["refined"] or not len(seen.frame):
+        return adjusted, report
+    before, after = (triangulate(seen.pixels, seen.confidence, c, limits) for c in (given, adjusted))
+    both = before.verified & after.verified if len(given) > 2 else before.valid & after.valid
+    risen = floor_of(before.points_m[both], after.points_m[both, 2] - before.points_m[both, 2])
+    if risen is None:
+        return adjusted, report
+    level, tilt_deg, lift_m = levelled(adjusted, risen, np.median(before.points_m[both, :2], axis=0))
+    if tilt_deg or lift_m:
+        say(f"refinement had tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm: put back")
+    return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}
+
+
+def changes_of(given: Sequence[Camera], refined: Sequence[Camera], radial: np.ndarray) -> list[dict[str, Any]]:
+    """How far each camera was turned and moved, for the report and the log."""
+    changes = []
+    for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):
+        turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
+        degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
+        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
+        longer = new.focal_px[0] / old.focal_px[0] - 1
+        changes.append(
+            {
+                "camera": old.name,
+                "turned_deg": degrees,
+                "moved_m": moved_m,
+                "focal_longer": longer,
+                "radial_k1": float(k1),
+            }
+        )
+    return changes
+
+
+def room_of(plate: Path) -> RoomPicture:
+    """The plate as the floor is looked for in it: grey, and where people never left it unseen."""
+    rgb, measured = read_plate(plate)
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    return RoomPicture(np.clip(255 * grey + 0.5, 0, 255).astype(np.uint8), measured)

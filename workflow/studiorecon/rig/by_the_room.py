@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrated cameras moved to where the room itself calls for: what lies on the floor, and how its edges run.
+
+A detector misplaces joints in the same way all the time, so people leave cameras uncertain by tenths of a degree, or by
+degrees where they stay on one spot. The empty room knows nothing of joints. Cameras that are a quarter turn apart share
+its floor (``floor_marks``) and its directions (``room_turns``); both join people in one bundle adjustment, and are
+believed where they explain themselves and people are not the worse for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, moved
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.bundle import error_medians
+from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
+from studiorecon.rig.room_turns import RoomTurn, room_turns, straight_edges
+from studiorecon.scene.camera import Camera
+
+# How far the floors of cameras may lie beside one another, metres: at first, and once that was made use of.
+REACH_M = (0.25, 0.12)
+_ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
+_ANKLE_HEIGHT_M = 0.08
+_LEAST_FEET = 20
+# The floor is believed where it explains itself to so many of its own standard deviations, called for at least so many,
+# and by so much more than afterwards; people may be off by so much more with it.
+_MOST_SIGMAS, _CALLED_SIGMAS, _CLEARLY, _PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
+# Edges tell more than a prior that is as wide as this.
+_WIDE_DEG = 1.0
+_POSES_ONLY = LensPrior(0.0, 0.0)
+# What places on a floor that agree to a hundredth of a degree do not say: lenses, and that a floor is no plane. Edges
+# alone agree with a laboratory's calibration to 0.3 to 0.7 degrees.
+_UNSAID_DEG, _UNSAID_BY_EDGES_DEG, _UNSAID_M = 0.1, 0.5, 0.01
+
+
+@dataclass(frozen=True)
+class ByTheRoom:
+    """Cameras that people and the room together call for.
+
+    Attributes:
+        cameras: with their poses.
+        marks: what they share of the floor; None where only edges or people spoke.
+        adjusted: how well they are known.
+        report: numbers to tell.
+        explained: whether the room explains itself with them, and people are not the worse for it.
+        believed: whether it clearly calls for them besides: cameras before may stay where they are otherwise.
+    """
+
+    cameras: list[Camera]
+    marks: FloorMarks | None
+    adjusted: Adjusted
+    report: dict[str, Any]
+    explained: bool
+    believed: bool
+
+    def marks_m(self, limits: Limits) -> np.ndarray:
+        """(N, 3) the places on the floor by these cameras."""
+        if self.marks is None:
+            return np.zeros((0, 3))
+        seen = np.isfinite(self.marks.pixels).all(-1).astype(float)
+        found = triangulate(self.marks.pixels, seen, self.cameras, limits)
+        return found.points_m[found.valid]
+
+
+def by_the_room(
+    cameras: Sequence[Camera],
+    given: Sequence[Camera],
+    seen: Observations,
+    rooms: Sequence[RoomPicture | None],
+    limits: Limits,
+    bundle: BundleSettings,
+    reach_m: Sequence[float] = REACH_M,
+) -> ByTheRoom | None:
+    """``cameras`` moved by people and the room under a prior about ``given``; None where the room shows nothing.
+
+    ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none.
+    """
+    middle_m, floor_m = _where_people_stand(cameras, seen, limits)
+    turns = _turns(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
+    held_deg = np.broadcast_to(bundle.prior_deg, len(cameras)).astype(float).copy()
+    about = list(given)
+    for v, turn in turns.items():
+        held_deg[v] = turn.sigma_deg
+        about[v] = moved(given[v], turn.rotation_camera_from_world, given[v].centre_m)
+    prior = replace(bundle, prior_deg=held_deg)
+    current, marks, result = list(cameras), None, None
+    for reach in reach_m:
+        found = floor_marks(current, rooms, middle_m, floor_m, reach)
+        if found is None:
+            break
+        marks = found
+        for _ in range(2):
+            result = _fit(current, about, seen, marks, limits, prior)
+            current = result.cameras
+    if result is None and turns:
+        result = _fit(current, about, seen, None, limits, prior)
+        current = result.cameras
+    if result is None:
+        return None
+    people_px = [error_medians(c, seen, limits)[0] if len(seen.frame) else np.nan for c in (cameras, current)]
+    floor = [marks.off_sigmas(c, limits) if marks is not None else np.nan for c in (cameras, current)]
+    report = {
+        "places": 0 if marks is None else int(marks.pixels.shape[1]),
+        "pairs": {}
+        if marks is None
+        else {f"{cameras[a].name} {cameras[b].name}": n for (a, b), n in marks.seen_by.items()},
+        "along_edges": {cameras[v].name: turn.along for v, turn in turns.items()},
+        "off_sigmas_before": floor[0],
+        "off_sigmas_after": floor[1],
+        "people_px_before": people_px[0],
+        "people_px_after": people_px[1],
+    }
+    explained = not people_px[1] > _PEOPLE_COST * people_px[0] and not floor[1] > _MOST_SIGMAS
+    called = marks is None or (floor[0] >= _CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
+    believed = bool(explained and called)
+    unsaid = np.zeros(result.sigma.shape[1])
+    unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
+    result = replace(result, sigma=np.hypot(result.sigma, unsaid))
+    return ByTheRoom(current, marks, result, {**report, "believed": believed}, bool(explained), believed)
+
+
+def _turns(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
+    edges = {v: straight_edges(room.grey, room.known) for v, room in enumerate(rooms) if room is not None}
+    return room_turns(dict(enumerate(cameras)), edges)
+
+
+def _where_people_stand(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[np.ndarray, float]:
+    """(2,) middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0,
+    where there is nobody."""
+    if len(seen.frame):
+        found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+        counted = found.verified if len(cameras) > 2 else found.valid
+        feet = counted & np.isin(seen.keypoint, _ANKLES)
+        if feet.sum() >= _LEAST_FEET:
+            # The lower foot of every body stands on it.
+            _, body = np.unique(np.stack([seen.group[feet], seen.frame[feet]]), axis=1, return_inverse=True)
+            lowest = np.full(int(body.max()) + 1, np.inf)
+            np.minimum.at(lowest, body.reshape(-1), found.points_m[feet, 2])
+            middle: np.ndarray = np.median(found.points_m[counted, :2], axis=0)
+            return middle, float(np.median(lowest)) - _ANKLE_HEIGHT_M
+    looked_at = []
+    for camera in cameras:
+        forward = camera.camera_from_world[2, :3]
+        away_m = -camera.centre_m[2] / forward[2] if forward[2] < -0.1 else 3.0
+        looked_at.append(camera.centre_m[:2] + forward[:2] * min(away_m, 5.0))
+    return np.median(looked_at, axis=0), 0.0
+
+
+def _fit(
+    current: Sequence[Camera],
+    about: Sequence[Camera],
+    seen: Observations,
+    marks: FloorMarks | None,
+    limits: Limits,
+    prior: BundleSettings,
+) -> Adjusted:
+    """People, all frames of a joint as one observation, and the floor, under a prior about other cameras."""
+    pixels, weights, points_m = np.zeros((len(current), 0, 2)), np.zeros((len(current), 0)), np.zeros((0, 3))
+    if len(seen.frame):
+        found = triangulate(seen.pixels, seen.confidence, current, limits)
+        used = found.verified if len(current) > 2 else found.valid
+        joints = len(np.unique(seen.group[used] * len(STABLE_KEYPOINTS) + seen.keypoint[used]))
+        weights = np.where(found.inliers, seen.confidence, 0.0)[:, used] * (joints / max(int(used.sum()), 1))
+        pixels, points_m = seen.pixels[:, used], found.points_m[used]
+    people = len(points_m)
+    if marks is not None:
+        pixels, weights, points_m = marks.joined(pixels, weights, points_m, current, limits)
+    huber_px = unit_px(current, limits)
+    result = adjust_with_lenses(current, pixels, weights, points_m, huber_px, prior, _POSES_ONLY, about)
+    return replace(result, points_m=result.points_m[:people])

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A refinement may move cameras; it may not tilt or lift the floor.
+
+All cameras pitching together is what people hardly show, and what a film shows at once: feet that sink into the floor.
+So the floor under the refined cameras is compared with the floor before, and where it has moved by more than it is
+known to, the whole rig is moved back, which changes no pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.triangulation import Limits, triangulate
+from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+from studiorecon.rig.correspondences import Observations
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
+_ROUNDS = 10
+# Parts that are left out one after the other for how well the floor is known.
+_PARTS = 10
+_LEAST = 30
+# Below this nobody sees it.
+_LEAST_DEG, _LEAST_M = 0.05, 0.003
+_SIGMAS = 2.0
+_ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
+# Ankles are so high above the floor, and detectors misplace them by so much.
+_ANKLE_HEIGHT_M, _FEET_M = 0.08, 0.015
+
+
+@dataclass(frozen=True)
+class Floor:
+    """How a floor lies against z = 0: its slope along x and y and its height at (0, 0), metres, with the covariance of
+    the three."""
+
+    slope_height: Num[np.ndarray, " 3"]
+    covariance: Num[np.ndarray, "3 3"]
+
+    @property
+    def tilt_deg(self) -> float:
+        return float(np.degrees(np.arctan(np.hypot(*self.slope_height[:2]))))
+
+    @property
+    def tilt_sigma_deg(self) -> float:
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[:2, :2]))))
+
+
+def floor_of(points_m: Num[np.ndarray, "N 3"], height_m: Num[np.ndarray, " N"]) -> Floor | None:
+    """The plane by which ``height_m`` (N,) changes over where ``points_m`` (N, 3) stand, robustly; None of too few.
+
+    Its covariance is the scatter between parts of the points in the order they come in, which are not independent.
+    """
+    known = np.isfinite(points_m).all(-1) & np.isfinite(height_m)
+    points_m, height_m = points_m[known], height_m[known]
+    if len(points_m) < _LEAST:
+        return None
+    part = np.arange(len(points_m)) * _PARTS // len(points_m)
+    whole = _plane(points_m, height_m)
+    without = np.stack([_plane(points_m[part != k], height_m[part != k]) for k in range(_PARTS)])
+    off = without - without.mean(0)
+    return Floor(whole, (_PARTS - 1) / _PARTS * off.T @ off)
+
+
+def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
+    middle = points_m[:, :2].mean(0)
+    design = np.column_stack([points_m[:, :2] - middle, np.ones(len(points_m))])
+    weight = np.ones(len(points_m))
+    found: np.ndarray = np.zeros(3)
+    for _ in range(_ROUNDS):
+        # A slope that nothing shows (one spot, a line) stays 0.
+        found = np.linalg.lstsq(design * weight[:, None], height_m * weight, rcond=1e-2)[0]
+        rest = np.abs(height_m - design @ found)
+        weight = np.sqrt(1 / np.maximum(rest / max(2 * float(np.median(rest)), 1e-6), 1.0))
+    return np.append(found[:2], found[2] - found[:2] @ middle)
+
+
+def under_feet(
+    cameras: Sequence[Camera], seen: Observations, marks_m: Num[np.ndarray, "M 3"], limits: Limits
+) -> tuple[Floor, np.ndarray] | None:
+    """The floor that people stand on by ``cameras``, and the middle (2,) of where they do; None where too few feet show
+    it.
+
+    Its slope is that of the plane through ``marks_m``, places on it, where there are enough; a detector's ankles are
+    all too high, or too low, by some centimetres.
+    """
+    if not len(seen.frame):
+        return None
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    counted = (found.verified if len(cameras) > 2 else found.valid) & np.isin(seen.keypoint, _ANKLES)
+    order = np.lexsort([seen.frame[counted], seen.group[counted]])
+    feet_m = found.points_m[counted][order]
+    _, body = np.unique(np.stack([seen.group[counted], seen.frame[counted]])[:, order], axis=1, return_inverse=True)
+    body = body.reshape(-1)
+    # The lower foot of every body stands.
+    lowest = np.lexsort([feet_m[:, 2], body])
+    feet_m = feet_m[lowest[np.unique(body[lowest], return_index=True)[1]]]
+    by_feet, by_marks = floor_of(feet_m, feet_m[:, 2] - _ANKLE_HEIGHT_M), floor_of(marks_m, marks_m[:, 2])
+    if by_feet is None:
+        return None
+    middle_m: np.ndarray = np.median(feet_m[:, :2], axis=0)
+    spread_m = max(float(np.sqrt(np.linalg.eigvalsh(np.cov(feet_m[:, :2].T))[0])), 0.05)
+    slope, covariance = by_feet.slope_height[:2], by_feet.covariance.copy()
+    covariance[:2, :2] += np.eye(2) * (_FEET_M / spread_m) ** 2
+    if by_marks is not None and np.trace(by_marks.covariance[:2, :2]) < np.trace(covariance[:2, :2]):
+        slope, covariance = by_marks.slope_height[:2], by_marks.covariance.copy()
+    height_m = float(by_feet.slope_height @ [*middle_m, 1.0])
+    covariance[2] = covariance[:, 2] = 0.0
+    # The height is that of the feet about their middle, however the floor slopes.
+    covariance[:2, 2] = covariance[2, :2] = -covariance[:2, :2] @ middle_m
+    feet_sigma = float(np.array([*middle_m, 1.0]) @ by_feet.covariance @ [*middle_m, 1.0]) + _FEET_M**2
+    covariance[2, 2] = feet_sigma + middle_m @ covariance[:2, :2] @ middle_m
+    return Floor(np.array([*slope, height_m - slope @ middle_m]), covariance), middle_m
+
+
+def levelled(cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"]) -> tuple[list[Camera], float, float]:
+    """The cameras in a world whose floor lies at z = 0 about ``at_m``, and by how much (degrees, metres) it was tilted
+    and lifted there; (cameras, 0, 0) where that is less than it is known to, or than anybody sees."""
+    lift_m = float(floor.slope_height @ [*at_m, 1.0])
+    lift_sigma = float(np.sqrt([*at_m, 1.0] @ floor.covariance @ [*at_m, 1.0]))
+    tilted = floor.tilt_deg > max(_LEAST_DEG, _SIGMAS * floor.tilt_sigma_deg)
+    lifted = abs(lift_m) > max(_LEAST_M, _SIGMAS * lift_sigma)
+    if not (tilted or lifted):
+        return list(cameras), 0.0, 0.0
+    normal = np.array([*(-floor.slope_height[:2] if tilted else (0.0, 0.0)), 1.0])
+    normal /= np.linalg.norm(normal)
+    rotation = _upright(normal)
+    about = np.array([*at_m, lift_m if lifted else 0.0])
+    to = np.array([*at_m, 0.0])
+    back = [moved(c, c.camera_from_world[:3, :3] @ rotation.T, rotation @ (c.centre_m - about) + to) for c in cameras]
+    return back, floor.tilt_deg if tilted else 0.0, lift_m if lifted else 0.0
+
+
+def _upright(normal: np.ndarray) -> np.ndarray:
+    """(3, 3) the least rotation that takes a unit vector to z."""
+    across = np.cross(normal, [0.0, 0.0, 1.0])
+    skew = np.array([[0, -across[2], across[1]], [across[2], 0, -across[0]], [-across[1], across[0], 0]])
+    found: np.ndarray = np.eye(3) + skew + skew @ skew / (1 + normal[2])
+    return found
