@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from studiorecon import settings as settings_module
-from studiorecon.step_settings import section_of
+from studiorecon.configuration import settings as settings_module
+from studiorecon.configuration.step_settings import section_of
 
 ROOT = Path(__file__).parents[1]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from numba.core.registry import CPUDispatcher
 from studiorecon.background import kernels
+from studiorecon.configuration.settings import load
 from studiorecon.humans import train
 from studiorecon.humans.train_settings import Settings
-from studiorecon.settings import load
 
 from tests.made.humans import Made, body, made  # noqa: F401
 

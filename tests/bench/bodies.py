@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from studiorecon import settings as settings_module
 from studiorecon.body import skinning
 from studiorecon.body.avatar.weight_grid import build_weight_grid
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting import paper_solver
 from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations, smoothing
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.tracking import tracks, without_duplicates

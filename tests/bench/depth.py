@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 import yaml
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration.settings import load
 from studiorecon.depth import refine, sweep
 from studiorecon.depth import room as shell
 from studiorecon.depth.layout.primitives import read_primitives
@@ -36,7 +37,6 @@ from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.room import read_room
-from studiorecon.settings import load
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M
 from studiorecon.views import synthesize
 from studiorecon.views.forward import blend, source

@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.people import fit as step
 from studiorecon.people.fitting.fused import fused

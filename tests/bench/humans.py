@@ -30,11 +30,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_frames, write_lossless
 from studiorecon.geometry import rotations
 from studiorecon.humans import train

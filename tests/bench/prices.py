@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy.optimize import nnls
+from studiorecon.configuration.schema import typed
 from studiorecon.home import HOME, SCHEMA
 from studiorecon.plan.budget import Stated, laid_over, preset
 from studiorecon.plan.foreseen import foreseen
@@ -28,7 +29,6 @@ from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, pr
 from studiorecon.plan.workload import Work, footage_of, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.files import read_json, write_json
-from studiorecon.schema import typed
 
 CORES = 2
 CHECKED = Path(__file__).parent / "results" / "budget.json"

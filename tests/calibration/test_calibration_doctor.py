@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from studiorecon import settings as settings_module
 from studiorecon.calibration import doctor
 from studiorecon.calibration.checks import clocks, doctor_page
 from studiorecon.calibration.checks import coverage as health
 from studiorecon.calibration.checks.advice import verdict
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.scene.camera import Camera

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration.formats.pickles import read_pickle
 from studiorecon.calibration.names import match_in_order
 from studiorecon.camera_files.colmap import quaternion_from_rotation
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import exp
 from studiorecon.plan.discovery import open_dataset

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.calibration import from_people
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.relative_pose import relative_pose, resection

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.cameras import refine
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.distortion import distort
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

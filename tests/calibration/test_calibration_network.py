@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration import network
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.video import to_bytes, write_lossless
@@ -23,7 +24,6 @@ from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.people import Detections, read_detections, write_detections
-from studiorecon.settings import load
 
 from tests.made.networks import room_views
 

@@ -14,10 +14,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.calibration import doctor
 from studiorecon.calibration import files as calibration
 from studiorecon.clocks import offsets as clocks
+from studiorecon.configuration import settings as settings_module
 from studiorecon.detect import keypoints as sightings
 from studiorecon.errors import UserError
 from studiorecon.plan.discovery import open_dataset

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration.names import match_names
 from studiorecon.calibration.world import camera_up, metres_per_unit
 from studiorecon.camera_files.colmap import quaternion_from_rotation, read_model
 from studiorecon.camera_files.raw_camera import rigid_camera_from_world
 from studiorecon.cameras import refine
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp, log

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.calibration import files
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import read_model, write_model
@@ -18,6 +17,7 @@ from studiorecon.cameras import held_out, refine
 from studiorecon.cameras.held_out import Bodies, told
 from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
 from studiorecon.geometry.bundle import BundleSettings, moved
 from studiorecon.geometry.rotations import exp

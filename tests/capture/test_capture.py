@@ -11,12 +11,12 @@ import pytest
 from studiorecon.capture import frames as frames_step
 from studiorecon.capture import manifest as manifest_step
 from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.source import decode, digest, open_source, uneven
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
 from studiorecon.scene.clocks import as_counted, write_clocks
-from studiorecon.settings import load
 
 from tests.made.footage import WH, calibrated, footage, smooth_pictures, write_video
 

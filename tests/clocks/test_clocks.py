@@ -19,11 +19,11 @@ from studiorecon.clocks.agreement import Pair, Proposal, judged, solved
 from studiorecon.clocks.motion_clock import compare
 from studiorecon.clocks.people_lag import lag_of
 from studiorecon.clocks.timeline import common_moments
+from studiorecon.configuration.settings import load
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.scene.clocks import Clock, Clocks, read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, write_detections
-from studiorecon.settings import load
 
 from tests.bench.clocks import the_man
 from tests.made.cameras import STANDING, detect, ring

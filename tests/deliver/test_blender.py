@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.deliver import export, scene_glb
 from studiorecon.deliver.finished import read_finished
 from studiorecon.footage.video import write_lossless

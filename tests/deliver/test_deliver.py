@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.deliver import camera_files, export, keypoint_files
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import read_keypoints

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from studiorecon.cli.viewer import Viewer
+from studiorecon.configuration.schema import mistakes
 from studiorecon.deliver.player_data import Shade
 from studiorecon.footage.video import to_bytes
 from studiorecon.render import kinds
@@ -20,8 +22,6 @@ from studiorecon.render.composite import Composite, truth_levels
 from studiorecon.render.planning import plan
 from studiorecon.render.subjects import Subjects
 from studiorecon.scene.factors import Factors
-from studiorecon.schema import mistakes
-from studiorecon.viewer import Viewer
 
 from tests.made.browser import (
     BROWSER,

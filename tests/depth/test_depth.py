@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as shell
 from studiorecon.depth.layout.box import strong_offsets
@@ -27,7 +28,6 @@ from studiorecon.footage.exr import read_depth, write_depth
 from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox, read_room
-from studiorecon.settings import load
 
 from tests.made.room import made_room, photograph, ring, write_capture
 

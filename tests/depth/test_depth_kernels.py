@@ -10,8 +10,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from numba.core.registry import CPUDispatcher
+from studiorecon.configuration.settings import load
 from studiorecon.depth import kernels, room, sweep
-from studiorecon.settings import load
 
 from tests.made.room import made_room, photograph, ring, write_capture
 

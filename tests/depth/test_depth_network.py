@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration.settings import load
 from studiorecon.depth import aligned, network
 from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
@@ -19,7 +20,6 @@ from studiorecon.models.adapters import moge, pi3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera
-from studiorecon.settings import load
 
 from tests.made.networks import room_views
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.depth import refine
 from studiorecon.depth.layout.primitives import write_primitives
 from studiorecon.depth.stereo.patches import UNSEEN
@@ -20,7 +21,6 @@ from studiorecon.footage.exr import read_depth
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.room import RoomBox, write_room
-from studiorecon.settings import load
 
 from tests.made.room import Room, made_room, photograph, ring, texture, write_capture
 

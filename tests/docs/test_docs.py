@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 import yaml
-from studiorecon.command import main as command_main
-from studiorecon.schema import mistakes
+from studiorecon.cli.command import main as command_main
+from studiorecon.configuration.schema import mistakes
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "config/README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged
 from studiorecon.enhance.photos import Training

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged, network
 from studiorecon.errors import UserError

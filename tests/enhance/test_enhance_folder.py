@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import __main__ as command_line
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import folder as enhance_folder
 from studiorecon.enhance.backends import Unchanged
 from studiorecon.errors import UserError

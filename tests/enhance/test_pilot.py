@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.photos import Training
 from studiorecon.enhance.pilot import called_for, flicker, worth

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.keypoints.readers import KeypointEntry
 from studiorecon.people import associate
 from studiorecon.scene.camera import Lens

@@ -11,12 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.cameras import refine
+from studiorecon.configuration import settings as settings_module
 from studiorecon.depth import sweep
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import pytest
 import scipy
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.geometry.statistics import Estimate

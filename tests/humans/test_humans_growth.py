@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.humans import train
 from studiorecon.splatting.train.optimiser import Adam

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.avatar.encoding import encode_time, time_bands
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.avatar.weight_grid import build_weight_grid
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.humans import train
 from studiorecon.humans.refined_motion import HELD, RefinedMotion
 from studiorecon.scene.provenance import INFERRED

@@ -13,6 +13,7 @@ from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.avatar.temporal import TemporalNetwork, with_residuals
 from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.configuration.settings import load
 from studiorecon.footage.video import to_bytes
 from studiorecon.humans.appearance import Appearance, OverTime
 from studiorecon.humans.crops import OUTSIDE, PERSON, HeldCrop
@@ -25,7 +26,6 @@ from studiorecon.images.metrics import psnr
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
-from studiorecon.settings import load
 from studiorecon.splatting.train.terms import terms_of
 from studiorecon.splatting.train.trainer import train as train_subject
 

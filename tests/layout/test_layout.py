@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon import code
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
+from studiorecon.configuration.step_settings import section_of
 from studiorecon.plan.command import command
-from studiorecon.step_settings import section_of
 
 from tests.made.layout import ON_REQUEST, STAGES, rules
 
@@ -39,7 +39,7 @@ FOUNDATIONS = [
 FOUNDATIONS += ["splatting", "recursive"]
 # What works with any network knows what networks are asked.
 BESIDE = {"recursive": {"models"}}
-GROUND = {"arrays", "configuration", "errors", "gpu", "libraries", "machine", "progress"}
+GROUND = {"arrays", "configuration", "errors", "machine", "progress"}
 CARD = {"Snakefile", "workflow", "envs", "config", "resources", "tests", "docs", "README.md"}
 DEMANDED_BY_TOOLS = {"pyproject.toml", "LICENSE", "profiles", ".ci", ".gitignore", ".github", "CITATION.cff"}
 MODULES = sorted(p for p in PACKAGE.rglob("*.py"))

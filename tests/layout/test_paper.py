@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 import yaml
 from studiorecon.configuration import letter
+from studiorecon.configuration.schema import mistakes
 from studiorecon.home import SCHEMA
-from studiorecon.schema import mistakes
 
 from tests.hard import table
 

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 from studiorecon import code
-from studiorecon.libraries import EXTRAS
+from studiorecon.machine.libraries import EXTRAS
 
 from tests.made.layout import ON_REQUEST
 

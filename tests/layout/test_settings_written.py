@@ -14,8 +14,8 @@ import yaml
 from studiorecon.configuration import written
 from studiorecon.configuration.sections import SECTIONS, Section
 from studiorecon.configuration.setting import Setting, default_of, is_setting
+from studiorecon.configuration.step_settings import Fields, read_by, section_of
 from studiorecon.home import CONFIGURATION
-from studiorecon.step_settings import Fields, read_by, section_of
 
 # Tables of which a step is told what concerns it.
 OPEN = {"thresholds", "force"}

@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.background import train
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import to_bytes, write_lossless
 from studiorecon.scene.camera import Camera

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.configuration.settings import load
 from studiorecon.images.silhouette import front_person
 from studiorecon.masks import segment as step
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Person
-from studiorecon.settings import load
 
 WH = (200, 160)
 

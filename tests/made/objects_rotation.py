@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.objects.find import ObjectView, Settings, objects_in, rested
 from studiorecon.scene.camera import Camera

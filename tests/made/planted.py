@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import yaml
-from studiorecon.settings import load
+from studiorecon.configuration.settings import load
 from studiorecon.survey.judge import Settings
 
 ROOT = Path(__file__).resolve().parents[2]

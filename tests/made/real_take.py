@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from studiorecon import settings as settings_module
 from studiorecon.calibration import files as calibration
 from studiorecon.cameras import refine
 from studiorecon.capture import frames, manifest
 from studiorecon.clocks.timeline import clock_of, common_moments, timeline_of
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.source import open_source
 from studiorecon.people import associate, fit, without_keypoints
 from studiorecon.plan.discovery import open_dataset

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_frame, write_lossless, write_watchable
 from studiorecon.report import evaluate, page

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration.settings import load
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import write_lossless
 from studiorecon.images.plate import write_plate
@@ -17,7 +18,6 @@ from studiorecon.scene.capture import Footage, Manifest, write_manifest
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.people import write_identities, write_people
 from studiorecon.scene.room import RoomBox, write_room
-from studiorecon.settings import load
 from studiorecon.survey import decide as step
 from studiorecon.survey.effects import ARTEFACTS
 from studiorecon.survey.effects.surveyed import SurveyedEffect

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.masks import network
 from studiorecon.masks.given import identified
@@ -16,7 +17,6 @@ from studiorecon.masks.tracks import UNASSIGNED, assigned
 from studiorecon.models.adapters import sam3
 from studiorecon.models.catalogue.card import Card
 from studiorecon.scene.capture import Footage, write_footage
-from studiorecon.settings import load
 
 from tests.made.scene import ring
 

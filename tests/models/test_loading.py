@@ -13,12 +13,12 @@ from pathlib import Path
 import pytest
 import yaml
 from studiorecon import code
+from studiorecon.configuration.schema import part_of
 from studiorecon.models import loading
 from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.registry import MODELS, module_of, of_kind
 from studiorecon.models.catalogue.selection import CHOICES, modules_of, selected
 from studiorecon.models.loading import adapter, load
-from studiorecon.schema import part_of
 
 from tests.made.layout import STAGES
 from tests.models import networks_table

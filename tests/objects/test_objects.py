@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
 from studiorecon.objects.find import ObjectView, Settings, objects_in, rested, run
 from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, difference, regions, states, unrest

@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
-from studiorecon import gpu
+from studiorecon.machine import gpu
 
 ONE_JOB = """
 import os, sys
-from studiorecon.gpu import claim
+from studiorecon.machine.gpu import claim
 claim()
 claim()
 print(os.environ["CUDA_VISIBLE_DEVICES"], flush=True)

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from studiorecon import kernel_cache
 from studiorecon.__main__ import KERNELS
+from studiorecon.machine import kernel_cache
 
 ROOT = Path(__file__).resolve().parents[2]
 INNER, OUTER = "geometry/inner_kernel.py", "geometry/outer_kernel.py"
@@ -24,8 +24,9 @@ def clones(tmp_path: Path) -> list[Path]:
     made = [tmp_path / name for name in ("one", "other")]
     for clone in made:
         package = clone / "studiorecon"
-        (package / "geometry").mkdir(parents=True)
-        for name in ("__init__.py", "code.py", "kernel_cache.py"):
+        for folder in ("geometry", "machine"):
+            (package / folder).mkdir(parents=True)
+        for name in ("__init__.py", "code.py", "machine/__init__.py", "machine/kernel_cache.py"):
             shutil.copy(ROOT / "workflow/studiorecon" / name, package / name)
         (package / "geometry/__init__.py").write_text("")
         inner(clone, 2)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from studiorecon.__main__ import _run
-from studiorecon.libraries import unloaded
+from studiorecon.machine.libraries import unloaded
 
 BROKEN = {
     # As open3d fails where the desktop's libraries are missing: Python itself says it, without a name.

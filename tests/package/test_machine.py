@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.machine import refused, starved, without_thread
+from studiorecon.machine.refusals import refused, starved, without_thread
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_step_whose_memory_is_limited_says_that_this_may_be_why() -> None:
     for limit, said in ((2**28, "268 MB of memory are allowed here (ulimit -v)"), (2**44, "None")):
         script = f"""if True:
             import resource
-            from studiorecon import machine
+            from studiorecon.machine import refusals as machine
             bytearray(2**28)
             resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))
             print(machine.short_of_memory())

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_logger_plugin_studiorecon import LogHandler
-from studiorecon.run_progress import KEPT, Run, Running, keep_seconds, read_seconds
+from studiorecon.cli.run_progress import KEPT, Run, Running, keep_seconds, read_seconds
 
 
 def planned(**jobs: int) -> Counter[str]:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from snakemake.cli import parse_config
 from snakemake.utils import update_config
-from studiorecon.schema import mistakes, named, typed
+from studiorecon.configuration.schema import mistakes, named, typed
 from studiorecon.survey.effects import EFFECTS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
-from studiorecon.settings import load
 
 
 @dataclass(frozen=True)

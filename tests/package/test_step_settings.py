@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from studiorecon import code, step_settings
+from studiorecon import code
+from studiorecon.configuration import step_settings
 from studiorecon.configuration.setting import setting
-from studiorecon.settings import load
+from studiorecon.configuration.settings import load
 
 
 @dataclasses.dataclass(frozen=True)

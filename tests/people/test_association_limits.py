@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint
 from studiorecon.geometry.rotations import exp, log
 from studiorecon.keypoints.correspondence import groups_of

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.layout_choice import choose_layout

@@ -13,10 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel, shape_and_size, upright_global_orientation
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS

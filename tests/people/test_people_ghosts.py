@@ -9,9 +9,9 @@ from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people import associate

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.people import fit

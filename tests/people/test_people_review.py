@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
 from studiorecon.people import review
 from studiorecon.scene.files import write_json

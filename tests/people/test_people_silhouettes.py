@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from studiorecon import settings as settings_module
 from studiorecon.body.fitting.basis import State
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.person_files import read_person
+from studiorecon.configuration import settings as settings_module
 from studiorecon.geometry import rotations
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.people import fit

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.models import smpl

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from studiorecon import command
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.cli import command
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.geometry.triangulation import Limits, triangulate

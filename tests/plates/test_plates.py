@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.body.person_boxes import people_regions
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import write_lossless
@@ -15,7 +16,6 @@ from studiorecon.images.plate import noise_levels, write_plate
 from studiorecon.plates import clean as plate_step
 from studiorecon.scene.capture import write_footage
 from studiorecon.scene.people import Detections, write_detections
-from studiorecon.settings import load
 
 from tests.made.footage import WH, calibrated, footage, smooth_pictures
 

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.stills import shrink
 from studiorecon.geometry.lens import working_view, working_wh
 from studiorecon.images import metrics

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from studiorecon import settings as settings_module
 from studiorecon.body.fitting import fit as fitting
 from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel, upright_global_orientation
+from studiorecon.configuration import settings as settings_module
 from studiorecon.depth import room as room_step
 from studiorecon.depth.layout.box import Votes
 from studiorecon.depth.stereo.planes import hypotheses, rig_centre

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import read_avatar
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frame, read_stack, write_lossless

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.exr import write_channels
 from studiorecon.footage.video import read_stack, to_bytes
 from studiorecon.render import layers as render_layers

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import read_frame
 from studiorecon.masks.loose_objects import without_things
 from studiorecon.render import layers as render_layers

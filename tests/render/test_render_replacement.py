@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.avatar.temporal import TemporalNetwork
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, to_bytes
 from studiorecon.humans import proxy as humans_proxy

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studiorecon import settings as settings_module
 from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.capsules import occluder
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, write_lossless

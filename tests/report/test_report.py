@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon import __main__ as command
-from studiorecon import settings as settings_module
 from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame, write_lossless
 from studiorecon.models.adapters.lpips import read_lpips

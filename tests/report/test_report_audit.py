@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.configuration.settings import load
 from studiorecon.report import audit as step
 from studiorecon.report.metrics.rendered_effects import (
     appearance,
@@ -21,7 +22,6 @@ from studiorecon.scene.decisions import Decision, read_decisions, write_decision
 from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians_ply import write_ply
-from studiorecon.settings import load
 from studiorecon.splatting.discs import discs
 
 from tests.made.studio_world import looking

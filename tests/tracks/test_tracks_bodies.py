@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.retiming import at_working_moments
@@ -17,7 +18,6 @@ from studiorecon.models.protocols import Bodies
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.clocks import Clock, Clocks, write_clocks
 from studiorecon.scene.people import Detections, read_detections
-from studiorecon.settings import load
 from studiorecon.tracks import bodies
 
 from tests.made.comotion import slots

@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
-from studiorecon.settings import load
 from studiorecon.views import path as views_path
 from studiorecon.views import synthesize
 from studiorecon.views.forward import WarpSource, blend, carry, close_pinholes, source

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.person_files import write_person
+from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes, write_lossless
@@ -23,7 +24,6 @@ from studiorecon.scene.factors import Factors
 from studiorecon.scene.path import read_path, write_path
 from studiorecon.scene.people import Person
 from studiorecon.scene.support import SOMEBODY, support_weight
-from studiorecon.settings import load
 from studiorecon.views import fitted, generate, request
 from studiorecon.views import path as views_path
 from studiorecon.views import people as views_people

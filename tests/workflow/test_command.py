@@ -16,12 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon import command, home
-from studiorecon.catalogue import films_of, settings_of
+from studiorecon import home
+from studiorecon.cli import command
+from studiorecon.cli.viewer import Viewer
+from studiorecon.configuration.catalogue import films_of, settings_of
 from studiorecon.errors import UserError
 from studiorecon.footage.video import write_watchable
 from studiorecon.render.kinds import KINDS
-from studiorecon.viewer import Viewer
 
 from tests.workflow.conftest import ROOT
 
@@ -232,7 +233,7 @@ def test_the_wheel_holds_the_workflow_whole(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as packed:
         names = set(packed.namelist())
         assert (
-            "studiorecon = studiorecon.command:main"
+            "studiorecon = studiorecon.cli.command:main"
             in packed.read(next(n for n in names if n.endswith("entry_points.txt"))).decode()
         )
     assert wanted <= names, sorted(wanted - names)[:5]
@@ -250,7 +251,7 @@ def installed(wheel: Path, folder: Path, *words: str) -> subprocess.CompletedPro
     (folder / "empty").mkdir()
     environment = {**os.environ, "PYTHONPATH": str(folder / "site"), "PATH": "/usr/bin:/bin"}
     return subprocess.run(
-        [sys.executable, "-m", "studiorecon.command", *words],
+        [sys.executable, "-m", "studiorecon.cli.command", *words],
         cwd=folder / "empty",
         env=environment,
         text=True,

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 import yaml
-from studiorecon.schema import mistakes
-from studiorecon.step_settings import read_by, sections_of
+from studiorecon.configuration.schema import mistakes
+from studiorecon.configuration.step_settings import read_by, sections_of
 
 from tests.workflow.conftest import QUICK, ROOT, House, over
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from studiorecon.left_lock import clear_left_lock
+from studiorecon.plan.left_lock import clear_left_lock
 
 from tests.workflow.conftest import QUICK, House, make_house, over
 

@@ -12,7 +12,7 @@ from snakemake.logging import logger
 
 from studiorecon import code as package_code
 from studiorecon.errors import UserError
-from studiorecon.left_lock import clear_left_lock
+from studiorecon.plan.left_lock import clear_left_lock
 from studiorecon.models.catalogue.selection import modules_of
 from studiorecon.plan import told
 from studiorecon.plan.command import command
@@ -22,7 +22,7 @@ from studiorecon.plan.decisions import one_of
 from studiorecon.plan.rule_files import Files
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.networks import images_of
-from studiorecon.schema import mistakes, typed
+from studiorecon.configuration.schema import mistakes, typed
 
 HOME = Path(workflow.basedir)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
-from studiorecon.run_progress import Run, Running, keep_seconds, read_seconds
+from studiorecon.cli.run_progress import Run, Running, keep_seconds, read_seconds
 from tqdm import tqdm
 
 _SECONDS = Path("benchmarks/seconds.json")

@@ -21,18 +21,19 @@ import types
 import typing
 from pathlib import Path
 
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
+from studiorecon.configuration.step_settings import section_of
 from studiorecon.errors import UserError
-from studiorecon.libraries import remedy, unloaded
-from studiorecon.machine import refused, short_of_memory
+from studiorecon.machine.libraries import remedy, unloaded
+from studiorecon.machine.refusals import refused, short_of_memory
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import fail, logged
-from studiorecon.step_settings import section_of
 
 _MOST_PIXELS = 2**28
 # ``kernel_cache``, by name: what is imported here is part of every step's digest, and where machine code lies changes
 # no result. numba's own follow for everybody else's functions.
-_OWN, _NUMBAS = "studiorecon.kernel_cache.ByContent", "InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator"
+_OWN = "studiorecon.machine.kernel_cache.ByContent"
+_NUMBAS = "InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator"
 KERNELS = {"NUMBA_CACHE_LOCATOR_CLASSES": f"{_OWN},UserProvidedCacheLocator,{_NUMBAS}"}
 """Where numba keeps machine code."""
 

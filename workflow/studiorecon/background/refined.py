@@ -11,6 +11,7 @@ import numpy as np
 
 from studiorecon.background.targets import angle_between_axes
 from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.settings import load as load_settings
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames, to_bytes, write_lossless
 from studiorecon.models.loading import load
@@ -21,7 +22,6 @@ from studiorecon.recursive.injection import Injection
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.path import PathStep, read_path
-from studiorecon.settings import load as load_settings
 from studiorecon.signature import Place, Written
 
 _SEED = 0

@@ -13,7 +13,7 @@ import onnxruntime
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.machine import starved
+from studiorecon.machine.refusals import starved
 
 if TYPE_CHECKING:
     from jaxtyping import Num

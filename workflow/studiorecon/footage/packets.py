@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.footage.source import FootageSource
-from studiorecon.machine import without_thread
+from studiorecon.machine.refusals import without_thread
 
 if TYPE_CHECKING:
     from jaxtyping import Num

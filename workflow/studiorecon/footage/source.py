@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
-from studiorecon.machine import without_thread
+from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
 

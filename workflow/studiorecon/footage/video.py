@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.machine import without_thread
+from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.files import complete
 
 if TYPE_CHECKING:

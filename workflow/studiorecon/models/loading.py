@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from studiorecon.gpu import claim
+from studiorecon.machine.gpu import claim
 from studiorecon.models import protocols
 from studiorecon.models.catalogue.card import Kind
 from studiorecon.models.catalogue.registry import model, module_of

@@ -14,7 +14,7 @@ data; they read both as ``PLAN`` and ``files`` (``workflow/rules/common.smk``). 
 * ``command``: the shell line of a rule, from the signature of its step;
 * ``told``: which settings a step is told, with what ``survey.force`` decides;
 * ``brought``, ``rule_files``: the files that rules take where these hang on the plan, on who was found or on the
-  survey.
+  survey; ``left_lock``: whether a run that was killed left its lock.
 
 Decodes no pictures and compiles nothing: Snakemake reads it at every start.
 """

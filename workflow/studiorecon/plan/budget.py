@@ -16,13 +16,13 @@ from typing import Any
 
 import yaml
 
+from studiorecon.configuration.schema import part_of
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
 from studiorecon.plan.foreseen import foreseen
 from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
 from studiorecon.plan.workload import Footage, footage_of, workload
-from studiorecon.schema import part_of
 
 _RESULTS, _PACE = Path("results"), Path("benchmarks") / "pace.json"
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from studiorecon.step_settings import section_of, told
+from studiorecon.configuration.step_settings import section_of, told
 
 
 def section(step: str, config: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import look_at, scene_centre, with_pose
 from studiorecon.render.moves import camera_named

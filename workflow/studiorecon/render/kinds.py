@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from studiorecon import settings as settings_module
+from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
 from studiorecon.render.given import GivenPath
 from studiorecon.render.keyframes import Spline

@@ -7,7 +7,7 @@ import importlib.util
 from typing import TYPE_CHECKING, Literal
 
 from studiorecon.errors import UserError
-from studiorecon.gpu import claim
+from studiorecon.machine.gpu import claim
 from studiorecon.progress import say
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from studiorecon import settings
+from studiorecon.configuration import settings
 from studiorecon.errors import UserError
 from studiorecon.home import RESOURCES
 from studiorecon.scene.dataset import Dataset

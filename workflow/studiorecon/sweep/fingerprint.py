@@ -14,7 +14,7 @@ from typing import Any
 
 import psutil
 
-from studiorecon import kernel_cache
+from studiorecon.machine import kernel_cache
 
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "av", "snakemake")
 

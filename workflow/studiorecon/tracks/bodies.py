@@ -21,7 +21,7 @@ from studiorecon.footage.video import read_frames
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.keypoints.reading import Detected
 from studiorecon.keypoints.retiming import at_working_moments
-from studiorecon.libraries import remedy
+from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.selection import CHOICES
 from studiorecon.models.choices import DetectionSource
 from studiorecon.models.loading import adapter, load

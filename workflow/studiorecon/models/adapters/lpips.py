@@ -22,7 +22,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.errors import UserError
-from studiorecon.libraries import remedy
+from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.errors import UserError
-from studiorecon.libraries import remedy
+from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.card import WeightFile
 from studiorecon.models.catalogue.checksums import blob
 from studiorecon.models.catalogue.confined import may_fetch

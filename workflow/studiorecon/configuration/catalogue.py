@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from studiorecon.schema import part_of
+from studiorecon.configuration.schema import part_of
 
 # A key of block style, and what stands behind it on its line.
 _KEY = re.compile(r"( *)([\w-]+):(?:\s+(.*))?$")

@@ -21,7 +21,7 @@ from typing import Any
 
 from studiorecon import code
 from studiorecon.configuration.setting import is_setting
-from studiorecon.settings import named_keys
+from studiorecon.configuration.settings import named_keys
 
 # Name → what is read below it; None = the value as a whole.
 Fields = dict[str, Any]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import traceback
 from pathlib import Path
 
-OWN = Path(__file__).parent
+OWN = Path(__file__).parents[1]
 """The package itself."""
 EXTRAS = {
     "torch": "networks",

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from studiorecon.__main__ import main as step_main
+from studiorecon.cli.viewer import Viewer
 from studiorecon.errors import UserError
 from studiorecon.home import CONFIGURATION, HOME, PRESETS, SCHEMA, SNAKEFILE
-from studiorecon.viewer import Viewer
 
 _DEMO = "resources/studio/demo.yaml"
 _PORT = 8642
@@ -327,7 +327,7 @@ def _view(options: argparse.Namespace) -> int:
 def _settings(options: argparse.Namespace) -> int:
     import yaml
 
-    from studiorecon import catalogue
+    from studiorecon.configuration import catalogue
     from studiorecon.render.kinds import KINDS
 
     schema: Mapping[str, Any] = yaml.safe_load(SCHEMA.read_text(encoding="utf-8"))
