@@ -64,7 +64,7 @@ def filled(
     rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
 ) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) in [0, 1] whose pixels that are not ``known`` go on as the others do; where no shift reaches, they have
-    the light alone. At least one pixel must be known: ValueError."""
+    the light alone. Raises ValueError for other shapes, and where no pixel is known."""
     hw = require("known", known, ("H", "W"))
     require("rgb", rgb, ("H", "W", 3), hw)
     if not known.any():
