@@ -12,6 +12,7 @@ import pytest
 from studiorecon.calibration import doctor
 from studiorecon.cameras import refine
 from studiorecon.errors import UserError
+from studiorecon.geometry import rotations
 from studiorecon.rig.odd_one_out import odd_one_out
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
@@ -123,6 +124,33 @@ def test_an_unknown_cause_names_the_camera_all_the_same() -> None:
     nonsense = with_pixels(capture(), lambda p: p + rng.normal(0, 300, (len(p), 1, 2)))
     with pytest.raises(UserError, match=re.escape("or leave it out (train: [c0, c2, c3] in capture.yaml)")):
         decided(nonsense)
+
+
+def yawed(degrees: float) -> Callable[[np.ndarray], np.ndarray]:
+    """A camera that was turned about its own axis down."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+    return lambda pose: turn @ pose
+
+
+@pytest.mark.parametrize("degrees", [5.0, -8.0])
+def test_a_camera_that_was_knocked_is_put_right_and_not_taken_for_a_cropped_picture(degrees: float) -> None:
+    truth, detections = capture()
+    assert odd_one_out(*with_pose((truth, detections), yawed(degrees)), np.arange(FRAMES), 0.25, LIMITS) is not None
+    found = decided(with_pose((truth, detections), yawed(degrees)))
+    assert found.report["stale"]
+    turned = [
+        np.degrees(rotations.angle(f.camera_from_world[:3, :3], t.camera_from_world[:3, :3]))
+        for f, t in zip(found.training, truth)
+    ]
+    assert max(turned) < 0.5
+
+
+def test_a_camera_that_was_turned_away_is_named_with_both_that_it_may_be() -> None:
+    with pytest.raises(
+        UserError, match=r"camera c1 .*not cropped, or by a camera that has not been turned by (19|2.)°"
+    ):
+        decided(with_pose(capture(), yawed(20.0)))
 
 
 @pytest.mark.parametrize("case", ["focal length twice", "mirrored keypoints", "keypoints of another camera"])

@@ -121,8 +121,12 @@ def decide(
     before_px = before if np.isfinite(before) else None
     few = chosen[:: max(1, len(chosen) // 6)]
     told = settings.gate_m, settings.min_gain, settings.limits, settings.bundle
+    # The others agree all the same where one of them was knocked.
+    alone = any(e is None and len(d.frame) for e, d in zip(before_each, detections))
     anew = (
-        where_they_stand_now(training, detections, chosen, *told, before, _SUSPICIOUS * limit, rooms)
+        where_they_stand_now(
+            training, detections, chosen, *told, np.nan if alone else before, _SUSPICIOUS * limit, rooms
+        )
         if settings.refine
         else None
     )
@@ -139,7 +143,8 @@ def decide(
         refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
     if anew is not None or not len(points) or any(e is None or e > limit for e in before_each):
         odd = odd_one_out(training, detections, chosen, settings.gate_m, settings.limits)
-        if odd is not None and (odd.cause or anew is None):
+        # A camera that was knocked and one whose picture was cropped look alike; the former is put right.
+        if odd is not None and (anew is None or (odd.cause and not odd.turned)):
             raise UserError(odd.sentence())
     if anew is not None:
         tell(given, anew)

@@ -114,24 +114,29 @@ def moved(camera: Camera, rotation_camera_from_world: np.ndarray, centre_m: np.n
 
 
 def without_drift(
-    adjusted: Sequence[Camera], given: Sequence[Camera]
+    adjusted: Sequence[Camera], given: Sequence[Camera], weights: Sequence[float] | None = None
 ) -> tuple[list[Camera], tuple[np.ndarray, np.ndarray, float]]:
     """The adjusted cameras without their common rotation, translation and scale against the given ones, and that
     similarity.
 
     Cameras that were not adjusted (held-out ones) stay consistent with them. The rotation is fitted to centres and
     viewing axes together, which also holds two cameras, or cameras in a line. The similarity (rotation, translation,
-    scale) takes adjusted world points to given ones: X' = scale · rotation · X + translation.
+    scale) takes adjusted world points to given ones: X' = scale · rotation · X + translation. ``weights``: how much
+    every camera counts, positive; alike unless given.
     """
     new, old = np.stack([c.centre_m for c in adjusted]), np.stack([c.centre_m for c in given])
-    new_off, old_off = new - new.mean(0), old - old.mean(0)
-    spread = max(float(np.sqrt((old_off**2).sum(-1).mean())), 1e-9)
-    axes = np.concatenate([c.camera_from_world[:3, :3] for c in adjusted]) * spread
-    old_axes = np.concatenate([c.camera_from_world[:3, :3] for c in given]) * spread
+    share = np.ones(len(new)) if weights is None else np.asarray(weights, np.float64)
+    share = share / share.sum()
+    new_middle, old_middle = share @ new, share @ old
+    root = np.sqrt(share)[:, None]
+    new_off, old_off = root * (new - new_middle), root * (old - old_middle)
+    spread = max(float(np.sqrt((old_off**2).sum())), 1e-9) * root[..., None]
+    axes = np.concatenate(spread * np.stack([c.camera_from_world[:3, :3] for c in adjusted]))
+    old_axes = np.concatenate(spread * np.stack([c.camera_from_world[:3, :3] for c in given]))
     u, _, vt = np.linalg.svd(np.concatenate([old_off, old_axes]).T @ np.concatenate([new_off, axes]))
     rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     scale = float((old_off * (new_off @ rotation.T)).sum() / max((new_off**2).sum(), 1e-12)) if len(new) > 1 else 1.0
-    translation = old.mean(0) - scale * rotation @ new.mean(0)
+    translation = old_middle - scale * rotation @ new_middle
     back = [
         moved(c, c.camera_from_world[:3, :3] @ rotation.T, scale * rotation @ c.centre_m + translation)
         for c in adjusted

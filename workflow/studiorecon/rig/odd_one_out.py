@@ -36,6 +36,8 @@ _FRAMES = 48
 # well (people that two cameras confuse are contradicted too), 0.96 and more where something was mixed up.
 _WRONG_SOMEWHERE = 0.9
 _MOST_LAG = 90
+# Past this nobody has knocked a tripod.
+_MOST_TURNED_DEG = 45.0
 _COUNT = len(STABLE_KEYPOINTS)
 _OTHER_SIDE = np.arange(_COUNT).reshape(-1, 2)[:, ::-1].reshape(-1)
 _FOCAL = np.geomspace(1 / 40, 40, 75)
@@ -54,6 +56,7 @@ class Odd:
         share_then: the same if ``cause`` were so.
         cause: what was probably mixed up; empty where nothing that was tried explains it.
         remedy: what to do.
+        turned: whether a camera that was turned since it was calibrated would disagree in the same way.
     """
 
     camera: str
@@ -61,6 +64,7 @@ class Odd:
     share_then: float
     cause: str
     remedy: str
+    turned: bool = False
 
     def sentence(self) -> str:
         """What is wrong, and what would help."""
@@ -77,6 +81,7 @@ class _Reading:
     remedy: str
     camera: Camera
     seen: np.ndarray
+    turned: bool = False
 
 
 def odd_one_out(
@@ -108,7 +113,7 @@ def odd_one_out(
         readings = _readings(v, cameras, detections, own, chosen, points)
         then, best = max(((_share(points, r.seen, r.camera)[0], r) for r in readings), key=lambda row: row[0])
         if then >= _EXPLAINED * usual:
-            found.append((then / usual, Odd(cameras[v].name, share, then, best.cause, best.remedy)))
+            found.append((then / usual, Odd(cameras[v].name, share, then, best.cause, best.remedy, best.turned)))
         elif len(cameras) > 3 and _in_picture(points, cameras[v]) >= _LEAST_POINTS:
             remedy = (
                 "see whether its video, keypoints and calibration are of one camera and one take, or leave it out "
@@ -204,7 +209,12 @@ def _readings(
     if moved is not None:
         right, down = (-moved).round().astype(int)
         cause = f"they lay {right} px further right and {down} px further down, as in a picture that was not cropped"
-        yield _Reading(cause, check_video, camera, seen - moved)
+        turned_deg = float(np.degrees(np.arctan(np.linalg.norm(moved / camera.focal_px))))
+        if turned_deg < _MOST_TURNED_DEG:
+            cause += f", or by a camera that has not been turned by {turned_deg:.0f}° since it was calibrated"
+            yield _Reading(cause, f"{check_video}, or calibrate it again", camera, seen - moved, turned=True)
+        else:
+            yield _Reading(cause, check_video, camera, seen - moved)
     yield from _of_calibration(camera, seen)
     for lag in range(-_MOST_LAG, _MOST_LAG + 1):
         if lag:

@@ -42,6 +42,7 @@ _MOST_SIGMA_DEG, _MOST_SIGMA_M = 2.5, 0.25
 _ROUNDS = ((1.0, 8.0), (0.5, 4.0), (0.25, 2.0), (0.25, 1.0), (0.25, 1.0))
 _STARTS = (2, 1, 0)
 _RIG_FRAMES = 16
+_LAID = 20
 _POSES_ONLY = LensPrior(0.0, 0.0)
 # How much worse than the best a narrower rung may explain unseen halves. Where cameras stood still, the halves of a
 # real man's clip differed by 2 to 3 % between rungs; where they had moved by a degree, by 9 % and more.
@@ -156,6 +157,7 @@ def moved_since(
     room = by_the_room(result.cameras, given, seen, rooms, limits, rungs[chosen]) if len(rooms) else None
     if room is not None and room.explained:
         result = room.adjusted
+    result = replace(result, cameras=_by_those_that_stand(result.cameras, given, bundle))
     turn_deg, place_m = np.degrees(result.sigma[:, :3]).max(1), result.sigma[:, 3:6].max(1)
     if turn_deg.max() > _MOST_SIGMA_DEG or place_m.max() > _MOST_SIGMA_M:
         return None
@@ -183,6 +185,17 @@ def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[np.ndarray,
     turned = np.stack([f.camera_from_world[:3, :3] @ g.camera_from_world[:3, :3].T for f, g in zip(found, given)])
     apart = np.array([f.centre_m - g.centre_m for f, g in zip(found, given)])
     return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
+
+
+def _by_those_that_stand(found: Sequence[Camera], given: Sequence[Camera], bundle: BundleSettings) -> list[Camera]:
+    """The cameras laid on the given ones that moved least: one that was knocked does not carry away the others, nor
+    those that took no part."""
+    weights = np.ones(len(given))
+    for _ in range(_LAID):
+        laid = without_drift(found, given, weights.tolist())[0]
+        degrees, metres = moves(laid, given)
+        weights = 1 / np.maximum(np.hypot(degrees / bundle.prior_deg, metres / bundle.prior_m), 1.0)
+    return laid
 
 
 @dataclass(frozen=True)
