@@ -15,9 +15,9 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.progress import say
-from studiorecon.rig.by_the_room import by_the_room
+from studiorecon.rig.by_the_room import CALLED_SIGMAS, by_the_room, where_people_stand
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.floor_marks import RoomPicture, floor_marks
 from studiorecon.rig.level import floor_of, levelled
 from studiorecon.scene.camera import Camera
 
@@ -36,6 +36,17 @@ def by_the_floor(
 ) -> tuple[list[Camera], dict[str, Any]]:
     """The cameras where the room's floor calls for them too, if it explains itself and people are not the worse for
     it."""
+    # Nearly always cameras stand where they are said to, and one look at the floor shows it.
+    marks = floor_marks(adjusted, rooms, *where_people_stand(adjusted, seen, limits), _ROOM_REACH_M[0])
+    if marks is None:
+        return adjusted, report
+    if (off_sigmas := marks.off_sigmas(adjusted, limits)) < CALLED_SIGMAS:
+        places = int(marks.pixels.shape[1])
+        say(
+            f"{places} places on the floor that two cameras share move no camera: they are {off_sigmas:.1f} of their "
+            "own standard deviations off"
+        )
+        return adjusted, {**report, "room": {"places": places, "off_sigmas_before": off_sigmas, "believed": False}}
     about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
     found = by_the_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M)
     if found is None:

@@ -31,7 +31,7 @@ _ANKLE_HEIGHT_M = 0.08
 _LEAST_FEET = 20
 # The floor is believed where it explains itself to so many of its own standard deviations, called for at least so many,
 # and by so much more than afterwards; people may be off by so much more with it.
-_MOST_SIGMAS, _CALLED_SIGMAS, _CLEARLY, _PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
+_MOST_SIGMAS, CALLED_SIGMAS, _CLEARLY, _PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
 # Edges tell more than a prior that is as wide as this.
 _WIDE_DEG = 1.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
@@ -82,7 +82,7 @@ def by_the_room(
 
     ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none.
     """
-    middle_m, floor_m = _where_people_stand(cameras, seen, limits)
+    middle_m, floor_m = where_people_stand(cameras, seen, limits)
     turns = _turns(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
     held_deg = np.broadcast_to(bundle.prior_deg, len(cameras)).astype(float).copy()
     about = list(given)
@@ -118,7 +118,7 @@ def by_the_room(
         "people_px_after": people_px[1],
     }
     explained = not people_px[1] > _PEOPLE_COST * people_px[0] and not floor[1] > _MOST_SIGMAS
-    called = marks is None or (floor[0] >= _CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
+    called = marks is None or (floor[0] >= CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
     believed = bool(explained and called)
     unsaid = np.zeros(result.sigma.shape[1])
     unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
@@ -131,7 +131,7 @@ def _turns(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> di
     return room_turns(dict(enumerate(cameras)), edges)
 
 
-def _where_people_stand(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[np.ndarray, float]:
+def where_people_stand(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[np.ndarray, float]:
     """(2,) middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0,
     where there is nobody."""
     if len(seen.frame):
