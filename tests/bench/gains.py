@@ -24,25 +24,13 @@ from typing import Any
 
 import yaml
 
-from tests.bench.decisions import SMALL, score_db, spent_s
+from tests.bench.decisions import OBEYED, SMALL, score_db, spent_s
 from tests.workflow.conftest import House, make_house
 
 RESULTS = Path(__file__).parent / "results" / "gains.json"
 # What chance does to a score, and to seconds.
 CHANCE_DB, CHANCE = 0.05, 0.02
-FORCED = (
-    "exposure",
-    "changing_light",
-    "rolling_shutter",
-    "closed_path",
-    "view_synthesis",
-    "view_dependent_colour",
-    "temporal_appearance",
-    "moving_shadows",
-    "dynamic_objects",
-    "enhancement",
-    "injection",
-)
+FORCED = tuple(effect for effect in OBEYED if effect != "people")
 # Scene → what is planted, and the effects that are forced the other way.
 SCENES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "plain": ({}, FORCED),

@@ -86,6 +86,19 @@ def test_pictures_of_other_rooms_move_no_camera() -> None:
     assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))
 
 
+def test_a_floor_that_people_contradict_moves_no_camera(capsys: pytest.CaptureFixture[str]) -> None:
+    """What lies on it agrees among all cameras, as if these were turned; whoever walks on it shows that they are
+    not."""
+    truth = small_ring()
+    seen = detect(truth, PEOPLE, 5.0, np.random.default_rng(0))
+    rooms = [room(c, carpet(1), v) for v, c in enumerate(off(truth, 3, 0.25, 0.0))]
+    outcome = refine.decide(truth, [], seen, FRAMES, True, loaded(refine.Settings), rooms)
+    assert outcome.report["room"]["off_sigmas_before"] > 2, "or nothing is asked"
+    assert not outcome.report["room"]["believed"]
+    assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))
+    assert "after which people's keypoints are" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("degrees", "lift_m"), [(1.0, 0.05), (-0.4, 0.0), (0.0, -0.03)])
 def test_a_world_that_was_tilted_and_lifted_is_put_back(degrees: float, lift_m: float) -> None:
     rng = np.random.default_rng(0)
