@@ -4,6 +4,7 @@ as if they had been made elsewhere."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from pathlib import Path
@@ -16,8 +17,11 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.footage.video import read_stack
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.report.metrics.truth import read_views
 
+from tests.made.smpl import write_smpl
 from tests.workflow.conftest import ROOT, House, make_house
+from tests.workflow.planted_networks import plant
 
 PAPER, NETWORKS = (str(ROOT / f"config/presets/{name}.yaml") for name in ("paper", "networks"))
 # Nothing but sizes and counts: what would take hours, and pictures of the studio's own size.
@@ -110,3 +114,62 @@ def test_the_papers_presets_run_whole_on_files_of_every_network(ran: tuple[House
     assert (read_stack(results / "render/heldout.mkv") != film).any()
     for scored in (embedded, found):
         assert scored["pictures"]["raw"]["psnr"]["value"] > 12
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_the_papers_presets_run_whole_with_a_stand_in_of_every_network_that_can_have_one(
+    ran: tuple[House, dict], tmp_path: Path
+) -> None:
+    """Pi3 finds cameras and depth, MoGe lifts people to it, SMPL's file is the body, the refiner and the films go
+    through the recursive module with RAFT, and LPIPS is in every loss: with planted answers and random weights. Files
+    stand for CoMotion, SAM 3 and GEN3C alone."""
+    house, _ = ran
+    results, given, weights = house.folder / "results/tiny", house.folder / "given", tmp_path / "weights"
+    render = read_stack(results / "render/heldout.mkv")
+    plant(house, weights)
+    smpl = write_smpl(weights / "smpl/SMPL_NEUTRAL.pkl", BodyModel.load(house.folder / "resources/body.npz"))
+    brought = {stage: {"precomputed": str(given / folder)} for stage, folder in FILES.items()}
+    stand_ins: dict = {
+        "body": str(smpl),
+        "weights": str(weights),
+        "detect": {"source": "precomputed", "precomputed": str(given / "bodies")},
+        "masks": {"source": "precomputed"} | brought["masks"],
+        "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
+        "people": {"fit": {"vertices": 200}},
+        "background": {
+            "training": {"iterations": 40, "lpips": {"every": 10}},
+            "refinement": {"views": 6},
+        },
+        "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"every": 10}}},
+    }
+    settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | stand_ins)))
+    planned = house.plan(*settings)
+    wanted = {"calibration_network": 1, "depth_first": 4, "people_lift": 4, "body_plain": 1}
+    wanted |= {"background_half": 1, "background_refined": 1}
+    assert wanted.items() <= planned.items()
+    said = house.snakemake("--cores", "2", *settings).stdout
+    assert "LPIPS is off" not in said
+    assert "pelvises lifted" in said
+    assert house.plan(*settings) == {}, "nothing is left to do"
+    fits = [read_person(path) for path in sorted((results / "people").glob("p*.npz"))]
+    assert [person.name for person in fits] == ["p0", "p1"]
+    assert all(person.body.startswith("smpl ") for person in fits)
+    # Pi3's unit became metres by people's bones, and so did its depth.
+    true = {name: view.camera.centre_m for name, view in read_views(house.folder / "results/studio/tiny/truth").items()}
+    cameras = read_model(results / "cameras")
+    pairs = list(itertools.combinations(cameras, 2))
+    apart = [np.linalg.norm(a.centre_m - b.centre_m) for a, b in pairs]
+    truly = [np.linalg.norm(true[a.name] - true[b.name]) for a, b in pairs]
+    np.testing.assert_allclose(np.divide(apart, truly), 1, atol=0.1)
+    found = json.loads((results / "report/metrics.json").read_text())
+    for version in ("raw", "enhanced"):
+        assert found["pictures"][version]["psnr"]["value"] > 10
+        assert found["pictures"][version]["lpips"]["value"] > 0
+    assert "pi3" in found["protocol"]
+    # What the enhancer made is in the films and in the room that trained on it.
+    raw, enhanced = (read_stack(results / f"{kind}/heldout.mkv").astype(float) for kind in ("render", "enhance"))
+    warmer = (enhanced - raw).mean((0, 1, 2))
+    assert warmer[0] - warmer[2] > 5
+    assert (results / "background/refined.mkv").is_file()
+    assert raw.shape == render.shape
