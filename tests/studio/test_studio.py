@@ -24,7 +24,7 @@ from studiorecon.footage.video import read_stack
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.scene.camera import Camera
-from studiorecon.studio import capture, performance, rig
+from studiorecon.studio import capture, performance, rig, takes
 from studiorecon.studio.actors import Actors
 from studiorecon.studio.calibration import calibration_texts
 from studiorecon.studio.description import CALIBRATION_FILES, DEFAULTS, planned_dataset, read_description
@@ -319,7 +319,7 @@ def test_each_effect_changes_the_pictures_where_it_should(
         assert change[outside].max() <= 1
         assert (change[outside] == 0).mean() > 0.5
     elif effect == "changing_light":
-        light = [capture.lamp_swing(read_description(folder / "studio.yaml"), k / 30) for k in range(3)]
+        light = [takes.lamp_swing(read_description(folder / "studio.yaml"), k / 30) for k in range(3)]
         dark = outside & (before < 200) & (before > 20)
         for k in range(3):
             assert (after[k][dark[k]] / before[k][dark[k]]).mean() == pytest.approx(light[k] ** (1 / 2.2), abs=0.02)
@@ -509,6 +509,28 @@ def test_a_new_description_leaves_nothing_of_the_old_capture(tmp_path: Path):
         "extri.yml",
         *(f"videos/cam{k}.mp4" for k in (1, 2, 3)),
     }
+
+
+def test_cameras_filmed_together_show_what_each_would_show_alone(tmp_path: Path):
+    """Cameras of one clock share people and ray caster; the others have takes of their own. No byte depends on it."""
+    options = {"frames": 2, "people": 1, "faults": {"sync_offset_frames": 2.0}, "cameras": {"held_out": 2}}
+    description = described(tmp_path, **options)
+    read = read_description(description)
+    lenses = rig.true_lenses(read, rig.cameras(read))
+    assert [[lens.name for lens in take] for take in takes.shared(read, lenses, 1)] == [
+        ["view1", "view2"],
+        ["cam1"],
+        ["cam2"],
+        ["cam3"],
+    ]
+    files = []
+    for processes in (1, 5):  # of five, every camera has a take of its own
+        folder = tmp_path / str(processes)
+        capture.run(description, folder / "dataset", folder / "truth", processes=processes)
+        files.append({str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()})
+    assert len(takes.shared(read, lenses, 5)) == 5
+    assert files[0] == files[1]
+    assert "truth/frames/view2.mkv" in files[0]
 
 
 def test_planning_a_capture_needs_no_array_library(root: Path):

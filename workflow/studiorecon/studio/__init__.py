@@ -3,5 +3,5 @@
 
 ``description`` → ``room`` and ``textures``, ``actors`` (``performance``, ``gait``, ``clothing``), ``meshes`` → ``rig``
 (cameras) → ``tracing``, ``film``, ``sensor`` (pictures), ``detections``, ``calibration`` (what a user would bring),
-``truth``. ``capture`` is the step.
+``truth``. ``takes`` films cameras side by side, ``capture`` is the step.
 """
