@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well clocks are found: planted starts, drift, rates and reverberation in sound; cut frames in a real take's
-keypoints.
+"""How well clocks are found: planted starts, drift, rates and reverberation in sound; the same without sound, from the
+people that a detector sees; cut frames in a real take's keypoints and in the demo's films.
 
-``python -m tests.bench.clocks --data DIR --results tests/bench/results/clocks.json``; DIR holds ``pose2sim_balancing``.
-Errors are in frames at the stated rate, largest over all cameras and moments; none: undetermined. The real take's own
-clocks are only known to a frame or so: lags with frames cut off are compared with the lag as filmed.
+``python -m tests.bench.clocks --data DIR --folder FILMS --results tests/bench/results/clocks.json``; DIR holds
+``pose2sim_balancing``, FILMS keeps the demo's films and what the detector found in them. Errors are in frames at the
+stated rate, largest over all cameras and moments; none: undetermined. The real take's own clocks are only known to a
+frame or so: lags with frames cut off are compared with the lag as filmed.
+
+Silent films: three uncalibrated cameras, two people who walk about, keypoints with the errors that the embedded
+detector has (``tests.made.silent``), three draws each. The demo's films last two seconds, so starts are planted by
+leaving out frames: of every second or third one another for one of the cameras, half or a third of a frame apart.
 """
 
 from __future__ import annotations
@@ -20,12 +25,18 @@ from typing import Any
 
 import numpy as np
 from studiorecon.clocks import offsets as clocks
+from studiorecon.clocks.people_clock import people_pair
 from studiorecon.clocks.people_lag import lag_of
+from studiorecon.clocks.timeline import Timeline
 from studiorecon.keypoints.correspondence import stable_indices
 from studiorecon.keypoints.readers import read_keypoints
-from studiorecon.scene.clocks import read_clocks
+from studiorecon.scene.clocks import Clock, read_clocks
 from studiorecon.scene.files import read_json, write_json
+from studiorecon.scene.people import Detections, write_detections
 
+from tests.bench.filmed import Filmed, the_demo
+from tests.made.cameras import ring
+from tests.made.silent import Silent, sighted
 from tests.made.sound import Recorder, record, world_sound
 
 _FPS = 30.0
@@ -44,6 +55,15 @@ _CASES: dict[str, tuple[str, float, list[Recorder]]] = {
     "silence": ("silence", 12, [Recorder("a", 10.0), Recorder("b", 12.0)]),
 }
 _MAN = ("cam01", "cam02", "cam03", "cam04")
+_SILENT_FPS = (10.0, 15.0, 30.0, 60.0)
+# Seconds of film and starts of the cameras, seconds and frames after the first one's.
+_SILENT: dict[str, tuple[float, tuple[float, float], tuple[float, float]]] = {
+    "±10 s": (40.0, (10.0, -10.0), (0.0, 0.0)),
+    "±1 frame": (8.0, (0.0, 0.0), (1.0, -1.0)),
+    "±0.4 frame": (8.0, (0.0, 0.0), (0.4, -0.4)),
+}
+_DRAWS = 3
+_DRIFT_PPM = 50.0
 
 
 def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str, Any]:
@@ -65,6 +85,125 @@ def sound_case(kind: str, seconds: float, recorders: list[Recorder]) -> dict[str
         "kinds": kinds,
         "error_frames": None if unknown else round(max(float(np.abs(e).max()) for e in errors) * _FPS, 3),
         "processor_s": round(spent, 2),
+    }
+
+
+def silent_films(
+    fps: float, seconds: float, later_s: tuple[float, float], uneven: bool, drift_ppm: float
+) -> list[Silent]:
+    """Three films; the second one's frames may come unevenly, by a quarter of a frame, and its clock drift."""
+    own_s = [np.arange(round(seconds * fps)) / fps for _ in range(3)]
+    if uneven:
+        own_s[1] = np.cumsum(np.random.default_rng(0).uniform(0.8, 1.25, len(own_s[1]))) / fps
+        own_s[1] -= own_s[1][0]
+    starts = 20.0, 20.0 + later_s[0], 20.0 + later_s[1]
+    drifts = 0.0, drift_ppm, 0.0
+    return [Silent(*about) for about in zip(ring()[:3], starts, own_s, drifts, strict=True)]
+
+
+def by_people(films: list[Silent], fps: float, uneven: bool, draw: int) -> list[dict[str, Any]]:
+    """What is made of every film but the reference, and how far it is off at worst."""
+    rng = np.random.default_rng(draw)
+    names = [film.camera.name for film in films]
+    lines = [
+        Timeline(fps, len(f.own_s), 0.0, tuple(f.own_s.tolist()) if uneven and k == 1 else ())
+        for k, f in enumerate(films)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{name}.npz" for name in names]
+        for film, path in zip(films, paths, strict=True):
+            write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
+        found, _, reference = clocks.found_clocks(names, [None] * 3, lines, paths, paths, {})
+    rows = []
+    for k, verdict in enumerate(found):
+        if k != reference:
+            said_s = verdict.offset_s + films[k].own_s * (1 + 1e-6 * verdict.drift_ppm)
+            error = float(np.abs(said_s - films[k].world_s + films[reference].start_s).max()) * fps
+            rows.append({"kind": verdict.kind, "error": error, "half": verdict.half_s * fps})
+    return rows
+
+
+def silent_case(
+    fps: float, seconds: float, later_s: tuple[float, float], uneven: bool = False, drift_ppm: float = 0.0
+) -> dict[str, Any]:
+    """All draws of one case."""
+    films = silent_films(fps, seconds, later_s, uneven, drift_ppm)
+    begin = time.process_time()
+    rows = [row for draw in range(_DRAWS) for row in by_people(films, fps, uneven, draw)]
+    told = [row for row in rows if row["kind"] != "undetermined"]
+    return {
+        "fps": fps,
+        "cameras_determined": len(told),
+        "cameras_undetermined": len(rows) - len(told),
+        "error_frames_median": round(float(np.median([r["error"] for r in told])), 3) if told else None,
+        "error_frames_largest": round(max(r["error"] for r in told), 3) if told else None,
+        "covered": sum(r["error"] <= r["half"] for r in told),
+        "half_frames_median": round(float(np.median([r["half"] for r in told])), 3) if told else None,
+        "processor_s": round(time.process_time() - begin, 1),
+    }
+
+
+def silent_cases() -> dict[str, Any]:
+    """Every planted start at every rate, and frames that come unevenly, a drift, and one silent camera among others."""
+    cases: dict[str, Any] = {}
+    for name, (seconds, later_s, later_frames) in _SILENT.items():
+        cases[name] = [
+            silent_case(fps, seconds, tuple(s + f / fps for s, f in zip(later_s, later_frames))) for fps in _SILENT_FPS
+        ]
+    cases["frames that come unevenly"] = [silent_case(fps, 8.0, (0.55, -0.3), uneven=True) for fps in _SILENT_FPS]
+    cases[f"{_DRIFT_PPM:g} ppm over 120 s"] = [silent_case(_FPS, 120.0, (1.0, -1.0), drift_ppm=_DRIFT_PPM)]
+    cases["one silent camera among cameras with sound"] = [one_silent(draw) for draw in range(_DRAWS)]
+    return cases
+
+
+def one_silent(draw: int) -> dict[str, Any]:
+    """Two cameras with sound, a third one without; all of them see the two people."""
+    starts_s = (20.0, 21.0 + 0.3 / _FPS, 19.5 - 0.4 / _FPS)
+    films = silent_films(_FPS, 12.0, (starts_s[1] - 20.0, starts_s[2] - 20.0), False, 0.0)
+    rng, world = np.random.default_rng(draw), world_sound("speech", 45.0, draw)
+    names = [film.camera.name for film in films]
+    recorders = [Recorder(n, s, deaf=k == 2) for k, (n, s) in enumerate(zip(names, starts_s, strict=True))]
+    with tempfile.TemporaryDirectory() as folder:
+        videos = [record(Path(folder), r, world, 12.0) for r in recorders]
+        paths = [Path(folder) / f"{name}.npz" for name in names]
+        for film, path in zip(films, paths, strict=True):
+            write_detections(path, sighted(film, (10 * draw, 10 * draw + 1), rng))
+        out = Path(folder) / "clocks.json", Path(folder) / "sync.json"
+        clocks.run(clocks.Settings(sync="auto", picture_fps=_FPS), names, videos, paths, "{}", 0, 0, *out)
+        found, told = read_clocks(out[0]), read_json(out[1])["cameras"]
+    offset_s = [found.of(name).offset_s - found.of(names[0]).offset_s for name in names]
+    errors = [abs(o - (s - starts_s[0])) * _FPS for o, s in zip(offset_s, starts_s, strict=True)]
+    return {
+        "methods": {f["camera"]: f["method"] or f["kind"] for f in told},
+        "error_frames_largest": round(max(errors), 3),
+    }
+
+
+def demo_case(take: Filmed, every: int, later: int, calibrated: bool) -> dict[str, Any]:
+    """The demo's two seconds at every n-th picture; the second camera begins ``later`` pictures of 30 per second later;
+    with its calibration or without."""
+    seen = take.seen
+    films = []
+    for k, d in enumerate(seen):
+        mine = d.only((d.frame >= later * (k == 1)) & ((d.frame - later * (k == 1)) % every == 0))
+        films.append(
+            Detections(d.camera, d.layout, (mine.frame - later * (k == 1)) // every, mine.track, mine.keypoints)
+        )
+    rate = _FPS / every
+    told = [Clock(d.camera, rate, (60 - later * (k == 1)) // every) for k, d in enumerate(seen)]
+    lenses = {c.name: (take.lenses[c.name], c.wh) for c in take.cameras} if calibrated else None
+    pairs, _ = people_pair(films, told, rate, lenses)
+    true_s = np.array([later * (k == 1) / _FPS for k in range(len(seen))])
+    errors = [abs(p.offset_s - (true_s[p.second] - true_s[p.first])) * rate for p in pairs]
+    return {
+        "fps": rate,
+        "calibrated": calibrated,
+        "later_frames": round(later / every, 2),
+        "pairs_determined": len(errors),
+        "pairs_undetermined": len(seen) * (len(seen) - 1) // 2 - len(errors),
+        "error_frames_median": round(float(np.median(errors)), 3) if errors else None,
+        "error_frames_largest": round(float(np.max(errors)), 3) if errors else None,
+        "covered": sum(bool(e <= 1.96 * p.sigma_s * rate) for e, p in zip(errors, pairs, strict=True)),
     }
 
 
@@ -106,11 +245,21 @@ def real_case(data: Path, every: int, cut: int) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--folder", type=Path)
     parser.add_argument("--results", type=Path)
     options = parser.parse_args()
     sound = {name: sound_case(*case) for name, case in _CASES.items()}
     real = [real_case(options.data, every, cut) for every, cut in ((1, 7), (2, 7), (4, 3), (6, 2))]
-    report = {"date": str(date.today()), "sound": sound, "real_take_people": real}
+    folder = options.folder or Path(tempfile.mkdtemp())
+    take, planted = the_demo(folder.resolve()), ((1, 7), (1, 1), (2, 1), (2, 7), (3, 1), (3, 7))
+    films = [demo_case(take, *case, calibrated) for calibrated in (True, False) for case in planted]
+    report = {
+        "date": str(date.today()),
+        "sound": sound,
+        "silent": silent_cases(),
+        "demo_films_people": films,
+        "real_take_people": real,
+    }
     print(json.dumps(report, indent=1, ensure_ascii=False))
     if options.results:
         write_json(options.results, report)

@@ -129,23 +129,29 @@ def contradicted(weaker: Sequence[Proposal | None], stronger: Sequence[Sequence[
     return sum(any(contradict(own, o) for o in others if o) for own, others in told), len(told)
 
 
-def judged(proposals: Sequence[Proposal], fps: float, seconds: float) -> ClockVerdict:
+def judged(proposals: Sequence[Proposal], fps: float, seconds: float, triggered: bool = True) -> ClockVerdict:
     """The narrowest proposal if all agree within their intervals; in step where it does not exclude that the camera is
-    as filmed."""
+    as filmed. Where cameras were not ``triggered`` together nothing speaks for that beforehand: then what was found
+    counts, however little it is."""
     if not proposals:
         return ClockVerdict("undetermined", reason="neither sound nor people nor motion tell")
     if any(contradict(*pair) for pair in itertools.combinations(proposals, 2)):
         return ClockVerdict("undetermined", reason="they contradict each other")
     best = min(proposals, key=lambda p: p.half_s)
     drift = best.drift_ppm if abs(best.drift_ppm) * 1e-6 * seconds * fps > _NEGLIGIBLE_FRAMES else 0.0
-    if not drift and abs(best.offset_s) <= max(best.half_s, _NEGLIGIBLE_FRAMES / fps):
-        return ClockVerdict("in step", 0.0, best.half_s, 0.0, best.method)
     # What is not sharper than a frame says which frame, and nothing about fractions; and a fraction may be too small to
     # matter.
     whole = round(best.offset_s * fps) / fps
     beside = abs(best.offset_s - whole) * fps
     on_the_beat = not drift and (best.half_s > 1 / fps or beside <= _NEGLIGIBLE_FRAMES)
-    return ClockVerdict("found", whole if on_the_beat else best.offset_s, best.half_s, drift, best.method)
+    applied = whole if on_the_beat else best.offset_s
+    if not drift and (abs(best.offset_s) <= max(best.half_s if triggered else 0.0, _NEGLIGIBLE_FRAMES / fps)):
+        applied = 0.0
+    # About what is applied, the interval still covers all that was found.
+    half_s = best.half_s + abs(applied - best.offset_s)
+    if not drift and not applied:
+        return ClockVerdict("in step", 0.0, half_s, 0.0, best.method)
+    return ClockVerdict("found", applied, half_s, drift, best.method)
 
 
 def _reached(pairs: Sequence[Pair], cameras: int, reference: int) -> list[int]:

@@ -172,11 +172,19 @@ def found_clocks(
     # Where one method leads halfway and another the rest of the way.
     together = solved("several", [p for found in pairs.values() for p in found], count, reference, _TRAVEL_S)
     verdicts, findings = [], []
+    owns = [
+        [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
+        for c in range(count)
+    ]
+    # One that was clearly not started with the others: nothing triggered them all.
+    triggered = not any(
+        judged(own, rate, clocks[c].own_s[-1]).kind == "found" for c, own in enumerate(owns) if c != reference
+    )
     for c, camera in enumerate(cameras):
-        own = [p for p in (proposed[m][c] for m in pairs) if p is not None] or [
-            p for p in (together[c],) if p is not None
-        ]
-        verdict = ClockVerdict("reference", 0.0, 0.0) if c == reference else judged(own, rate, clocks[c].own_s[-1])
+        own = owns[c]
+        verdict = (
+            ClockVerdict("reference", 0.0, 0.0) if c == reference else judged(own, rate, clocks[c].own_s[-1], triggered)
+        )
         reasons = {
             m: why[m].get(c, "nothing links it with the reference camera") for m in pairs if proposed[m][c] is None
         }

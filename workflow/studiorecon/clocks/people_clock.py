@@ -11,7 +11,7 @@ import numpy as np
 
 from studiorecon.clocks.agreement import Pair
 from studiorecon.clocks.calibrated_lag import CalibratedPair, calibrated_lag, straightened
-from studiorecon.clocks.people_lag import PeopleLag, lag_of
+from studiorecon.clocks.people_lag import Meeting, PeopleLag, lag_of, lag_of_all
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock
@@ -61,12 +61,13 @@ def people_pair(
     reasons.update(dict.fromkeys(sighted, "nobody whom it sees moves so that one time fits much better than others"))
     pairs = []
     for a, b in itertools.combinations(sighted, 2):
-        found = []
-        for (begin_a, first), (begin_b, second) in itertools.product(tracks[a], tracks[b]):
-            lag = lag_of(first, second, rate)
-            if lag is not None:
-                found.append((lag.rows + begin_b - begin_a, lag))
-        agreed = _agreed(found)
+        met = [
+            (first, second, begin_b - begin_a)
+            for (begin_a, first), (begin_b, second) in itertools.product(tracks[a], tracks[b])
+        ]
+        lags = [lag_of(first, second, rate) for first, second, _ in met]
+        found = [(lag.rows + later, lag) for lag, (*_, later) in zip(lags, met) if lag is not None]
+        agreed = _together(_agreed(found), lags, met)
         if lenses and a in rays and b in rays:
             pair = CalibratedPair.of(lenses[clocks[a].camera][0], lenses[clocks[b].camera][0])
             agreed = _sharper(agreed, _agreed(_by_calibration(rays[a], rays[b], rate, pair)))
@@ -75,6 +76,29 @@ def people_pair(
     for i in {c for p in pairs for c in (p.first, p.second)}:
         reasons.pop(i, None)
     return pairs, reasons
+
+
+def _together(
+    agreed: tuple[float, float] | None, lags: Sequence[PeopleLag | None], met: Sequence[Meeting]
+) -> tuple[float, float] | None:
+    """The lag on which tracks agreed, from all tracks of both cameras under one epipolar geometry: few seconds of one
+    track look surer than they are."""
+    if agreed is None:
+        return None
+    rows, sigma = agreed
+    agree = [
+        lag is not None and abs(lag.rows + later - rows) <= _near(lag.sigma_rows, sigma)
+        for lag, (*_, later) in zip(lags, met)
+    ]
+    mine, others = [m for m, a in zip(met, agree) if a], [m for m, a in zip(met, agree) if not a]
+    lag = lag_of_all(mine, others, round(rows)) if mine else None
+    if lag is None or abs(lag.rows - rows) > _near(lag.sigma_rows, sigma):
+        return agreed
+    return lag.rows, max(lag.sigma_rows, _FLOOR_FRAMES)
+
+
+def _near(first_sigma: float, second_sigma: float) -> float:
+    return max(_SAME_FRAMES, _SAME_SIGMAS * float(np.hypot(first_sigma, second_sigma)))
 
 
 def _by_calibration(

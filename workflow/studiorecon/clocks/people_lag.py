@@ -12,6 +12,7 @@ right (V07).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 # Where the six products of three coordinates stand in their 3 × 3 matrix.
 _SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.3
-_LEAST_POINTS = 150
+# Seventeen tenths of a second of one body at 10 frames per second have 200, a second of it 120.
+_LEAST_POINTS = 100
 # Another lag further off than this must fit worse by this factor (squared residual), and so must lags this far off
 # under the same F.
 _APART_S, _LEAST_RATIO = 0.3, 2.0
@@ -28,6 +30,11 @@ _APART_S, _LEAST_RATIO = 0.3, 2.0
 _MOVES = 0.2
 _BLOCKS = 10
 _ROUNDS, _CLIP = 3, 3.0
+# Tracks join others whose epipolar geometry they miss by so many times as much at most, with so many points.
+_JOINS, _LEAST_JOINING = 1.5, 60
+
+Meeting = tuple[np.ndarray, np.ndarray, int]
+"""Two tracks (T, J, 3) and (T', J, 3) of two cameras, and by how many rows the second begins later than the first."""
 
 
 @dataclass(frozen=True)
@@ -83,17 +90,69 @@ def lag_of(first: np.ndarray, second: np.ndarray, rate: float, known: np.ndarray
 def _refined(a: np.ndarray, b: np.ndarray, start: int, known: np.ndarray | None, ratio: float) -> PeopleLag | None:
     """The lag between frames from the parabola through the residuals about ``start``, and its scatter between parts of
     the clip."""
+    met = _met(a, b, start)
+    return None if met is None else _between_frames(*met, start, known, ratio)
+
+
+def lag_of_all(tracks: Sequence[Meeting], others: Sequence[Meeting], lag: int) -> PeopleLag | None:
+    """The lag between frames of several pairs of tracks under one epipolar geometry: what everybody whom two cameras
+    share shows leaves it less freedom than one track does.
+
+    ``tracks`` agree on about ``lag`` rows; ``others`` may be of two people, or meet too shortly to say so: those that
+    fit the same geometry join. None where the parts of the clip do not tell.
+    """
+    of_first = _conditioning([first for first, _, _ in tracks])
+    of_second = _conditioning([second for _, second, _ in tracks])
+    met = [
+        [
+            m
+            for first, second, later in group
+            if (m := _met(_conditioned(first, of_first), _conditioned(second, of_second), lag - later)) is not None
+        ]
+        for group in (tracks, others)
+    ]
+    if not met[0]:
+        return None
+    product = np.concatenate([_products(x, y[2:3])[0].reshape(-1, 9) for x, y in met[0]])
+    product = product[np.isfinite(product).all(1)]
+    form = np.linalg.eigh(product.T @ product)[1][:, 0]
+    usual = _JOINS * float(np.median(np.abs(product @ form)))
+    joining = [(x, y) for x, y in met[1] if _misses(x, y, form) <= usual]
+    x, y = (np.concatenate([m[k] for m in met[0] + joining], axis=k) for k in (0, 1))
+    return _between_frames(x, y, lag, None, 1.0)
+
+
+def _misses(x: np.ndarray, y: np.ndarray, form: np.ndarray) -> float:
+    """The median residual of what meets at the middle lag; infinite where that is too little."""
+    rest = np.abs(_products(x, y[2:3])[0] @ form)
+    rest = rest[np.isfinite(rest)]
+    return float(np.median(rest)) if len(rest) >= _LEAST_JOINING else np.inf
+
+
+def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(L, N, J, 9) the products of x (N, J, 3) and y (L, N, J, 3) whose sum with F is the residual."""
+    return np.einsum("ltji,tjk->ltjik", y, x).reshape(len(y), *x.shape[:2], 9)
+
+
+def _met(a: np.ndarray, b: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """(N, J, 3) the rows of ``a``, and (5, N, J, 3) what of ``b`` meets them at five lags about ``start``; None where
+    that is next to nothing."""
     shifts = np.arange(start - 2, start + 3)
     low, high = max(0, *(-shifts)), min(len(a), *(len(b) - shifts))
     if high - low < _BLOCKS:
         return None
-    x = a[low:high]
-    y = np.stack([b[low + s : high + s] for s in shifts])
-    product = np.einsum("ltji,tjk->ltjik", y, x).reshape(len(shifts), *x.shape[:2], 9)
+    return a[low:high], np.stack([b[low + s : high + s] for s in shifts])
+
+
+def _between_frames(
+    x: np.ndarray, y: np.ndarray, start: int, known: np.ndarray | None, ratio: float
+) -> PeopleLag | None:
+    count = len(x)
+    product = _products(x, y)
     there = np.isfinite(product).all((0, 3))
     product = np.where(there[None, :, :, None], product, 0.0)
     weight = there.astype(float)
-    block = np.minimum(np.arange(high - low) * _BLOCKS // (high - low), _BLOCKS - 1)
+    block = np.minimum(np.arange(count) * _BLOCKS // count, _BLOCKS - 1)
     for _ in range(_ROUNDS):
         total = _summed(weight, product)
         form = known.reshape(9) / np.linalg.norm(known) if known is not None else np.linalg.eigh(total[2])[1][:, 0]
@@ -132,13 +191,18 @@ def _vertex(total: np.ndarray, known: np.ndarray | None) -> float | None:
     return best - 2 + 0.5 * (before - after) / max(before - 2 * at + after, 1e-18)
 
 
-def _conditioned(track: np.ndarray) -> np.ndarray:
+def _conditioned(track: np.ndarray, by: tuple[np.ndarray, float] | None = None) -> np.ndarray:
     """Homogeneous coordinates about their mean, of unit spread (Hartley, In defense of the eight-point algorithm,
-    1997)."""
+    1997); or ``by`` the mean and spread of several tracks."""
+    middle, spread = _conditioning([track]) if by is None else by
     points = track[..., :2] / track[..., 2:]
-    middle = np.nanmean(points, axis=(0, 1))
-    spread = np.sqrt(np.nanmean((points - middle) ** 2)) + 1e-12
     return np.concatenate([(points - middle) / spread, np.where(np.isfinite(points[..., :1]), 1.0, np.nan)], -1)
+
+
+def _conditioning(tracks: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
+    points = np.concatenate([(track[..., :2] / track[..., 2:]).reshape(-1, 2) for track in tracks])
+    middle = np.nanmean(points, axis=0)
+    return middle, float(np.sqrt(np.nanmean((points - middle) ** 2)) + 1e-12)
 
 
 def _moving(a: np.ndarray, b: np.ndarray, lags: np.ndarray, reach: int) -> np.ndarray:
