@@ -67,9 +67,9 @@ def test_exposure_factors_are_divided_out(
     stored[..., :3] = np.rint(stored[..., :3] * 0.8)
     cv2.imwrite(str(tmp_path / "dark.png"), stored)
     errors = {}
-    for exposure in ([tmp_path / "gains.json"], []):
-        run(settings(iterations=150), capture, tmp_path, plates=darker, exposure=exposure)
-        errors[bool(exposure)] = score(tmp_path, [cameras[2]])
+    for gains in ([tmp_path / "gains.json"], []):
+        run(settings(iterations=150), capture, tmp_path, plates=darker, gains=gains)
+        errors[bool(gains)] = score(tmp_path, [cameras[2]])
     assert errors[True] > errors[False] + 2
 
 
@@ -77,10 +77,14 @@ def test_colours_have_harmonics_only_where_the_survey_calls_for_them(
     settings: Callable, capture: dict, tmp_path: Path
 ) -> None:
     section = settings(iterations=1)
-    for name, gloss, kept in (("asked", [tmp_path / "gloss.json"], 4), ("off", [], 1), ("nobody asked", None, 4)):
-        run(section, capture, tmp_path / name, gloss=gloss)
+    for name, specularity, kept in (
+        ("asked", [tmp_path / "specularity.json"], 4),
+        ("off", [], 1),
+        ("nobody asked", None, 4),
+    ):
+        run(section, capture, tmp_path / name, specularity=specularity)
         assert read_ply(tmp_path / name / "scene.ply").sh.shape[1] == kept
-    run(replace(section, sh_cap=False), capture, tmp_path / "free", gloss=[])
+    run(replace(section, sh_cap=False), capture, tmp_path / "free", specularity=[])
     assert read_ply(tmp_path / "free/scene.ply").sh.shape[1] == 4, "without sh_cap the setting counts"
 
 
@@ -89,7 +93,7 @@ def test_wrong_sizes_and_counts_are_refused_by_name(
 ) -> None:
     write_depth(tmp_path / "small.exr", np.ones((10, 10)), np.ones((10, 10)))
     with pytest.raises(UserError, match=r"small\.exr is 10×10 pixels, but camera cam0 works at 96×56"):
-        run(settings(), capture, tmp_path, depth=[tmp_path / "small.exr", *capture["depth"][1:]])
+        run(settings(), capture, tmp_path, depths=[tmp_path / "small.exr", *capture["depths"][1:]])
     with pytest.raises(UserError, match="3 plates and 4 depth maps for 4 training cameras"):
         run(settings(), capture, tmp_path, plates=capture["plates"][:3])
     with pytest.raises(UserError, match="there are 1 view videos and 4 masks of"):
@@ -144,7 +148,7 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
     assert np.all((painted["ceiling"].rgb >= 0) & (painted["ceiling"].rgb <= 1))
 
 
-def test_the_grid_of_a_far_away_shell_stays_within_its_limit() -> None:
+def test_the_grid_of_a_far_away_room_box_stays_within_its_limit() -> None:
     faces = RoomBox(0.0, np.full(3, -40.0), np.full(3, 40.0), np.zeros(6, bool), np.ones(6)).rectangles
     step_m = room.node_step(faces, 0.04, 5000)
     assert sum(f.nodes(step_m)[..., 0].size for f in faces) < 5500

@@ -50,7 +50,7 @@ def photos_of(cameras: list[Camera]) -> list[preparation.Photo]:
 def test_a_square_about_people_is_unknown(
     cameras: list[Camera], filmed: dict[str, list[Path]], size_px: int, reach: int
 ) -> None:
-    found = preparation.without_people(photos_of(cameras), **filmed, dilation_px=size_px, exposure=NONE)
+    found = preparation.without_people(photos_of(cameras), **filmed, dilation_px=size_px, gains=NONE)
     for camera, photo in zip(cameras, found, strict=True):
         assert photo.camera is camera
         unknown = np.zeros(camera.hw, bool)

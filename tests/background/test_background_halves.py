@@ -49,7 +49,7 @@ def halved(
     # The loss is absolute: what most pictures say is learned, so these are shown more often than the photos.
     own = settings(refinement={"views": VIEWS}, views_share=0.9)
     capture = capture | {"views": [], "supports": []}
-    out = {"half": "half.ply", "marks": "half.npz", "looks": "half.mkv", "looks_path": "half.json"}
+    out = {"half": "half.ply", "provenance": "half.npz", "renders": "half.mkv", "renders_path": "half.json"}
     files = {name: tmp_path / file for name, file in out.items()}
     half.run(own, **capture, **files, working=tmp_path / "working")
     painter = Painter()
@@ -58,8 +58,8 @@ def halved(
         "difix",
         "none",
         "dis",
-        files["looks"],
-        files["looks_path"],
+        files["renders"],
+        files["renders_path"],
         capture["model"],
         capture["plates"],
         [],
@@ -67,14 +67,14 @@ def halved(
         "cpu",
         tmp_path / "refined.mkv",
     )
-    given = [files["half"], files["marks"], files["looks_path"], tmp_path / "refined.mkv"]
+    given = [files["half"], files["provenance"], files["renders_path"], tmp_path / "refined.mkv"]
     return {"settings": own, "capture": capture, "given": given, "painter": painter, "files": files}
 
 
 def test_views_are_those_of_the_room_half_way_and_photos_the_nearest(halved: dict[str, Any]) -> None:
-    steps, _ = read_path(halved["files"]["looks_path"])
+    steps, _ = read_path(halved["files"]["renders_path"])
     room = read_ply(halved["files"]["half"])
-    pictures = read_stack(halved["files"]["looks"], 0, VIEWS)
+    pictures = read_stack(halved["files"]["renders"], 0, VIEWS)
     for step, picture in zip(steps, pictures, strict=True):
         drawn = Rasteriser(near_m=0.05, threads=1).forward(room, step.camera).rgb
         assert np.abs(np.clip(drawn, 0, 1) * 255 - picture).mean() < 1
@@ -97,7 +97,7 @@ def test_what_the_network_paints_is_learned(
     plain, painted = tmp_path / "plain", tmp_path / "painted"
     run(halved["settings"], halved["capture"], plain)
     marks = run(halved["settings"], halved["capture"], painted, half=halved["given"])
-    steps, _ = read_path(halved["files"]["looks_path"])
+    steps, _ = read_path(halved["files"]["renders_path"])
     drawing = Rasteriser(near_m=0.05, threads=1)
     rooms = [read_ply(folder / "scene.ply") for folder in (plain, painted)]
     assert len(marks) == rooms[1].count
@@ -122,7 +122,7 @@ def test_the_recursive_module_lets_views_enter_those_after_them(
 
     monkeypatch.setattr(refined, "load", lambda *_, **__: Kept())
     paper = {"strength": 0.3, "moving_strength": 0.3, "error_threshold": 255.0, "check": False, "settle": False}
-    looks = halved["files"]["looks"], halved["files"]["looks_path"]
+    looks = halved["files"]["renders"], halved["files"]["renders_path"]
     about = capture["model"], capture["plates"], [], tmp_path, "cpu", tmp_path / "recursive.mkv"
     # Along a path on which neighbours show the same: the views of one place.
     steps, fps = read_path(looks[1])
@@ -150,6 +150,6 @@ def test_without_views_there_is_no_half(
     capture: dict,
     tmp_path: Path,
 ) -> None:
-    files = {name: tmp_path / name for name in ("half", "marks", "looks", "looks_path")}
+    files = {name: tmp_path / name for name in ("half", "provenance", "renders", "renders_path")}
     with pytest.raises(UserError, match="nothing is looked at half-way"):
         half.run(settings(), **capture, **files, working=tmp_path)

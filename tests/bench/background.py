@@ -54,15 +54,15 @@ _SEEN = 0.05
 def inputs_of(scene: Path, truth: Path, true_depth: bool, threads: int, folder: Path) -> dict[str, Any]:
     """Arguments of ``background.train`` for a finished scene, with its own or the true depth and what was warped
     through it."""
-    options = options_of(scene, threads) | {"gloss": []}
+    options = options_of(scene, threads) | {"specularity": []}
     if true_depth:
-        options["depth"] = [truth / "depth" / path.name for path in options["depth"]]
+        options["depths"] = [truth / "depth" / path.name for path in options["depths"]]
         warped = {
             "path": options["path"],
             "model": options["model"],
             "plates": options["plates"],
-            "depth": options["depth"],
-            "exposure": [],
+            "depths": options["depths"],
+            "gains": [],
         }
         settings = loaded(synthesize.Settings)
         for film in options["views"]:
@@ -145,7 +145,7 @@ def main() -> None:
         written(table, options.seeds)
     settings = loaded(synthesize.Settings)
     given = options_of(options.scene, options.threads)
-    photos = synthesize.read_photos(given["model"], given["plates"], given["depth"], [], settings.depth_jump)
+    photos = synthesize.read_photos(given["model"], given["plates"], given["depths"], [], settings.depth_jump)
     warped = synthesize.views_of([camera for camera, _, _ in views], photos, settings)
     table[WARPED] = scored([picture / np.float32(255) for picture, _ in warped], views)
     print(WARPED, {key: round(value, 3) for key, value in table[WARPED].items()}, flush=True)

@@ -29,7 +29,7 @@ import yaml
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.settings import load
 from studiorecon.depth import refine, sweep
-from studiorecon.depth import room as shell
+from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.primitives import read_primitives
 from studiorecon.footage.exr import read_depth
 from studiorecon.footage.stills import read_plate
@@ -45,7 +45,7 @@ from tests.defaults import default_settings, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
 # Cases in which the settings differ: without boxes and cylinders, with planes of regions, with these alone.
-CHANGES = {"bare": ["solids=0"], "regions": ["regions=100"], "bare regions": ["solids=0", "regions=100"]}
+CHANGES = {"bare": ["primitives=0"], "regions": ["regions=100"], "bare regions": ["primitives=0", "regions=100"]}
 
 
 def section(stage: str, preset: str, changes: list[str]) -> dict:
@@ -142,7 +142,9 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         plates = [folder / f"{c.name}.png" for c in room.cameras]
         for path, plate in zip(plates, room.plates):
             cv2.imwrite(str(path), to_bytes(plate)[..., ::-1])
-        model, box, solids, passes = (folder / n for n in ("images.txt", "shell.json", "solids.json", "passes.npz"))
+        model, box, primitives, passes = (
+            folder / n for n in ("images.txt", "room.json", "primitives.json", "passes.npz")
+        )
         sweeps, maps = (
             [folder / f"{c.name}.npz" for c in room.cameras],
             [folder / f"{c.name}.exr" for c in room.cameras],
@@ -156,8 +158,8 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         for camera, path in zip(room.cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
-        shell.run(
-            load(shell.Settings, values, "depth"),
+        room_box.run(
+            load(room_box.Settings, values, "depth"),
             model,
             plates,
             sweeps,
@@ -165,24 +167,26 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
             [],
             [],
             box,
-            solids,
-            folder / "solids.png",
+            primitives,
+            folder / "primitives.png",
             passes,
         )
         lap()
         for camera, path in zip(room.cameras, maps):
-            refine.run(load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, solids, path)
+            refine.run(
+                load(refine.Settings, values, "depth"), camera.name, model, plates, passes, box, primitives, path
+            )
         lap()
         found = [read_depth(path)[0] for path in maps]
-        fitted, furniture = read_room(box), read_primitives(solids)
+        fitted, furniture = read_room(box), read_primitives(primitives)
         if pictures:
             pictures.mkdir(parents=True, exist_ok=True)
-            (pictures / f"{room.name}.solids.png").write_bytes((folder / "solids.png").read_bytes())
+            (pictures / f"{room.name}.primitives.png").write_bytes((folder / "primitives.png").read_bytes())
     result = {
-        "cpu_s": {k: round(v, 1) for k, v in zip(("sweeps", "shell", "refine"), np.diff(cpu))},
+        "cpu_s": {k: round(v, 1) for k, v in zip(("sweeps", "room_box", "refine"), np.diff(cpu))},
         "wall_s": round(wall[-1] - wall[0], 1),
     }
-    result["solids"] = len(furniture)
+    result["primitives"] = len(furniture)
     error = np.concatenate([(np.abs(d - t) / np.maximum(t, 1e-6))[t > 0] for d, t in zip(found, room.truth)])
     count = np.concatenate([seen_by(room.cameras, room.truth, i)[t > 0] for i, t in enumerate(room.truth)])
     for label, where in (("all", count > 0), ("seen_by_two", count > 1), ("seen_by_one", count == 1)):
@@ -231,7 +235,7 @@ def main() -> None:
     parser.add_argument("--cases", nargs="*", default=["plain", "bare", "gains", "poses"], help="see CHANGES")
     parser.add_argument("--preset", default="")
     parser.add_argument("--set", nargs="*", default=[], dest="changes")
-    parser.add_argument("--pictures", type=Path, default=None, help="folder for depth, views and solids")
+    parser.add_argument("--pictures", type=Path, default=None, help="folder for depth, views and primitives")
     parser.add_argument("--out", type=Path, default=ROOT / "tests/bench/results/depth.json")
     given = parser.parse_args()
     stored = read_json(given.out) if given.out.is_file() else {"runs": {}}

@@ -43,7 +43,7 @@ STUDIO = {
     "detections": {"noise_px": 0.5},
 }
 QUICK = {
-    "depth": {"solids": 0},
+    "depth": {"primitives": 0},
     "background": {"training": {"iterations": 600}},
     "humans": {"iterations": 400, "gaussians": 4000},
     "survey": {"force": {"view_synthesis": "on"}},

@@ -38,7 +38,7 @@ SCENES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "light": ({"effects": {"changing_light": 0.25}}, ("changing_light",)),
     "shadows": ({"effects": {"moving_shadows": True}}, ("moving_shadows",)),
     "ball": ({"effects": {"ball": True}}, ("dynamic_objects",)),
-    "gloss": ({"effects": {"glossy_floor": 0.5}}, ("view_dependent_colour",)),
+    "specularity": ({"effects": {"glossy_floor": 0.5}}, ("view_dependent_colour",)),
     "arc": (
         {"cameras": {"training": 4, "held_out": 3, "layout": "arc", "arc_deg": 120.0}},
         ("closed_path", "view_synthesis"),

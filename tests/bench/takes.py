@@ -43,7 +43,7 @@ MULTI = "pose2sim_balancing/multi"
 LAG = 1
 SMALL: dict[str, Any] = {
     "capture": {"width": 320},
-    "depth": {"sweep_width": 120, "refine_width": 160, "solids": 0},
+    "depth": {"sweep_width": 120, "refine_width": 160, "primitives": 0},
     "views": {"views_per_segment": 6},
     "background": {"training": {"iterations": 700}},
     "humans": {"gaussians": 4000, "iterations": 400},

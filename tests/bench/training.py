@@ -69,8 +69,8 @@ def options_of(scene: Path, threads: int) -> dict:
     return {
         "model": scene / "cameras/images.txt",
         "plates": [scene / f"plates/{c}.png" for c in cameras],
-        "depth": [scene / f"depth/{c}.exr" for c in cameras],
-        "shell": scene / "depth/room.json",
+        "depths": [scene / f"depth/{c}.exr" for c in cameras],
+        "room_box": scene / "depth/room.json",
         "path": scene / "views/path.json",
         "views": segments,
         "supports": [path.with_suffix(".mask.mkv") for path in segments],

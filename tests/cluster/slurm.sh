@@ -93,7 +93,7 @@ cd "$house"
 export PYTHONPATH=$house/workflow
 cat > quick.yaml << 'END'
 views: {synthesizer: gen3c, views_per_segment: 120}
-depth: {solids: 0}
+depth: {primitives: 0}
 END
 films=() requests=()
 for segment in 00 01 02 03; do

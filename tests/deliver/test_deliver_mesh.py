@@ -142,11 +142,11 @@ def test_the_step_writes_the_same_bytes_twice(
     monkeypatch.setattr(mesh, "VOXEL_M", 0.04)
     write_model(tmp_path, CAMERAS[:4])
     write_path(tmp_path / "path.json", [PathStep(camera, 0.0, "00") for camera in CAMERAS[4:]], 30.0)
-    write_room(tmp_path / "shell.json", ROOM)
+    write_room(tmp_path / "room.json", ROOM)
     one = Gaussians(np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.zeros((1, 3)), np.zeros(1), np.zeros((1, 1, 3)))
     write_ply(tmp_path / "scene.ply", one)
     np.savez(tmp_path / "provenance.npz", provenance=np.zeros(1, np.uint8))
-    files = [tmp_path / name for name in ("images.txt", "scene.ply", "provenance.npz", "shell.json", "path.json")]
+    files = [tmp_path / name for name in ("images.txt", "scene.ply", "provenance.npz", "room.json", "path.json")]
     for name in ("a.glb", "b.glb"):
         mesh.run(*files, tmp_path / name)
     assert seen_from == [camera.name for camera in CAMERAS]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
 from studiorecon.depth import given, refine, sweep
-from studiorecon.depth import room as shell
+from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import strong_offsets
 from studiorecon.depth.layout.furniture import around
 from studiorecon.depth.layout.primitives import read_primitives
@@ -41,15 +41,15 @@ THIN = {
     "candidates": 30,
 }
 # Furniture where a test asks for it.
-THIN |= {"solids": 0}
-FURNISHED = THIN | {"solids": 3, "solids_width": 96, "solids_gain": 20.0}
+THIN |= {"primitives": 0}
+FURNISHED = THIN | {"primitives": 3, "primitives_width": 96, "primitives_gain": 20.0}
 
 
 @dataclass(frozen=True)
 class Found:
     """What the three steps wrote."""
 
-    shell: RoomBox
+    room_box: RoomBox
     depth_m: list[np.ndarray]
     confidence: list[np.ndarray]
 
@@ -59,9 +59,9 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     sweeps = [folder / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    box, solids, passes = folder / "shell.json", folder / "solids.json", folder / "passes.npz"
-    shell.run(
-        load(shell.Settings, section, "depth"),
+    box, primitives, passes = folder / "room.json", folder / "primitives.json", folder / "passes.npz"
+    room_box.run(
+        load(room_box.Settings, section, "depth"),
         model,
         plates,
         sweeps,
@@ -69,16 +69,16 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
         [],
         [],
         box,
-        solids,
-        folder / "solids.png",
+        primitives,
+        folder / "primitives.png",
         passes,
     )
     maps = []
     for camera in cameras:
         out = folder / f"{camera.name}.exr"
-        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, solids, out)
+        refine.run(load(refine.Settings, section, "depth"), camera.name, model, plates, passes, box, primitives, out)
         maps.append(read_depth(out))
-    return Found(read_room(folder / "shell.json"), [d for d, _ in maps], [a for _, a in maps])
+    return Found(read_room(folder / "room.json"), [d for d, _ in maps], [a for _, a in maps])
 
 
 def relative_errors(found: Found, truth: list[np.ndarray]) -> np.ndarray:
@@ -103,9 +103,9 @@ def furnished(
 
 
 def test_walls_are_placed_to_two_centimetres(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
-    found = furnished[0].shell
+    found = furnished[0].room_box
     # The box may be described with u along any of the four wall directions.
-    truth = made_room().shell
+    truth = made_room().room_box
     for face, fitted in zip(found.faces[:4], found.fitted[:4]):
         assert fitted
         along = truth.axes[:2] @ face[:3]
@@ -124,7 +124,7 @@ def test_depth_meets_its_bars(furnished: tuple[Found, list[np.ndarray], Path]) -
 
 
 def test_unequal_exposure_is_found(furnished: tuple[Found, list[np.ndarray], Path]) -> None:
-    gains = np.stack([furnished[0].shell.gains[f"cam{k}"] for k in (1, 2, 3, 4)])
+    gains = np.stack([furnished[0].room_box.gains[f"cam{k}"] for k in (1, 2, 3, 4)])
     planted = np.exp(np.array([[0.12, 0.1, 0.08], [-0.12, -0.1, -0.06], [0.02, 0.0, -0.05], [-0.02, 0.0, 0.03]]))
     assert np.abs(np.log(gains / planted)).max() < 0.02
 
@@ -156,8 +156,8 @@ def test_same_inputs_same_bytes(furnished: tuple[Found, list[np.ndarray], Path],
         folder / "cameras/images.txt",
         plates,
         folder / "passes.npz",
-        folder / "shell.json",
-        folder / "solids.json",
+        folder / "room.json",
+        folder / "primitives.json",
         again,
     )
     assert again.read_bytes() == (folder / "cam2.exr").read_bytes()
@@ -170,8 +170,8 @@ def test_open_air_has_no_walls_and_says_so(
     pictures, truth = zip(*(photograph(room, camera) for camera in cameras))
     section = default_settings("depth", **THIN)
     found = estimate(tmp_path, cameras, write_capture(tmp_path, cameras, pictures), section)
-    assert not found.shell.fitted[[0, 1, 2, 3, 5]].any()
-    assert found.shell.fitted[4]
+    assert not found.room_box.fitted[[0, 1, 2, 3, 5]].any()
+    assert found.room_box.fitted[4]
     assert "default" in capsys.readouterr().out
     near = np.concatenate([((t > 0) & (t < 5)).ravel() for t in truth])
     error = np.concatenate([(np.abs(d - t) / np.maximum(t, 1)).ravel() for d, t in zip(found.depth_m, truth)])
@@ -186,7 +186,7 @@ def test_a_single_camera_rests_on_the_default(tmp_path: Path, default_settings: 
     cameras = ring(1)
     rgb, _ = photograph(made_room(), cameras[0])
     found = estimate(tmp_path, cameras, write_capture(tmp_path, cameras, [rgb]), default_settings("depth", **THIN))
-    assert not found.shell.fitted.any()
+    assert not found.room_box.fitted.any()
     assert (found.confidence[0] <= 0.2).all()
     assert np.isfinite(found.depth_m[0]).all()
     floor = plane_depth(cameras[0], np.array([0, 0, 1.0, 0]), 0.1, 50.0)
@@ -259,7 +259,7 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
 ) -> None:
     room, cameras = made_room(), ring()
     # The fourth camera stands in the cupboard and sees black; the third one's plate was never free of people.
-    inside = np.array([-0.4, 0.7, 0.4]) @ room.shell.axes
+    inside = np.array([-0.4, 0.7, 0.4]) @ room.room_box.axes
     cameras[3] = with_pose(cameras[3], cameras[3].rotation_camera_from_world.T, inside)
     pictures = [photograph(room, camera)[0] for camera in cameras]
     pictures[3][:] = 0.01
@@ -267,28 +267,33 @@ def test_a_camera_inside_furniture_and_a_plate_never_measured_rest_on_the_defaul
     never = cv2.imread(str(plates[2]), cv2.IMREAD_UNCHANGED)
     never[..., 3] = 0
     cv2.imwrite(str(plates[2]), never)
-    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
+    found = estimate(
+        tmp_path, cameras, plates, default_settings("depth", **COARSE | {"primitives": 1, "primitives_width": 96})
+    )
     for depth_m, confidence in zip(found.depth_m, found.confidence):
         assert np.isfinite(depth_m).all()
         assert np.isfinite(confidence).all()
     assert all(
-        np.isfinite(value).all() for value in (found.shell.low_m, found.shell.high_m, *found.shell.gains.values())
+        np.isfinite(value).all()
+        for value in (found.room_box.low_m, found.room_box.high_m, *found.room_box.gains.values())
     )
     # What was never measured is undetermined; black matches nothing, so all it shows is hardly more.
     assert (found.confidence[2] <= 0.2).all()
     assert np.median(found.confidence[3]) <= 0.25
     # The others still measure what they share.
     assert any((c > 0.5).mean() > 0.05 for c in found.confidence[:2])
-    solids = [solid.numbers for solid in read_primitives(tmp_path / "solids.json")]
-    assert not solids or not around(np.stack(solids), kept_from(inside[None], 0.0)).any()
+    primitives = [primitive.numbers for primitive in read_primitives(tmp_path / "primitives.json")]
+    assert not primitives or not around(np.stack(primitives), kept_from(inside[None], 0.0)).any()
 
 
 def test_plates_never_measured_at_all_are_undetermined(tmp_path: Path, default_settings: Callable) -> None:
     room, cameras = made_room(), ring()
     plates = write_capture(tmp_path, cameras, [photograph(room, c)[0] for c in cameras], np.ones(cameras[0].hw, bool))
-    found = estimate(tmp_path, cameras, plates, default_settings("depth", **COARSE | {"solids": 1, "solids_width": 96}))
-    assert not found.shell.fitted.any()
-    assert read_primitives(tmp_path / "solids.json") == []
+    found = estimate(
+        tmp_path, cameras, plates, default_settings("depth", **COARSE | {"primitives": 1, "primitives_width": 96})
+    )
+    assert not found.room_box.fitted.any()
+    assert read_primitives(tmp_path / "primitives.json") == []
     for depth_m, confidence in zip(found.depth_m, found.confidence):
         assert np.isfinite(depth_m).all()
         assert (confidence <= 0.2).all()

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.depth.stereo.free_space import back_to_the_shell, looked_through
+from studiorecon.depth.stereo.free_space import back_to_room_box, looked_through
 from studiorecon.depth.stereo.passes import Labelled
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
-SHELL = RoomBox(0.0, np.array([-4.0, -4, 0]), np.array([4.0, 4, 3]), np.ones(6, bool), np.ones(6))
+ROOM_BOX = RoomBox(0.0, np.array([-4.0, -4, 0]), np.array([4.0, 4, 3]), np.ones(6, bool), np.ones(6))
 
 
 def camera(name: str, centre_m: list[float]) -> Camera:
@@ -23,7 +23,7 @@ def camera(name: str, centre_m: list[float]) -> Camera:
 
 
 def walls(cam: Camera) -> np.ndarray:
-    return SHELL.intersect(*cam.rays())[0]
+    return ROOM_BOX.intersect(*cam.rays())[0]
 
 
 @pytest.fixture
@@ -55,13 +55,13 @@ def test_unknown_depth_has_no_vote(rig: tuple[Camera, Camera]) -> None:
     assert not looked_through(a, np.full((60, 80), 2.5), [(b, np.zeros((60, 80)))]).any()
 
 
-def test_floating_pixels_go_to_the_shell_unjudged(rig: tuple[Camera, Camera]) -> None:
+def test_floating_pixels_go_to_the_room_box_unjudged(rig: tuple[Camera, Camera]) -> None:
     a, b = rig
     depth_m = walls(a)
-    plane = SHELL.intersect(*a.rays())[1]
+    plane = ROOM_BOX.intersect(*a.rays())[1]
     depth_m[25:35, 35:45], plane[25:35, 35:45] = 2.5, 7
     labelled = Labelled(plane, depth_m.astype(np.float32), np.zeros((60, 80), np.float32), np.ones((60, 80), bool))
-    back, share = back_to_the_shell(labelled, a, SHELL, [(b, walls(b))])
+    back, share = back_to_room_box(labelled, a, ROOM_BOX, [(b, walls(b))])
     assert share > 0.01
     changed = back.plane != plane
     np.testing.assert_allclose(back.depth_m[changed], walls(a)[changed], rtol=1e-6)

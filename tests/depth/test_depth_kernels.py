@@ -16,7 +16,7 @@ from studiorecon.depth import kernels, room, sweep
 from tests.made.room import made_room, photograph, ring, write_capture
 
 SMALL = {"sweep_width": 96, "wall_step_m": 0.1, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 12}
-SMALL |= {"solids": 2, "solids_width": 64, "solids_gain": 5.0}
+SMALL |= {"primitives": 2, "primitives_width": 64, "primitives_gain": 5.0}
 
 
 def compiled() -> set[tuple[str, str]]:
@@ -45,8 +45,8 @@ def test_the_room_is_fitted_with_the_kernels_that_were_compiled_ahead(
     sweeps = [tmp_path / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    read = {"model": model, "plates": plates, "sweeps": sweeps, "people": [], "detections": [], "identities": []}
-    written = {name: tmp_path / f"{name}.out" for name in ("shell", "solids", "passes")}
-    files = read | written | {"picture": tmp_path / "solids.png"}
+    read = {"model": model, "plates": plates, "sweeps": sweeps, "fits": [], "detections": [], "identities": []}
+    written = {name: tmp_path / f"{name}.out" for name in ("room_box", "primitives", "passes")}
+    files = read | written | {"picture": tmp_path / "primitives.png"}
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(compiled_by_the_fit_alone, tmp_path, section, files).result() == set()

@@ -62,7 +62,7 @@ def with_board(room: Room, camera: Camera, samples: int = 2) -> tuple[np.ndarray
 
 
 def on_walls(room: Room, cameras: list[Camera]) -> list[np.ndarray]:
-    return [room.shell.intersect(*c.rays())[0].astype(np.float32) for c in cameras]
+    return [room.room_box.intersect(*c.rays())[0].astype(np.float32) for c in cameras]
 
 
 def in_front_of_it(cameras: list[Camera]) -> list[int]:
@@ -79,7 +79,7 @@ def leaning() -> tuple[Room, list[Picture], list[np.ndarray], list[np.ndarray], 
     pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, *_) in zip(cameras, shots)]
     # A camera at its back has nobody to agree with: two at its front are looked at.
     found = [
-        explain_regions(pictures, i, on_walls(room, cameras), room.shell, **HOW) for i in in_front_of_it(cameras)[:2]
+        explain_regions(pictures, i, on_walls(room, cameras), room.room_box, **HOW) for i in in_front_of_it(cameras)[:2]
     ]
     return room, pictures, [s[1] for s in shots], [s[2] for s in shots], found
 
@@ -94,7 +94,7 @@ def test_a_leaning_board_is_found_where_two_cameras_see_its_front(leaning: tuple
     before, after, hurt = [], [], []
     for i, regions in zip(in_front_of_it([p.camera for p in pictures]), found):
         picture, depth_m, board = pictures[i], truth[i], boards[i]
-        wall_m = room.shell.intersect(*picture.camera.rays())[0]
+        wall_m = room.room_box.intersect(*picture.camera.rays())[0]
         error = np.abs(replaced(picture, wall_m, regions) - depth_m) / depth_m
         before.append((np.abs(wall_m - depth_m) / depth_m)[board].mean())
         after.append(error[board].mean())
@@ -123,7 +123,7 @@ def test_what_is_explained_stays_as_it_is() -> None:
     pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, _) in zip(cameras, shots)]
     depths = [depth_m.astype(np.float32) for _, depth_m in shots]
     for i in (0, 2):
-        found = explain_regions(pictures, i, depths, room.shell, **HOW)
+        found = explain_regions(pictures, i, depths, room.room_box, **HOW)
         moved = np.abs(replaced(pictures[i], depths[i], found) - depths[i]) > 0.05 * depths[i]
         assert moved.mean() < 0.01
 
@@ -154,11 +154,11 @@ def test_nothing_to_see_is_no_plane(leaning: tuple, case: str) -> None:
         pictures = [replace(p, known=np.zeros_like(p.known)) for p in pictures]
     else:
         depths = [np.zeros_like(d) for d in depths]
-    found = explain_regions(pictures, 0, depths, room.shell, **HOW)
+    found = explain_regions(pictures, 0, depths, room.room_box, **HOW)
     assert np.isfinite(found.cost).all()
     if case == "no depth":
         # Nothing is known of the room but its walls: whatever is found lies before them.
-        reach_m = room.shell.intersect(*pictures[0].camera.rays())[0]
+        reach_m = room.room_box.intersect(*pictures[0].camera.rays())[0]
         assert (replaced(pictures[0], reach_m, found) <= 1.02 * reach_m).all()
     else:
         assert not len(found.planes)
@@ -197,9 +197,11 @@ def refined(
     folder = tmp_path_factory.mktemp("regions")
     room, cameras = made_room(table=False), ring(5)
     plates = write_capture(folder, cameras, [with_board(room, c)[0] for c in cameras])
-    fitted = RoomBox(room.shell.yaw_rad, room.shell.low_m, room.shell.high_m, np.ones(6, bool), np.full(6, 0.9))
-    write_room(folder / "shell.json", replace(fitted, gains={c.name: np.ones(3) for c in cameras}, planes=fitted.faces))
-    write_primitives(folder / "solids.json", [])
+    fitted = RoomBox(
+        room.room_box.yaw_rad, room.room_box.low_m, room.room_box.high_m, np.ones(6, bool), np.full(6, 0.9)
+    )
+    write_room(folder / "room.json", replace(fitted, gains={c.name: np.ones(3) for c in cameras}, planes=fitted.faces))
+    write_primitives(folder / "primitives.json", [])
     write_npz(folder / "passes.npz", {f"depth_{c.name}": d for c, d in zip(cameras, on_walls(room, cameras))})
     front = cameras[in_front_of_it(cameras)[0]]
 
@@ -212,8 +214,8 @@ def refined(
             folder / "cameras/images.txt",
             plates,
             folder / "passes.npz",
-            folder / "shell.json",
-            folder / "solids.json",
+            folder / "room.json",
+            folder / "primitives.json",
             out,
         )
         return out.read_bytes(), out

@@ -17,7 +17,7 @@ from studiorecon.scene.room import RoomBox
 
 from tests.made.room import ring, texture
 
-SHELL = RoomBox(0.0, np.array([-4.0, -4.0, 0.0]), np.array([4.0, 4.0, 3.0]), np.ones(6, bool), np.full(6, np.nan))
+ROOM_BOX = RoomBox(0.0, np.array([-4.0, -4.0, 0.0]), np.array([4.0, 4.0, 3.0]), np.ones(6, bool), np.full(6, np.nan))
 NOBODY = np.zeros((0, 4))
 
 
@@ -60,7 +60,7 @@ def photos(
 ) -> list[Picture]:
     rng, pictures = np.random.default_rng(0), []
     for number, camera in enumerate(cameras()):
-        depth_m, face = SHELL.intersect(*camera.rays())
+        depth_m, face = ROOM_BOX.intersect(*camera.rays())
         points = camera.unproject(camera.pixel_centres(), depth_m)
         rgb, known = wallpaper(points, face), np.ones(camera.hw, bool)
         if poster and number == 0:
@@ -83,7 +83,7 @@ def photos(
 
 
 def put_up(pictures: Sequence[Picture]) -> list[Primitive]:
-    return furnish(pictures, SHELL, NOBODY, window=5, mean_weight=1.5, least_gain=40.0, most=5)
+    return furnish(pictures, ROOM_BOX, NOBODY, window=5, mean_weight=1.5, least_gain=40.0, most=5)
 
 
 def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
@@ -91,7 +91,7 @@ def test_a_pillar_is_unlike_the_wallpaper_behind_it() -> None:
     shown = [stands.depth(c) > 0 for c in cameras()]
     assert shown[0].sum() > 100, "the first camera sees it"
     assert not any(s.any() for s in shown[1:]), "and no other"
-    odds = surface_odds(photos(stands), SHELL)
+    odds = surface_odds(photos(stands), ROOM_BOX)
     assert odds[0][shown[0]].mean() > 0.4
     assert all((own[~s] > 0).mean() < 0.12 for own, s in zip(odds, shown))
     assert all(own.min() >= -1 and own.max() <= 1 and own.dtype == np.float32 for own in odds)
@@ -128,4 +128,4 @@ def test_too_little_of_a_face_says_nothing() -> None:
     nearly_nothing = [
         Picture(p.camera, p.rgb, p.known & (np.arange(p.known.size).reshape(p.known.shape) < 40)) for p in pictures
     ]
-    assert not any(own.any() for own in surface_odds(nearly_nothing, SHELL))
+    assert not any(own.any() for own in surface_odds(nearly_nothing, ROOM_BOX))

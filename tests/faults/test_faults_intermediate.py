@@ -56,7 +56,7 @@ ROOM = {
     "yaw_rad": 0.1, "low_m": [0.0, 0.0, 0.0], "high_m": [4.0, 5.0, 3.0], "gains": {"cam1": [1.0, 1.0, 1.0]},
     "planes": [[0.0, 0.0, 1.0, 0.0]], "faces": {name: {"fitted": True, "score": 0.5} for name in FACES},
 }  # fmt: skip
-SOLID = Primitive("box", (1.0, 1.0), 0.2, (0.5, 0.5), 0.0, 1.0, 30.0)
+PRIMITIVE = Primitive("box", (1.0, 1.0), 0.2, (0.5, 0.5), 0.0, 1.0, 30.0)
 DETECTIONS = {
     "camera": "cam1", "layout": "coco17", "frame": np.arange(3), "track": np.zeros(3, int),
     "keypoints": np.ones((3, 17, 3)),
@@ -96,7 +96,7 @@ KINDS = {
         "readouts.json", lambda p: write_readouts(p, [Readout("cam1", 0.02, 0.001, 0.02, "")]), read_readouts
     ),
     "room": Kind("room.json", lambda p: write_json(p, ROOM), read_room),
-    "solids": Kind("primitives.json", lambda p: write_primitives(p, [SOLID]), read_primitives),
+    "primitives": Kind("primitives.json", lambda p: write_primitives(p, [PRIMITIVE]), read_primitives),
     "lenses": Kind("calibration.json", lambda p: write_json(p, {"lenses": [LENS.as_json()]}), read_lenses),
     "detections": Kind("cam1.npz", lambda p: write_npz(p, DETECTIONS), read_detections, ("keypoints",)),
     "raw detections": Kind(

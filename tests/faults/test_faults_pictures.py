@@ -163,7 +163,7 @@ def test_background_starts_from_the_rest(fault: float) -> None:
 
 
 @FAULTS
-def test_background_paints_the_shell_from_the_rest(fault: float) -> None:
+def test_background_paints_the_room_box_from_the_rest(fault: float) -> None:
     pictures = [look(v) for v in VIEWS]
     faces = BOX.rectangles
     plates, known = [rgb for rgb, _ in pictures], [np.ones(v.hw, bool) for v in VIEWS]

@@ -21,17 +21,17 @@ def camera_at(eye: list[float], target: list[float]) -> Camera:
     return with_pose(LENS, look_at(np.array(eye), np.array(target)), np.array(eye))
 
 
-def made_shell(yaw_rad: float = 0.3) -> RoomBox:
+def made_room_box(yaw_rad: float = 0.3) -> RoomBox:
     return RoomBox(
         yaw_rad, np.array([-3.0, -4, 0]), np.array([3.5, 2, 2.7]), np.array([1, 1, 0, 1, 1, 0], bool), np.full(6, 0.9)
     )
 
 
 def test_normals_and_points_are_exact_on_slanted_planes() -> None:
-    camera, shell = camera_at([0.5, -1.0, 1.6], [2.5, 0.5, 0.9]), made_shell()
-    depth, face = shell.intersect(*camera.rays())
+    camera, room_box = camera_at([0.5, -1.0, 1.6], [2.5, 0.5, 0.9]), made_room_box()
+    depth, face = room_box.intersect(*camera.rays())
     points, normals, valid = points_and_normals(depth, camera, jump=0.04)
-    faces = shell.faces[face]
+    faces = room_box.faces[face]
     assert np.abs((points * faces[..., :3]).sum(-1) - faces[..., 3]).max() < 1e-9
     # Normals mix at the creases between walls, where neighbours lie on two planes.
     crease = np.zeros(face.shape, bool)
@@ -54,7 +54,7 @@ def test_a_plane_slanted_both_ways_has_no_breaks() -> None:
 
 def test_breaks_mark_jumps_and_unknown_depth_but_no_slope() -> None:
     camera = camera_at([0, 0, 1.6], [1.5, 0, 0.0])
-    depth, face = replace(made_shell(), high_m=np.array([50.0, 50, 9])).intersect(*camera.rays())
+    depth, face = replace(made_room_box(), high_m=np.array([50.0, 50, 9])).intersect(*camera.rays())
     assert (face == FACES.index("floor")).all()
     assert depth.max() > 1.5 * depth.min()
     assert not depth_breaks(depth, 0.001).any()
@@ -68,38 +68,38 @@ def test_breaks_mark_jumps_and_unknown_depth_but_no_slope() -> None:
 
 
 def test_every_ray_from_inside_meets_a_wall_and_the_point_lies_on_it() -> None:
-    shell = made_shell(1.2)
+    room_box = made_room_box(1.2)
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(500, 3))
     directions[:3] = np.eye(3)  # parallel to faces of an unturned box
-    length, face = shell.intersect(np.array([0.2, -0.3, 1.1]), directions)
+    length, face = room_box.intersect(np.array([0.2, -0.3, 1.1]), directions)
     assert (length > 0).all()
     points = np.array([0.2, -0.3, 1.1]) + length[:, None] * directions
-    planes = shell.faces[face]
+    planes = room_box.faces[face]
     assert np.abs((points * planes[:, :3]).sum(-1) - planes[:, 3]).max() < 1e-9
-    assert shell.contains(points, 1e-9).all()
+    assert room_box.contains(points, 1e-9).all()
     assert set(face.tolist()) == set(range(6))
 
 
 def test_rays_that_leave_the_box_behind_meet_nothing() -> None:
-    shell = replace(made_shell(), yaw_rad=0.0)
+    room_box = replace(made_room_box(), yaw_rad=0.0)
     outside = np.array([[10.0, 0, 1], [10.0, 0, 1], [0, 0, 9.0]])
-    length, face = shell.intersect(outside, np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0]]))
+    length, face = room_box.intersect(outside, np.array([[1.0, 0, 0], [-1.0, 0, 0], [1.0, 0, 0]]))
     assert length.tolist() == [0, 13, 0]
     assert face.tolist() == [-1, FACES.index("u_low"), -1]
 
 
-def test_shell_survives_its_file(tmp_path: Path) -> None:
-    shell = replace(
-        made_shell(),
+def test_room_box_survives_its_file(tmp_path: Path) -> None:
+    room_box = replace(
+        made_room_box(),
         gains={"cam 1": np.array([1.0, 0.9, 1.1])},
-        planes=made_shell().faces,
+        planes=made_room_box().faces,
         score=np.array([0.5, np.nan] * 3),
     )
-    write_room(tmp_path / "shell.json", shell)
-    again = read_room(tmp_path / "shell.json")
+    write_room(tmp_path / "room.json", room_box)
+    again = read_room(tmp_path / "room.json")
     for name in ("yaw_rad", "low_m", "high_m", "fitted", "score", "planes"):
-        assert np.array_equal(getattr(again, name), getattr(shell, name), equal_nan=True), name
-    assert np.array_equal(again.gains["cam 1"], shell.gains["cam 1"])
+        assert np.array_equal(getattr(again, name), getattr(room_box, name), equal_nan=True), name
+    assert np.array_equal(again.gains["cam 1"], room_box.gains["cam 1"])
     with pytest.raises(UserError, match="nowhere"):
         read_room(tmp_path / "nowhere.json")

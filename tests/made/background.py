@@ -62,12 +62,12 @@ def capture(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> 
     room."""
     folder = tmp_path_factory.mktemp("background")
     write_model(folder / "cameras", cameras)
-    write_room(folder / "shell.json", BOX)
+    write_room(folder / "room.json", BOX)
     options = {
         "model": folder / "cameras/images.txt",
-        "shell": folder / "shell.json",
+        "room_box": folder / "room.json",
         "plates": [],
-        "depth": [],
+        "depths": [],
         "views": [],
         "supports": [],
         "threads": 1,
@@ -83,8 +83,8 @@ def capture(tmp_path_factory: pytest.TempPathFactory, cameras: list[Camera]) -> 
             confidence[:, :48] = 0.1
         options["plates"].append(folder / f"{camera.name}.plate.png")
         cv2.imwrite(str(options["plates"][-1]), np.dstack([to_bytes(rgb)[..., ::-1], alpha]))
-        options["depth"].append(folder / f"{camera.name}.exr")
-        write_depth(options["depth"][-1], depth_m, confidence)
+        options["depths"].append(folder / f"{camera.name}.exr")
+        write_depth(options["depths"][-1], depth_m, confidence)
     steps = []
     for segment, start in enumerate((0, 90, 180, 270)):
         own = [

@@ -23,7 +23,7 @@ WH = (192, 108)
 class Room:
     """A box with a table in it; ``open_air`` leaves the floor only, under a plain sky."""
 
-    shell: RoomBox
+    room_box: RoomBox
     table: RoomBox | None
     seed: int
     open_air: bool = False
@@ -36,9 +36,9 @@ def made_room(
     """Walls at -2.9, 3.3 along u and -2.6, 3.1 along v, 3 m high; a cupboard of 1 x 0.8 x 0.8 m stands beside the
     middle."""
     unfitted = (np.zeros(6, bool), np.full(6, np.nan))
-    shell = RoomBox(yaw_rad, np.array([-2.9, -2.6, 0.0]), np.array([3.3, 3.1, 3.0]), *unfitted)
+    room_box = RoomBox(yaw_rad, np.array([-2.9, -2.6, 0.0]), np.array([3.3, 3.1, 3.0]), *unfitted)
     box = RoomBox(yaw_rad, np.array([-0.9, 0.3, 0.0]), np.array([0.1, 1.1, 0.8]), *unfitted)
-    return Room(shell, box if table else None, seed, open_air, lines)
+    return Room(room_box, box if table else None, seed, open_air, lines)
 
 
 def ring(
@@ -94,11 +94,11 @@ def _cast(room: Room, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     if room.open_air:
         depth = np.where(rays[..., 2] < 0, -origin[2] / np.minimum(rays[..., 2], -1e-9), 0)
         depth = np.where(depth < 30, depth, 0)
-        points = (origin + rays * depth[..., None]) @ room.shell.axes.T
+        points = (origin + rays * depth[..., None]) @ room.room_box.axes.T
         sky = np.broadcast_to([0.7, 0.8, 0.9], rays.shape)
         return np.where(depth[..., None] > 0, texture(points, np.full(depth.shape, 4), room.seed), sky), depth
-    depth, face = room.shell.intersect(origin, rays)
-    points = (origin + rays * depth[..., None]) @ room.shell.axes.T
+    depth, face = room.room_box.intersect(origin, rays)
+    points = (origin + rays * depth[..., None]) @ room.room_box.axes.T
     colour = texture(points, face, room.seed, room.lines)
     if room.table is not None:
         start, way = origin @ room.table.axes.T, rays @ room.table.axes.T

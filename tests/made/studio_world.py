@@ -39,7 +39,7 @@ PLANTED: Mapping[str, dict] = {
     "depth_shift": {"flat": True},
     "closed_path": {"azimuths_deg": (0, 40, 80, 120)},
     "view_synthesis": {"azimuths_deg": tuple(range(0, 360, 24)), "focal_px": 120.0},
-    "view_dependent_colour": {"gloss": 0.5},
+    "view_dependent_colour": {"specularity": 0.5},
     "hands": {"working_px": 560},
     "face": {"working_px": 1040},
     "moving_shadows": {"shadow": 0.3},
@@ -63,7 +63,7 @@ class Plan:
     lag_frames: float = 0.0
     readout: float = 0.0
     flat: bool = False
-    gloss: float = 0.0
+    specularity: float = 0.0
     shadow: float = 0.0
     ball_px: float = 0.0
     edges: float = 0.0
@@ -193,7 +193,7 @@ def scene(seed: int, **planted: object) -> Material:
         points, depth = surface(camera)
         gain = plan.gain if view == 1 else 1.0
         plate = paint(points, seed, plan.texture, plan.edges)
-        plate = (plate + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+        plate = (plate + plan.specularity * highlight(points, camera.centre_m)[..., None]) * gain
         plate = out_of_focus(plate, plan, view)
         noisy = np.clip(plate + rng.normal(0, NOISE_LEVELS / 255 / 4, plate.shape), 0, 1).astype(np.float32)
         known = np.ones(camera.hw, bool)
@@ -209,7 +209,7 @@ def _film(plan: Plan, seed: int, camera: Camera, view: int, rng: np.random.Gener
     points, _ = surface(small)
     gain = plan.gain if view == 1 else 1.0
     empty = paint(points, seed, plan.texture, plan.edges)
-    empty = (empty + plan.gloss * highlight(points, camera.centre_m)[..., None]) * gain
+    empty = (empty + plan.specularity * highlight(points, camera.centre_m)[..., None]) * gain
     empty = out_of_focus(empty, plan, view)
     pictures, free = [], []
     floor = points[..., 2] < 1e-6

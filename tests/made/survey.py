@@ -90,7 +90,7 @@ def files(tmp_path: Path) -> dict:
     write_people(tmp_path / "people.tsv", [("p0", 5, "c0,c1", 1.0, "keypoints")])
     write_identities(tmp_path / "identities.tsv", {})
     write_room(
-        tmp_path / "shell.json",
+        tmp_path / "room.json",
         RoomBox(0.0, np.array([-4, -4, 0.0]), np.array([4, 4, 3.0]), np.ones(6, bool), np.ones(6)),
     )
     rng = np.random.default_rng(0)
@@ -112,7 +112,7 @@ def files(tmp_path: Path) -> dict:
         "people": [tmp_path / "people.tsv"],
         "identities": [tmp_path / "identities.tsv"],
         "detections": [],
-        "shell": tmp_path / "shell.json",
+        "room_box": tmp_path / "room.json",
         "earlier": [],
         "decisions": tmp_path / "survey/decisions.json",
         "artefacts": [tmp_path / "survey" / file for file in ARTEFACTS],

@@ -111,7 +111,7 @@ class TestStep:
             "plate": tmp_path / "a.plate.png",
             "footage": tmp_path / "a.json",
             "calibration": tmp_path / "calibration.json",
-            "people": [tmp_path / "p0.npz", tmp_path / "p1.npz"],
+            "fits": [tmp_path / "p0.npz", tmp_path / "p1.npz"],
             "body": root / "resources/body.npz",
             "given": [],
             "tracks": [],
@@ -135,7 +135,7 @@ class TestStep:
         (bright,) = refilmed([files["video"]], tmp_path / "filmed", [course])
         found = {}
         for light in ([tmp_path / "course.json"], []):
-            step.run(settings, **(files | {"video": bright, "light": light}))
+            step.run(settings, **(files | {"video": bright, "brightness": light}))
             labels = read_stack(tmp_path / "masks.mkv")
             found[bool(light)] = min(agreement(labels, scene.truth)), float((labels == step.UNASSIGNED).mean())
         assert found[True][0] > 0.93

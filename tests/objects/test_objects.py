@@ -221,7 +221,7 @@ def test_the_step_divides_gains_and_light_out(settings: Settings, tmp_path: Path
     )
     write_manifest(tmp_path / "manifest.json", Manifest("made", FPS, FRAMES, footage))
     write_factors(tmp_path / "gains.json", {"c1": np.array([[1.2, 1.2, 1.2]])})
-    write_factors(tmp_path / "course.json", {c.name: course[:, None].repeat(3, axis=1) for c in CAMERAS})
+    write_factors(tmp_path / "brightness.json", {c.name: course[:, None].repeat(3, axis=1) for c in CAMERAS})
     made = {}
     for name, gain, light in (("plain", 1.0, np.ones(FRAMES)), ("faulty", 1.2, course)):
         for camera in CAMERAS:
@@ -233,7 +233,11 @@ def test_the_step_divides_gains_and_light_out(settings: Settings, tmp_path: Path
             plate = np.clip(np.rint(plate_of(camera) * own * 255), 0, 255).astype(np.uint8)
             cv2.imwrite(str(tmp_path / f"{name}-{camera.name}.png"), plate[..., ::-1])
         videos, plates = ([tmp_path / f"{name}-{c.name}.{end}" for c in CAMERAS] for end in ("mkv", "png"))
-        factors = {} if name == "plain" else {"gains": [tmp_path / "gains.json"], "light": [tmp_path / "course.json"]}
+        factors = (
+            {}
+            if name == "plain"
+            else {"gains": [tmp_path / "gains.json"], "brightness": [tmp_path / "brightness.json"]}
+        )
         out = tmp_path / f"{name}.npz"
         run(
             settings,

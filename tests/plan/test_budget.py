@@ -147,7 +147,7 @@ def test_settings_of_the_user_stay() -> None:
     made = bought_for(0.01, points(look=22.0, defaults=23.0), own).chosen.config
     look = preset("look")
     assert made["capture"]["width"] == 360
-    assert made["depth"]["solids"] == look["depth"]["solids"]
+    assert made["depth"]["primitives"] == look["depth"]["primitives"]
     assert made["background"]["training"]["iterations"] == look["background"]["training"]["iterations"]
     assert made["background"]["training"]["sh_degree"] == DEFAULTS["background"]["training"]["sh_degree"]
 

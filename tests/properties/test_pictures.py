@@ -148,7 +148,7 @@ def test_o08_the_extent_that_scales_step_sizes_grows_with_the_scene(world: World
 
 @FEW
 @given(level_worlds())
-def test_depth_to_the_room_s_shell_turns_with_the_room(world: World) -> None:
+def test_depth_to_the_room_box_turns_with_the_room(world: World) -> None:
     yaw = float(np.arctan2(world.rotation[1, 0], world.rotation[0, 0]))
     plain = RoomBox(0.2, np.array([-5.0, -6.0, 0.0]), np.array([5.5, 6.5, 3.0]), np.ones(6, bool), np.ones(6))
     shift = np.array([*(world.shift @ replace(plain, yaw_rad=0.2 + yaw).axes.T)[:2], 0.0])

@@ -206,7 +206,7 @@ def test_the_fitted_room_turns_with_its_world(default_settings: Callable[..., di
 def fitted_room(
     cameras: list[Camera], shots: list[tuple[np.ndarray, np.ndarray]], yaw_rad: float, options: room_step.Settings
 ):
-    """The shell from votes that say for every pixel which plane of the catalogue is nearest to its true depth."""
+    """The room box from votes that say for every pixel which plane of the catalogue is nearest to its true depth."""
     pictures = [Picture(c, rgb, np.ones(c.hw, bool)) for c, (rgb, _) in zip(cameras, shots)]
     planes = hypotheses(
         rig_centre(cameras),
@@ -223,4 +223,4 @@ def fitted_room(
         off = np.stack([np.abs(picture.depth(plane, 0.3, 14.0) - depth_m) for plane in planes], axis=-1)
         chosen.append(off.argmin(axis=-1))
     confident = [np.ones(c.hw, bool) for c in cameras]
-    return room_step.fit_shell(pictures, Votes(planes, chosen, confident), yaw_rad, 0.0, options)
+    return room_step.fit_room_box(pictures, Votes(planes, chosen, confident), yaw_rad, 0.0, options)

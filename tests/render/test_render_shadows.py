@@ -37,7 +37,7 @@ from studiorecon.splatting.rigid_object import RigidObject
 
 from tests.made.scene import avatar, render_options, ring, room, write_scene
 
-SHELL = RoomBox(0.0, np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.8]), np.ones(6, bool), np.ones(6))
+ROOM_BOX = RoomBox(0.0, np.array([-3.0, -3.0, 0.0]), np.array([3.0, 3.0, 2.8]), np.ones(6, bool), np.ones(6))
 LAMP_M, LAMP_HALF_M, LAMP_SHARE = np.array([-1.2, 0.9, 2.8]), 0.3, 0.5
 MOMENTS = 16
 
@@ -199,7 +199,7 @@ def test_a_planted_lamp_is_found_and_explains_pictures_it_was_not_fitted_to(
     planted: tuple, settings: render_light.LightSettings
 ) -> None:
     points, ratio, bodies = planted
-    light = render_light.estimate([render_light.Observed(points, ratio)], range(MOMENTS), bodies, SHELL, settings)
+    light = render_light.estimate([render_light.Observed(points, ratio)], range(MOMENTS), bodies, ROOM_BOX, settings)
     assert light.kept
     assert found_lamp_deg(light) < 6
     assert light.share.sum() == pytest.approx(LAMP_SHARE, abs=0.1)
@@ -213,7 +213,7 @@ def test_a_shadow_that_the_plate_holds_does_not_hide_the_lamp(
     in_plate = np.quantile(ratio, 0.3, axis=1, keepdims=True)
     assert in_plate.min() < 0.95
     light = render_light.estimate(
-        [render_light.Observed(points, ratio / in_plate)], range(MOMENTS), bodies, SHELL, settings
+        [render_light.Observed(points, ratio / in_plate)], range(MOMENTS), bodies, ROOM_BOX, settings
     )
     assert light.kept
     assert found_lamp_deg(light) < 6
@@ -227,7 +227,7 @@ def test_somebody_who_was_measured_in_half_of_the_frames_is_enough(
     gone = np.arange(MOMENTS) % 2 == 1
     seen = np.where(gone & (ratio < 0.97), np.nan, ratio)
     there = [[np.zeros((0, 7))] if g else b for b, g in zip(bodies, gone)]
-    light = render_light.estimate([render_light.Observed(points, seen)], range(MOMENTS), there, SHELL, settings)
+    light = render_light.estimate([render_light.Observed(points, seen)], range(MOMENTS), there, ROOM_BOX, settings)
     assert light.kept
     assert found_lamp_deg(light) < 10
 
@@ -235,11 +235,11 @@ def test_somebody_who_was_measured_in_half_of_the_frames_is_enough(
 def test_without_shadows_no_light_is_kept(planted: tuple, settings: render_light.LightSettings) -> None:
     points, ratio, bodies = planted
     flat = 1 + np.random.default_rng(2).normal(0, 0.02, ratio.shape)
-    light = render_light.estimate([render_light.Observed(points, flat)], range(MOMENTS), bodies, SHELL, settings)
+    light = render_light.estimate([render_light.Observed(points, flat)], range(MOMENTS), bodies, ROOM_BOX, settings)
     assert not light.kept
     assert "without" in light.reason
     unseen = render_light.estimate(
-        [render_light.Observed(points, np.full_like(ratio, np.nan))], range(MOMENTS), bodies, SHELL, settings
+        [render_light.Observed(points, np.full_like(ratio, np.nan))], range(MOMENTS), bodies, ROOM_BOX, settings
     )
     assert not unseen.kept
     assert "too little floor" in unseen.reason
@@ -290,7 +290,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     one, cameras = walking(body), ring([20, 110], "cam", wh=(160, 100))
     disc = np.array([[*LAMP_M, 2 * LAMP_HALF_M / np.sqrt(np.pi)]])
     write_model(tmp_path / "cameras", cameras)
-    write_room(tmp_path / "shell.json", SHELL)
+    write_room(tmp_path / "room.json", ROOM_BOX)
     for camera in cameras:
         rays = camera.rays()[1]
         depth = np.where(rays[..., 2] < -1e-3, camera.centre_m[2] / np.maximum(-rays[..., 2], 1e-3), 0.0)
@@ -317,13 +317,13 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     names = [camera.name for camera in cameras]
     files = {
         "model": tmp_path / "cameras/images.txt",
-        "people": [tmp_path / "p0.npz"],
+        "fits": [tmp_path / "p0.npz"],
         "body": root / "resources/body.npz",
         "videos": [tmp_path / f"{n}.mkv" for n in names],
         "masks": [tmp_path / f"{n}.mask.mkv" for n in names],
         "plates": [tmp_path / f"{n}.png" for n in names],
         "depths": [tmp_path / f"{n}.exr" for n in names],
-        "shell": tmp_path / "shell.json",
+        "room_box": tmp_path / "room.json",
         "light": tmp_path / "room.light.json",
     }
     settings = settings_module.load(render_light.Settings, default_settings("render"), "render")
@@ -332,7 +332,7 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     assert found.kept
     assert found_lamp_deg(found) < 8
     with pytest.raises(UserError, match="nobody is there"):
-        render_light.run(settings, **files | {"people": []})
+        render_light.run(settings, **files | {"fits": []})
     with pytest.raises(UserError, match="1 masks"):
         render_light.run(settings, **files | {"masks": files["masks"][:1]})
 
@@ -483,18 +483,18 @@ def test_films_show_the_shadow_on_the_floor_alone_and_the_same_truth(
 
 
 def test_patches_lie_on_the_box_and_face_into_it() -> None:
-    lamps = patches(replace(SHELL, yaw_rad=0.3), 0.75, np.zeros(3))
+    lamps = patches(replace(ROOM_BOX, yaw_rad=0.3), 0.75, np.zeros(3))
     near = lamps.facing.any(axis=1)
     inward = lamps.positions_m[near] + 0.01 * lamps.facing[near]
-    assert replace(SHELL, yaw_rad=0.3).contains(inward).all()
-    assert not replace(SHELL, yaw_rad=0.3).contains(inward - 0.02 * lamps.facing[near]).any()
+    assert replace(ROOM_BOX, yaw_rad=0.3).contains(inward).all()
+    assert not replace(ROOM_BOX, yaw_rad=0.3).contains(inward - 0.02 * lamps.facing[near]).any()
     assert (lamps.positions_m[~near][:, 2] > 0).all()
 
 
 def test_a_hall_has_hardly_more_patches_than_a_room_and_as_much_ceiling() -> None:
     """Patches far away are joined: as wide as before for who looks at them, and as large as what they stand for."""
-    hall = replace(SHELL, low_m=np.array([-16.0, -17.0, 0.0]), high_m=np.array([16.0, 17.0, 3.2]), yaw_rad=0.3)
-    room_lamps, lamps = (patches(shell, 0.75, np.zeros(3)) for shell in (SHELL, hall))
+    hall = replace(ROOM_BOX, low_m=np.array([-16.0, -17.0, 0.0]), high_m=np.array([16.0, 17.0, 3.2]), yaw_rad=0.3)
+    room_lamps, lamps = (patches(room_box, 0.75, np.zeros(3)) for room_box in (ROOM_BOX, hall))
     assert len(lamps.radius_m) < 4 * len(room_lamps.radius_m)
     down = lamps.facing[:, 2] < -0.5
     area = np.pi * lamps.radius_m[down] ** 2

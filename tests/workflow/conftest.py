@@ -20,7 +20,7 @@ PARTS = ("Snakefile", "workflow", "envs", "config", "profiles", "resources")
 WITNESS = Path(__file__).parent / "witness"
 # What a finished house is run with: every step does its work, none of them for long.
 QUICK = {
-    "depth": {"solids": 0},
+    "depth": {"primitives": 0},
     "background": {"training": {"iterations": 200}},
     "humans": {"iterations": 60, "gaussians": 2000},
 }

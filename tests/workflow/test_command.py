@@ -271,7 +271,7 @@ def test_the_demo_is_planned_from_an_installed_wheel_in_an_empty_folder(wheel: P
 @pytest.mark.slow
 def test_a_studio_is_reconstructed_from_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
     done = installed(
-        wheel, tmp_path, "run", "resources/studio/tiny.yaml", "--cores", "2", "--", "--config", "depth={solids: 0}"
+        wheel, tmp_path, "run", "resources/studio/tiny.yaml", "--cores", "2", "--", "--config", "depth={primitives: 0}"
     )
     assert done.returncode == 0, done.stdout[-6000:]
     assert (tmp_path / "empty/results/tiny/enhance/orbit.mp4").stat().st_size > 0

@@ -12,7 +12,7 @@ from studiorecon.sweep.records import FAILED, OK, read_records
 from tests.workflow.conftest import House, make_house
 
 TABLE = """name\tparameter\tpreset\tsettings
-base\t\t\tdepth.solids=0 ; \
+base\t\t\tdepth.primitives=0 ; \
 background.training.iterations=60 ; humans.iterations=40 ; humans.gaussians=1000 ; render.shots.orbit.frames=2
 plain\tenhancement\t\tenhance.enhancer=none
 refused\tlimits\t\tcalibration.scale=100000

@@ -34,14 +34,14 @@ if PLAN.networks.refiner:
                 camera=files.training,
                 allow_missing=True,
             ),
-            depth=collect(
+            depths=collect(
                 "results/{scene}/depth/{camera}.exr",
                 camera=files.training,
                 allow_missing=True,
             ),
-            shell="results/{scene}/depth/room.json",
-            exposure=files.gains,
-            gloss=files.specularity,
+            room_box="results/{scene}/depth/room.json",
+            gains=files.gains,
+            specularity=files.specularity,
             path="results/{scene}/views/path.json",
             views=files.views,
             supports=files.view_masks,
@@ -50,9 +50,9 @@ if PLAN.networks.refiner:
             kernels=ancient("results/{scene}/background/kernels.txt"),
         output:
             half="results/{scene}/background/half.ply",
-            marks="results/{scene}/background/half.npz",
-            looks="results/{scene}/background/half.mkv",
-            looks_path="results/{scene}/background/half.json",
+            provenance="results/{scene}/background/half.npz",
+            renders="results/{scene}/background/half.mkv",
+            renders_path="results/{scene}/background/half.json",
         log:
             "logs/{scene}/background/half.log",
         benchmark:
@@ -74,15 +74,15 @@ if PLAN.networks.refiner:
 
     rule background_refined:
         input:
-            looks="results/{scene}/background/half.mkv",
-            looks_path="results/{scene}/background/half.json",
+            renders="results/{scene}/background/half.mkv",
+            renders_path="results/{scene}/background/half.json",
             model=MODEL,
             plates=collect(
                 "results/{scene}/plates/{camera}.png",
                 camera=files.training,
                 allow_missing=True,
             ),
-            exposure=files.gains,
+            gains=files.gains,
         output:
             refined="results/{scene}/background/refined.mkv",
         log:
@@ -114,14 +114,14 @@ rule background_train:
             camera=files.training,
             allow_missing=True,
         ),
-        depth=collect(
+        depths=collect(
             "results/{scene}/depth/{camera}.exr",
             camera=files.training,
             allow_missing=True,
         ),
-        shell="results/{scene}/depth/room.json",
-        exposure=files.gains,
-        gloss=files.specularity,
+        room_box="results/{scene}/depth/room.json",
+        gains=files.gains,
+        specularity=files.specularity,
         path="results/{scene}/views/path.json",
         views=files.views,
         supports=files.view_masks,

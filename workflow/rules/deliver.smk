@@ -103,7 +103,7 @@ rule deliver_mesh:
         model=MODEL,
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",
-        room="results/{scene}/depth/room.json",
+        room_box="results/{scene}/depth/room.json",
         path="results/{scene}/views/path.json",
     output:
         mesh="results/{scene}/deliver/room.glb",

@@ -75,13 +75,13 @@ rule depth_room:
             other=files.training,
             allow_missing=True,
         ),
-        people=files.walkers,
+        fits=files.walkers,
         detections=files.sightings,
         identities=files.sighted,
         kernels=ancient("results/{scene}/depth/kernels.txt"),
     output:
-        shell="results/{scene}/depth/room.json",
-        solids="results/{scene}/depth/primitives.json",
+        room_box="results/{scene}/depth/room.json",
+        primitives="results/{scene}/depth/primitives.json",
         picture="results/{scene}/depth/primitives.png",
         passes="results/{scene}/depth/passes.npz",
     log:
@@ -110,8 +110,8 @@ rule depth_refine:
             other=files.training,
             allow_missing=True,
         ),
-        shell="results/{scene}/depth/room.json",
-        solids="results/{scene}/depth/primitives.json",
+        room_box="results/{scene}/depth/room.json",
+        primitives="results/{scene}/depth/primitives.json",
         passes="results/{scene}/depth/passes.npz",
     output:
         depth=(

@@ -8,10 +8,10 @@ rule objects_find:
         manifest="results/{scene}/capture/manifest.json",
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
-        people=files.fits,
+        fits=files.fits,
         body=files.body,
         gains=files.gains,
-        light=files.brightness,
+        brightness=files.brightness,
     output:
         objects="results/{scene}/objects/objects.npz",
     log:

@@ -217,7 +217,7 @@ rule people_fit:
         manifest="results/{scene}/capture/manifest.json",
         detections=files.detections,
         identities=files.tracks_of,
-        standing=files.silhouettes_of,
+        silhouettes=files.silhouettes_of,
         readouts=files.readouts_for,
         body=files.body,
     output:

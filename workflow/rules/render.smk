@@ -5,13 +5,13 @@
 rule render_light:
     input:
         model=MODEL,
-        people=files.fits,
+        fits=files.fits,
         body=files.body,
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         masks=files.masks,
         plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
-        shell="results/{scene}/depth/room.json",
+        room_box="results/{scene}/depth/room.json",
     output:
         light="results/{scene}/render/room.light.json",
     log:

@@ -11,7 +11,7 @@ checkpoint survey_decide:
         videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
-        shell="results/{scene}/depth/room.json",
+        room_box="results/{scene}/depth/room.json",
         earlier=files.earlier("survey/decisions.json"),
     output:
         decisions="results/{scene}/survey/decisions.json",

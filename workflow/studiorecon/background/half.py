@@ -10,7 +10,7 @@ import numpy as np
 
 from studiorecon import code
 from studiorecon.background.fitting import Training
-from studiorecon.background.halves import write_looks, write_room
+from studiorecon.background.halves import write_renders, write_room
 from studiorecon.background.preparation import Sources, prepared
 from studiorecon.background.train_settings import Settings
 from studiorecon.camera_files.colmap import read_model
@@ -25,31 +25,31 @@ def run(
     settings: Settings,
     model: Path,
     plates: list[Path],
-    depth: list[Path],
-    shell: Path,
+    depths: list[Path],
+    room_box: Path,
     path: Path,
     views: list[Path],
     supports: list[Path],
     threads: int,
     half: Written,
-    marks: Written,
-    looks: Written,
-    looks_path: Written,
+    provenance: Written,
+    renders: Written,
+    renders_path: Written,
     working: Place,
     device: str = "cpu",
-    exposure: list[Path] | None = None,
-    gloss: list[Path] | None = None,
+    gains: list[Path] | None = None,
+    specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
     videos: list[Path] | None = None,
     masks: list[Path] | None = None,
 ) -> None:
-    """Write the room half-way (``half``, ``marks``) and a film of it (``looks``, ``looks_path``); inputs as in
+    """Write the room half-way (``half``, ``provenance``) and a film of it (``renders``, ``renders_path``); inputs as in
     ``background.train``, which goes on from here."""
     device = resolve(device)
     cameras = read_model(model.parent)
-    sources = Sources(model, plates, depth, shell, path, views, supports, exposure or [], videos or [], masks or [])
+    sources = Sources(model, plates, depths, room_box, path, views, supports, gains or [], videos or [], masks or [])
     rng = np.random.default_rng(settings.seed)
-    given = prepared(settings, sources, cameras, gloss is None or len(gloss) > 0, rng)
+    given = prepared(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     if not training.split:
         raise UserError(
@@ -58,11 +58,11 @@ def run(
         )
     mark = fingerprint(given.settings, sources.files(), code.digest("background.half"), threads, device)
     checkpoint = Checkpoint(working / "half.checkpoint.npz", mark, settings.training.checkpoint_every_s)
-    room, provenance = training.first_half(given, checkpoint)
+    room, marks = training.first_half(given, checkpoint)
     drawing = training.drawing()
     around = training.looks(path)
     pictures = [np.clip(drawing.forward(room, camera).rgb, 0, 1) for camera in progress(around, "views of the room")]
-    write_room(half, marks, room, provenance)
-    write_looks(looks, looks_path, around, pictures)
+    write_room(half, provenance, room, marks)
+    write_renders(renders, renders_path, around, pictures)
     say(f"{room.count} Gaussians half-way, looked at from {len(around)} places")
     checkpoint.remove()

@@ -21,16 +21,16 @@ from studiorecon.splatting.train.targets import Target
 _FPS = 30.0
 
 
-def write_room(half: Path, marks: Path, room: Gaussians, provenance: np.ndarray) -> None:
-    """The Gaussians (PLY) and the provenance (N,) of each (npz)."""
+def write_room(half: Path, provenance: Path, room: Gaussians, marks: np.ndarray) -> None:
+    """The Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
     write_ply(half, room)
-    write_npz(marks, {"provenance": provenance})
+    write_npz(provenance, {"provenance": marks})
 
 
-def write_looks(looks: Path, looks_path: Path, cameras: list[Camera], pictures: list[np.ndarray]) -> None:
+def write_renders(renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[np.ndarray]) -> None:
     """Views (H, W, 3) in [0, 1] of the room from ``cameras``, as a lossless film and its path."""
-    write_lossless(looks, (to_bytes(picture) for picture in pictures), _FPS)
-    write_path(looks_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
+    write_lossless(renders, (to_bytes(picture) for picture in pictures), _FPS)
+    write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
 
 
 def read_half(files: list[Path], weight: float) -> tuple[Gaussians, np.ndarray, list[Target]]:

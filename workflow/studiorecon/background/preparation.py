@@ -43,19 +43,19 @@ class Sources:
 
     model: Path
     plates: list[Path]
-    depth: list[Path]
-    shell: Path
+    depths: list[Path]
+    room_box: Path
     path: Path
     views: list[Path]
     supports: list[Path]
-    exposure: list[Path]
+    gains: list[Path]
     videos: list[Path]
     masks: list[Path]
 
     def files(self) -> list[Path]:
         """All of them, in an order that does not change."""
-        images = [self.model.parent / "cameras.txt", self.model, *self.plates, *self.depth, self.shell, self.path]
-        return [*images, *self.views, *self.supports, *self.exposure, *self.videos, *self.masks]
+        images = [self.model.parent / "cameras.txt", self.model, *self.plates, *self.depths, self.room_box, self.path]
+        return [*images, *self.views, *self.supports, *self.gains, *self.videos, *self.masks]
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def view_targets(
 
 
 def without_people(
-    photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, exposure: Factors
+    photos: Sequence[Photo], videos: Sequence[Path], masks: Sequence[Path], dilation_px: int, gains: Factors
 ) -> list[Photo]:
     """The first pictures in the plates' place (paper, Eq. 5): unknown where a mask has anybody, or somebody is within
     the square of ``dilation_px``; without ``masks`` nobody is there."""
@@ -190,7 +190,7 @@ def without_people(
         one_each([p.camera for p in photos], masks=list(masks))
     seen = []
     for view, (photo, video) in enumerate(zip(photos, videos)):
-        picture = to_float(exposure.even(photo.camera.name, read_frame(video, 0)))
+        picture = to_float(gains.even(photo.camera.name, read_frame(video, 0)))
         people = read_frame(masks[view], 0) > 0 if masks else np.zeros(photo.camera.hw, bool)
         for path, hw in ((video, picture.shape[:2]), (masks[view] if masks else video, people.shape)):
             if hw != photo.camera.hw:
@@ -211,10 +211,10 @@ def without_people(
     return seen
 
 
-def read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path], exposure: Factors) -> list[Photo]:
-    one_each(cameras, plates=plates, depth_maps=depth)
+def read_photos(cameras: Sequence[Camera], plates: list[Path], depths: list[Path], gains: Factors) -> list[Photo]:
+    one_each(cameras, plates=plates, depth_maps=depths)
     photos = []
-    for camera, plate_path, depth_path in zip(cameras, plates, depth):
+    for camera, plate_path, depth_path in zip(cameras, plates, depths):
         rgb, known = read_plate(plate_path)
         depth_m, confidence = read_depth(depth_path)
         for name, hw in ((plate_path, rgb.shape[:2]), (depth_path, depth_m.shape)):
@@ -226,7 +226,7 @@ def read_photos(cameras: Sequence[Camera], plates: list[Path], depth: list[Path]
             raise UserError(
                 f"{plate_path} has no measured pixel; give a clean plate of camera {camera.name} in plates/"
             )
-        photos.append(Photo(camera, exposure.even(camera.name, rgb), known, depth_m, confidence))
+        photos.append(Photo(camera, gains.even(camera.name, rgb), known, depth_m, confidence))
     return photos
 
 
@@ -261,9 +261,9 @@ def prepared(
     settings: Settings, sources: Sources, cameras: Sequence[Camera], varied: bool, rng: np.random.Generator
 ) -> Prepared:
     """Read everything and start; ``varied``: colours change with the direction of view."""
-    box = read_room(sources.shell)
-    factors = read_factors(sources.exposure)
-    photos = read_photos(cameras, sources.plates, sources.depth, factors)
+    box = read_room(sources.room_box)
+    factors = read_factors(sources.gains)
+    photos = read_photos(cameras, sources.plates, sources.depths, factors)
     if settings.photos == "first_frames":
         photos = without_people(photos, sources.videos, sources.masks, settings.dilation_px, factors)
     painted = painted_room(photos, box, settings) if settings.fill else []

@@ -31,24 +31,24 @@ def run(
     enhancer: str,
     injection: str,
     flow: str,
-    looks: Path,
-    looks_path: Path,
+    renders: Path,
+    renders_path: Path,
     model: Path,
     plates: list[Path],
-    exposure: list[Path],
+    gains: list[Path],
     weights: Place,
     device: str,
     refined: Written,
 ) -> None:
-    """Write the film ``looks``, whose cameras are those of ``looks_path``, as the network ``enhancer`` repairs it;
-    ``plates`` are the rooms without people of ``model``'s cameras, divided by the gains that ``exposure`` names.
+    """Write the film ``renders``, whose cameras are those of ``renders_path``, as the network ``enhancer`` repairs it;
+    ``plates`` are the rooms without people of ``model``'s cameras, divided by their ``gains``.
 
     ``injection`` are the settings of ``enhance.injection`` as JSON, with which views enter those after them along
     ``flow``; "none": each is repaired by itself."""
-    steps, fps = read_path(looks_path)
+    steps, fps = read_path(renders_path)
     cameras = read_model(model.parent)
     one_each(cameras, plates=plates)
-    factors = read_factors(exposure)
+    factors = read_factors(gains)
     photos = [to_bytes(factors.even(c.name, read_plate(plate)[0])) for c, plate in zip(cameras, plates)]
     network = load("picture enhancer", enhancer, weights, device, seed=_SEED)
 
@@ -60,7 +60,7 @@ def run(
     alone = injection == "none"
     how = Injection(history=0) if alone else load_settings(Injection, json.loads(injection), "enhance.injection")
     search = flow_of("dis" if alone else flow, "medium", weights, device)
-    pictures = progress(read_frames(looks, 0, len(steps)), "views of the room", total=len(steps))
+    pictures = progress(read_frames(renders, 0, len(steps)), "views of the room", total=len(steps))
     repaired = enhanced(steps, pictures, depths_mm, reference, network, for_path(how, steps), search)
     write_lossless(refined, repaired, fps)
     say(f"{len(steps)} views of the room as {enhancer} repairs them{'' if alone else ', each after those before it'}")

@@ -32,8 +32,8 @@ def run(
     settings: Settings,
     model: Path,
     plates: list[Path],
-    depth: list[Path],
-    shell: Path,
+    depths: list[Path],
+    room_box: Path,
     path: Path,
     views: list[Path],
     supports: list[Path],
@@ -42,18 +42,18 @@ def run(
     provenance: Written,
     working: Place,
     device: str = "cpu",
-    exposure: list[Path] | None = None,
-    gloss: list[Path] | None = None,
+    gains: list[Path] | None = None,
+    specularity: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
     videos: list[Path] | None = None,
     masks: list[Path] | None = None,
     half: list[Path] | None = None,
 ) -> None:
-    """Train the background and write it with its provenance; plates are divided by the gains that ``exposure`` names,
-    if any.
+    """Train the background and write it with its provenance; plates are divided by the ``gains``, if any.
 
     With ``photos`` "first_frames" the first pictures of ``videos`` are trained on, without those whom ``masks`` show.
-    Without a file in ``gloss`` the survey does not call for colours that change with the view; None: it was not asked.
+    Without a file in ``specularity`` the survey does not call for colours that change with the view; None: it was not
+    asked.
 
     ``half``: the room half-way, the provenance of its Gaussians, and views of it with the path they lie on, which a
     network has enhanced (``background.half``, ``background.refined``); without them all that happens here.
@@ -63,9 +63,9 @@ def run(
     """
     device = resolve(device)
     cameras = read_model(model.parent)
-    sources = Sources(model, plates, depth, shell, path, views, supports, exposure or [], videos or [], masks or [])
+    sources = Sources(model, plates, depths, room_box, path, views, supports, gains or [], videos or [], masks or [])
     rng = np.random.default_rng(settings.seed)
-    given = prepared(settings, sources, cameras, gloss is None or len(gloss) > 0, rng)
+    given = prepared(settings, sources, cameras, specularity is None or len(specularity) > 0, rng)
     training = Training(given.settings, cameras, rng, threads, device, working, lpips)
     mark = fingerprint(
         given.settings, [*sources.files(), *(half or [])], code.digest("background.train"), threads, device

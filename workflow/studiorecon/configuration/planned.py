@@ -104,7 +104,7 @@ class Depth:
     """Where depth of a network lies, and what it waits for."""
 
     precomputed: str = setting("", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) of every camera.")
-    solids_walked: bool = setting(
+    primitives_walked: bool = setting(
         True,
         "Nothing is put where somebody's joints were, nor between a camera and what it saw of them; depth then waits "
         "for the bodies.",

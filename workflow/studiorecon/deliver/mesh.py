@@ -82,10 +82,10 @@ def write_room(path: Path, surfaces: list[Plane], standing: FusedSurface, left_o
     write_document(path, document, buffer)
 
 
-def run(model: Path, background: Path, provenance: Path, room: Path, path: Path, mesh: Written) -> None:
+def run(model: Path, background: Path, provenance: Path, room_box: Path, path: Path, mesh: Written) -> None:
     """Write ``mesh`` (GLB) of the room's Gaussians, seen from the training cameras of ``model`` and along ``path``
     between them."""
-    gaussians, shell = read_ply(background), read_room(room)
+    gaussians, box = read_ply(background), read_room(room_box)
     marks = read_arrays(provenance, ["provenance"])["provenance"]
     if len(marks) != gaussians.count:
         raise UserError(
@@ -96,9 +96,9 @@ def run(model: Path, background: Path, provenance: Path, room: Path, path: Path,
     between = [steps[i].camera for i in evenly_spread(len(steps), VIEWPOINTS)] if steps else []
     views = look(gaussians, marks, [*read_model(model.parent), *between])
     surface = fused(views, VOXEL_M)
-    standing = decimated(without(surface, distance_m(shell, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
-    flat = planes(shell, views, PLANE_STEP_M, PLANE_VERTICES)
-    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept(shell)]
+    standing = decimated(without(surface, distance_m(box, surface.vertices_m) < _OF_PLANE_M), TRIANGLES)
+    flat = planes(box, views, PLANE_STEP_M, PLANE_VERTICES)
+    left_out = [FACES[index] for index in range(len(FACES)) if index not in kept(box)]
     write_room(mesh, flat, standing, left_out)
     unseen = sum(int(np.count_nonzero(plane.provenance == INVENTED)) for plane in flat) / max(
         1, sum(len(p.rgb) for p in flat)

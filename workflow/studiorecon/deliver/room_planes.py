@@ -39,33 +39,33 @@ class Plane:
     provenance: np.ndarray
 
 
-def kept(shell: RoomBox) -> list[int]:
+def kept(room_box: RoomBox) -> list[int]:
     """Indices of the faces that are in the mesh: the floor, and what was found in the photos; a default wall may stand
     anywhere."""
-    return [index for index, name in enumerate(FACES) if name == "floor" or shell.fitted[index]]
+    return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
 
-def distance_m(shell: RoomBox, points_m: np.ndarray) -> np.ndarray:
+def distance_m(room_box: RoomBox, points_m: np.ndarray) -> np.ndarray:
     """(N,) from points (N, 3) to the nearest face that is kept; 0 for what lies beyond one."""
     apart = np.full(len(points_m), np.inf)
-    for index in kept(shell):
-        normal, offset = shell.faces[index, :3], shell.faces[index, 3]
+    for index in kept(room_box):
+        normal, offset = room_box.faces[index, :3], room_box.faces[index, 3]
         inward = (points_m @ normal - offset) * (-1 if index % 2 else 1)
         apart = np.minimum(apart, np.maximum(inward, 0))
     return apart
 
 
-def planes(shell: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
+def planes(room_box: RoomBox, views: Sequence[FusedView], step_m: float, vertices: int) -> list[Plane]:
     """The kept faces as grids of about ``step_m``, coarser where all together would have more than ``vertices``."""
-    size = shell.high_m - shell.low_m
-    area = sum(np.prod(np.delete(size, index // 2)) for index in kept(shell))
+    size = room_box.high_m - room_box.low_m
+    area = sum(np.prod(np.delete(size, index // 2)) for index in kept(room_box))
     step_m = max(step_m, float(np.sqrt(area / vertices)))
-    made = [_grid(shell, index, step_m) for index in kept(shell)]
+    made = [_grid(room_box, index, step_m) for index in kept(room_box)]
     coloured = [_colours(points, views) for points, _ in made]
     found_m = np.concatenate([points[seen] for (points, _), (_, seen) in zip(made, coloured)])
     found_rgb = np.concatenate([rgb[seen] for rgb, seen in coloured])
     result = []
-    for index, (points, triangles), (rgb, seen) in zip(kept(shell), made, coloured):
+    for index, (points, triangles), (rgb, seen) in zip(kept(room_box), made, coloured):
         if len(found_m) and not seen.all():
             _, near = scipy.spatial.cKDTree(found_m).query(points[~seen], k=min(8, len(found_m)))
             rgb[~seen] = found_rgb[np.asarray(near).reshape(np.count_nonzero(~seen), -1)].mean(axis=1)
@@ -73,16 +73,17 @@ def planes(shell: RoomBox, views: Sequence[FusedView], step_m: float, vertices: 
     return result
 
 
-def _grid(shell: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _grid(room_box: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.ndarray]:
     axis, far = divmod(index, 2)
     first, second = ((axis + 1) % 3, (axis + 2) % 3)
-    counts = [max(1, round(float((shell.high_m - shell.low_m)[k]) / step_m)) for k in (first, second)]
+    counts = [max(1, round(float((room_box.high_m - room_box.low_m)[k]) / step_m)) for k in (first, second)]
     a, b = np.meshgrid(
-        *(np.linspace(shell.low_m[k], shell.high_m[k], n + 1) for k, n in zip((first, second), counts)), indexing="ij"
+        *(np.linspace(room_box.low_m[k], room_box.high_m[k], n + 1) for k, n in zip((first, second), counts)),
+        indexing="ij",
     )
     local = np.empty((a.size, 3))
     local[:, axis], local[:, first], local[:, second] = (
-        (shell.high_m if far else shell.low_m)[axis],
+        (room_box.high_m if far else room_box.low_m)[axis],
         a.ravel(),
         b.ravel(),
     )
@@ -91,7 +92,7 @@ def _grid(shell: RoomBox, index: int, step_m: float) -> tuple[np.ndarray, np.nda
     # first × second is the axis itself: counter-clockwise as seen from its positive side, which is inside for the low
     # faces.
     triangles = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
-    return local @ shell.axes, triangles[:, ::-1] if far else triangles
+    return local @ room_box.axes, triangles[:, ::-1] if far else triangles
 
 
 def _colours(points_m: np.ndarray, views: Sequence[FusedView]) -> tuple[np.ndarray, np.ndarray]:

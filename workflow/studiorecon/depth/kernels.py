@@ -31,13 +31,13 @@ def run(kernels: Written) -> None:
     pictures = _pictures()
     low_m = np.array([-_HALF_ROOM_M, -_HALF_ROOM_M, 0.0])
     bare = RoomBox(0.0, low_m, np.array([_HALF_ROOM_M, _HALF_ROOM_M, _HEIGHT_M]), np.ones(6, bool), np.full(6, np.nan))
-    solid = np.array([0, 0, 0, 0, 0.5, 0.5, 0, 1.0])
-    room = Explained.by_shell(pictures, bare, settings.refine_window, settings.mean_weight)
-    allowed(solid[None], bare, kept_from(room.centre, 0.0))
-    room.gains(solid[None])
-    room.add(solid)
+    primitive = np.array([0, 0, 0, 0, 0.5, 0.5, 0, 1.0])
+    room = Explained.by_room_box(pictures, bare, settings.refine_window, settings.mean_weight)
+    allowed(primitive[None], bare, kept_from(room.centre, 0.0))
+    room.gains(primitive[None])
+    room.add(primitive)
     starts = [bare.intersect(*p.camera.rays())[0].astype(np.float32) for p in pictures]
-    found = [in_front([Primitive.from_numbers(solid, 1.0)], p.camera, d)[0] for p, d in zip(pictures, starts)]
+    found = [in_front([Primitive.from_numbers(primitive, 1.0)], p.camera, d)[0] for p, d in zip(pictures, starts)]
     planes, (one, other) = bare.faces, pictures
     depths = plane_depths(one, planes, bare, settings)
     scores = [plane_scores(one, other, planes, depths, settings)]

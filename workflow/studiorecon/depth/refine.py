@@ -2,9 +2,9 @@
 """One camera's final depth: the room's planes judged once more at full detail, then carried to the working size along
 edges.
 
-Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the shell because no other camera could judge
-them have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/primitives.json``) stands
-before all of it, and planes of regions that nothing explains (``regions``) replace what is there.
+Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the room box because no other camera could
+judge them have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/primitives.json``)
+stands before all of it, and planes of regions that nothing explains (``regions``) replace what is there.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numba import njit
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives
-from studiorecon.depth.stereo.free_space import back_to_the_shell
+from studiorecon.depth.stereo.free_space import back_to_room_box
 from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
@@ -61,7 +61,7 @@ def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float
     """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
     default.
 
-    A default is what no other camera can judge, and every pixel on a face of the shell that was not ``fitted`` (6,):
+    A default is what no other camera can judge, and every pixel on a face of the room box that was not ``fitted`` (6,):
     the sky of an open place looks the same from everywhere, which is no evidence for a wall.
     """
     quality = np.clip(1 - labelled.cost, 0, 1)
@@ -141,41 +141,41 @@ def final_pass(
     cameras: list[Camera],
     pictures: list[Picture],
     index: int,
-    shell: RoomBox,
+    room_box: RoomBox,
     passes: list[np.ndarray],
     settings: Settings,
 ) -> Labelled:
     """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w)
     depths."""
     picture = pictures[index]
-    depths = plane_depths(picture, shell.planes, shell, settings)
+    depths = plane_depths(picture, room_box.planes, room_box, settings)
     rest = [i for i in range(len(pictures)) if i != index]
-    scores = [plane_scores(picture, pictures[i], shell.planes, depths, settings) for i in rest]
+    scores = [plane_scores(picture, pictures[i], room_box.planes, depths, settings) for i in rest]
     seen = [(cameras[i].resized((passes[i].shape[1], passes[i].shape[0])), passes[i]) for i in rest]
-    return explain(picture, shell.planes, depths, scores, seen, settings)
+    return explain(picture, room_box.planes, depths, scores, seen, settings)
 
 
 def furnished(
     camera: Camera,
     index: int,
     pictures: list[Picture],
-    shell: RoomBox,
-    solids: list[Primitive],
+    room_box: RoomBox,
+    primitives: list[Primitive],
     depth_m: np.ndarray,
     certain: np.ndarray,
     settings: Settings,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the solids before
+    """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the primitives before
     everything else.
 
-    What another camera sees of a solid has the confidence of its match; the rest of it is as little measured as a
+    What another camera sees of a primitive has the confidence of its match; the rest of it is as little measured as a
     default.
     """
-    depth_m, shown = in_front(solids, camera, depth_m)
+    depth_m, shown = in_front(primitives, camera, depth_m)
     if not shown.any():
         return depth_m, certain, shown
-    room = Explained.by_shell(pictures, shell, settings.refine_window, settings.mean_weight)
-    room.replace_all(np.array([solid.numbers for solid in solids]))
+    room = Explained.by_room_box(pictures, room_box, settings.refine_window, settings.mean_weight)
+    room.replace_all(np.array([primitive.numbers for primitive in primitives]))
     small = Labelled(
         *(
             a[: pictures[index].camera.hw[0], : pictures[index].camera.hw[1]]
@@ -195,7 +195,7 @@ def patched(
     index: int,
     pictures: list[Picture],
     depths: list[np.ndarray],
-    shell: RoomBox,
+    room_box: RoomBox,
     depth_m: np.ndarray,
     certain: np.ndarray,
     settings: Settings,
@@ -206,7 +206,7 @@ def patched(
         pictures,
         index,
         depths,
-        shell,
+        room_box,
         window=settings.window,
         mean_weight=settings.mean_weight,
         penalty=settings.refine_penalty,
@@ -231,8 +231,8 @@ def run(
     model: Path,
     plates: list[Path],
     passes: Path,
-    shell: Path,
-    solids: Path,
+    room_box: Path,
+    primitives: Path,
     depth: Written,
 ) -> None:
     """Write one camera's depth and confidence."""
@@ -241,13 +241,13 @@ def run(
     if camera not in names:
         raise UserError(f"camera {camera} is not in {model}; it holds {', '.join(names)}")
     index = names.index(camera)
-    room = read_room(shell)
+    room = read_room(room_box)
     agreed = list(read_arrays(passes, [f"depth_{name}" for name in names]).values())
     gains = np.stack([room.gains[name] for name in names])
     pictures = equalised(read_pictures(cameras, plates, settings.refine_width), gains)
     labelled = final_pass(cameras, pictures, index, room, agreed, settings)
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
-    labelled, floating = back_to_the_shell(labelled, pictures[index].camera, room, others)
+    labelled, floating = back_to_room_box(labelled, pictures[index].camera, room, others)
     say(
         f"{floating:.1%} of {camera} would float where another camera looks through "
         "it: put on the walls and floor instead"
@@ -263,14 +263,14 @@ def run(
         index,
         pictures,
         room,
-        read_primitives(solids),
+        read_primitives(primitives),
         depth_m,
         certainty.reshape(depth_m.shape),
         settings,
     )
     if settings.regions:
         depths = [cv2.resize(a, p.camera.wh, interpolation=cv2.INTER_NEAREST) for a, p in zip(agreed, pictures)]
-        depths[index] = in_front(read_primitives(solids), pictures[index].camera, labelled.depth_m)[0]
+        depths[index] = in_front(read_primitives(primitives), pictures[index].camera, labelled.depth_m)[0]
         even = rgb / gains[index].astype(np.float32)
         depth_m, certainty, patch = patched(
             cameras[index], even, index, pictures, depths, room, depth_m, certainty, settings

@@ -56,7 +56,7 @@ class Settings(PassSettings, FirstLook):
         60, "Planes inside the room that the second look tries, at most.", minimum=0, maximum=1000
     )
     passes: int = setting(2, "Rounds in which each camera is judged against the others' depth.", minimum=1, maximum=10)
-    solids: int = setting(
+    primitives: int = setting(
         40,
         "Upright boxes and cylinders that are put into the room, at most; 0 = none.",
         minimum=0,
@@ -64,11 +64,11 @@ class Settings(PassSettings, FirstLook):
         paper="none; its depth is a network's",
         letter=0,
     )
-    solids_width: int = 160
-    solids_gain: float = 40.0
+    primitives_width: int = 160
+    primitives_gain: float = 40.0
 
 
-def fit_shell(
+def fit_room_box(
     pictures: list[Picture], votes: room.Votes, yaw_rad: float, floor_m: float, settings: Settings
 ) -> RoomBox:
     """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
@@ -131,18 +131,18 @@ def fit_shell(
     return RoomBox(yaw_rad + turn, low, high, fitted, score)
 
 
-def inside_votes(pictures: list[Picture], votes: room.Votes, shell: RoomBox, settings: Settings) -> room.Votes:
-    """The votes whose points lie inside the shell; nothing is seen through a wall."""
+def inside_votes(pictures: list[Picture], votes: room.Votes, room_box: RoomBox, settings: Settings) -> room.Votes:
+    """The votes whose points lie inside the room box; nothing is seen through a wall."""
     kept = []
     for picture, chosen, confident in zip(pictures, votes.chosen, votes.confident):
         depth_m = picture.depth_of(votes.planes[chosen])
         points = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
-        kept.append(confident & (depth_m > 0) & shell.contains(points, _OUTSIDE_MARGIN_M))
+        kept.append(confident & (depth_m > 0) & room_box.contains(points, _OUTSIDE_MARGIN_M))
     return replace(votes, confident=kept)
 
 
 def refine_candidates(pictures: list[Picture], votes: room.Votes, planes: np.ndarray, settings: Settings) -> np.ndarray:
-    """The candidate planes with their offsets placed by their own voters; the six faces of the shell stay."""
+    """The candidate planes with their offsets placed by their own voters; the six faces of the room box stay."""
     how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
     placed = planes.copy()
     for k in progress(range(6, len(planes)), "placing planes"):
@@ -156,13 +156,17 @@ def refine_candidates(pictures: list[Picture], votes: room.Votes, planes: np.nda
 
 
 def agreeing_depths(
-    pictures: list[Picture], shell: RoomBox, solids: list[Primitive], starts: list[np.ndarray], settings: Settings
+    pictures: list[Picture],
+    room_box: RoomBox,
+    primitives: list[Primitive],
+    starts: list[np.ndarray],
+    settings: Settings,
 ) -> list[np.ndarray]:
     """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth
-    and the solids."""
-    depths = [plane_depths(p, shell.planes, shell, settings) for p in pictures]
+    and the primitives."""
+    depths = [plane_depths(p, room_box.planes, room_box, settings) for p in pictures]
     scores = [
-        [plane_scores(p, o, shell.planes, d, settings) for j, o in enumerate(pictures) if j != i]
+        [plane_scores(p, o, room_box.planes, d, settings) for j, o in enumerate(pictures) if j != i]
         for i, (p, d) in enumerate(zip(pictures, depths))
     ]
     latest = starts
@@ -171,9 +175,10 @@ def agreeing_depths(
             [(p.camera, d) for j, (p, d) in enumerate(zip(pictures, latest)) if j != i] for i in range(len(pictures))
         ]
         found = [
-            explain(p, shell.planes, d, s, o, settings).depth_m for p, d, s, o in zip(pictures, depths, scores, others)
+            explain(p, room_box.planes, d, s, o, settings).depth_m
+            for p, d, s, o in zip(pictures, depths, scores, others)
         ]
-        latest = [in_front(solids, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
+        latest = [in_front(primitives, p.camera, depth_m)[0] for p, depth_m in zip(pictures, found)]
     return latest
 
 
@@ -182,17 +187,17 @@ def run(
     model: Path,
     plates: list[Path],
     sweeps: list[Path],
-    people: list[Path],
+    fits: list[Path],
     detections: list[Path],
     identities: list[Path],
-    shell: Written,
-    solids: Written,
+    room_box: Written,
+    primitives: Written,
     picture: Written,
     passes: Written,
 ) -> None:
-    """Fit the room shell to all sweeps, put furniture into it, and let the cameras agree on depth.
+    """Fit the room box to all sweeps, put furniture into it, and let the cameras agree on depth.
 
-    ``people``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
+    ``fits``, ``detections`` and ``identities`` tell where nothing can stand; without them only the cameras do.
     """
     cameras = read_model(model.parent)
     swept = [read_arrays(path) for path in sweeps]
@@ -204,7 +209,7 @@ def run(
     gains = swept[0]["gains"]
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), gains)
     votes = room.Votes(swept[0]["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
-    fitted = fit_shell(pictures, votes, float(swept[0]["yaw_rad"]), float(swept[0]["floor_m"]), settings)
+    fitted = fit_room_box(pictures, votes, float(swept[0]["yaw_rad"]), float(swept[0]["floor_m"]), settings)
     for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
         say(
             f"{name} at {face[3]:.3f} m"
@@ -218,9 +223,9 @@ def run(
     fitted = replace(fitted, planes=planes)
     say(f"{len(planes) - 6} planes inside the room are worth trying")
     furniture: list[Primitive] = []
-    if settings.solids and len(cameras) > 1:
-        small = equalised(read_pictures(cameras, plates, settings.solids_width), gains)
-        bodies, whose = [read_person(path) for path in people], read_identities(identities[0]) if identities else {}
+    if settings.primitives and len(cameras) > 1:
+        small = equalised(read_pictures(cameras, plates, settings.primitives_width), gains)
+        bodies, whose = [read_person(path) for path in fits], read_identities(identities[0]) if identities else {}
         free_m = np.concatenate(
             [walked(bodies), seen_through(cameras, bodies, [read_detections(path) for path in detections], whose)]
         )
@@ -231,8 +236,8 @@ def run(
             free_m,
             window=settings.refine_window,
             mean_weight=settings.mean_weight,
-            least_gain=settings.solids_gain,
-            most=settings.solids,
+            least_gain=settings.primitives_gain,
+            most=settings.primitives,
         )
         say(f"{len(furniture)} boxes and cylinders explain what walls and floor do not")
     starts = []
@@ -247,8 +252,8 @@ def run(
         f"exposure on {pairs} views of common surfaces: "
         + ", ".join(f"{c.name} {g.mean():.3f}" for c, g in zip(cameras, gains))
     )
-    write_room(shell, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
-    write_primitives(solids, furniture)
+    write_room(room_box, replace(fitted, gains={c.name: g for c, g in zip(cameras, gains)}))
+    write_primitives(primitives, furniture)
     write_png(picture, sheet(pictures, fitted, furniture, depths))
     write_npz(passes, {f"depth_{camera.name}": depth_m for camera, depth_m in zip(cameras, depths)})
 

@@ -174,21 +174,21 @@ class Film:
 
     Attributes:
         video: the file.
-        camera: its name in ``light``.
+        camera: its name in ``brightness``.
         count: how many frames.
-        light: what is divided out of every frame.
+        brightness: what is divided out of every frame.
     """
 
     video: Path
     camera: str
     count: int
-    light: Factors
+    brightness: Factors
 
     def __len__(self) -> int:
         return self.count
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        return self.light.even_all(self.camera, read_frames(self.video, 0, self.count))
+        return self.brightness.even_all(self.camera, read_frames(self.video, 0, self.count))
 
 
 @dataclass(frozen=True)
@@ -282,17 +282,17 @@ def run(
     plate: Path,
     footage: Path,
     calibration: Path,
-    people: list[Path],
+    fits: list[Path],
     body: Path,
     given: list[Path],
     tracks: list[Path],
     masks: Written,
     objects: list[Path] | None = None,
-    light: list[Path] | None = None,
+    brightness: list[Path] | None = None,
     seen: list[Path] | None = None,
 ) -> None:
-    """Masks of ``camera`` for the fitted ``people``; frames are compared with the plate in its ``light``, if its course
-    is known.
+    """Masks of ``camera`` for the fitted people, ``fits``; frames are divided by ``brightness``, if there is any,
+    before they are compared with the plate.
 
     ``given`` (none or one path) are masks that the user brings, which are kept; ``tracks`` (none or one) is a network's
     film of numbers. The pixels of ``objects`` (none or one path) are nobody's, but in masks that were brought. ``seen``
@@ -301,11 +301,11 @@ def run(
     own = next((c for c in read_model(model.parent) if c.name == camera), None)
     if own is None:
         raise UserError(f"{model} has no camera {camera}; run cameras.refine again")
-    fits = [read_person(path) for path in people]
+    persons = [read_person(path) for path in fits]
     body_model = BodyModel.load(body)
     about = read_footage(footage)
     frames = about.frames
-    for path, fit in zip(people, fits):
+    for path, fit in zip(fits, persons):
         if fit.body != body_model.identity or len(fit.poses) != frames:
             raise UserError(
                 f"{path} holds {len(fit.poses)} frames of body {fit.body}, but the video "
@@ -315,16 +315,16 @@ def run(
     labels: Iterable[np.ndarray]
     if given:
         brought = read_given(given[0], footage, calibration, frames)
-        depths = Bodies(fits, body_model, own, frames)
-        labels, told = identified(brought, depths, len(fits), settings.outline.gate_m, own)
+        depths = Bodies(persons, body_model, own, frames)
+        labels, told = identified(brought, depths, len(persons), settings.outline.gate_m, own)
         say(f"{camera}: masks of {given[0].name} are used as they are; {told}")
     elif tracks:
         numbers = Numbers(tracks[0], frames, own.hw)
-        labels, told = assigned(numbers, Bodies(fits, body_model, own, frames), len(fits))
+        labels, told = assigned(numbers, Bodies(persons, body_model, own, frames), len(persons))
         say(f"{camera}: {told}")
     else:
         plate_rgb, measured = read_plate(plate)
-        film = Film(video, camera, frames, read_factors(light or [], frames))
+        film = Film(video, camera, frames, read_factors(brightness or [], frames))
         things = [thing for path in objects or () for thing in read_objects(path)]
         found = None
         if seen:
@@ -334,11 +334,11 @@ def run(
                 read_identities(seen[2]),
             )
             found = seen_in(whole, detections, who, lens_of(calibration, camera), about)
-        labels = segment(film, plate_rgb, measured, fits, body_model, own, settings, things, found)
+        labels = segment(film, plate_rgb, measured, persons, body_model, own, settings, things, found)
     pixels = np.zeros(256, np.int64)
-    write_lossless(masks, counted(labels, pixels), fits[0].fps if fits else 30.0)
+    write_lossless(masks, counted(labels, pixels), persons[0].fps if persons else 30.0)
     if not given and not tracks:
-        say(describe(camera, pixels, [f.name for f in fits], float(measured.mean())))
+        say(describe(camera, pixels, [f.name for f in persons], float(measured.mean())))
 
 
 def counted(labels: Iterable[np.ndarray], pixels: np.ndarray) -> Iterator[np.ndarray]:

@@ -265,36 +265,36 @@ def run(
     manifest: Path,
     videos: list[Path],
     plates: list[Path],
-    people: list[Path],
+    fits: list[Path],
     body: Path | None,
     threads: int,
     objects: Written,
     gains: list[Path] | None = None,
-    light: list[Path] | None = None,
+    brightness: list[Path] | None = None,
 ) -> None:
-    """Find, follow and make the things of a scene; ``people`` are the fitted bodies, which explain what differs from
+    """Find, follow and make the things of a scene; ``fits`` are the fitted bodies, which explain what differs from
     the plates.
 
-    The cameras' ``gains`` and the course of the ``light`` are divided out of the pictures, the gains of the plates too.
+    The cameras' ``gains`` and the frames' ``brightness`` are divided out of the pictures, the gains of the plates too.
     """
     cameras = read_model(model.parent)
     footage = read_manifest(manifest)
     one_each(cameras, videos=videos, plates=plates)
-    fits = [read_person(path) for path in people]
+    persons = [read_person(path) for path in fits]
     body_model: BodyModel | None = None
-    if fits:
+    if persons:
         if body is None:
-            raise UserError(f"{len(fits)} people are given without a body model; add --body")
+            raise UserError(f"{len(persons)} people are given without a body model; add --body")
         body_model = BodyModel.load(body)
-    for path, fit in zip(people, fits):
+    for path, fit in zip(fits, persons):
         if (body_model is not None and fit.body != body_model.identity) or len(fit.poses) != footage.frames:
             raise UserError(
                 f"{path} holds {len(fit.poses)} frames of body {fit.body}, the footage "
                 f"{footage.frames} frames; run people.fit again"
             )
-    gain, every = read_factors(gains or []), read_factors([*(gains or []), *(light or [])], footage.frames)
+    gain, every = read_factors(gains or []), read_factors([*(gains or []), *(brightness or [])], footage.frames)
     views = [open_view(*each, settings.pixels, gain) for each in zip(cameras, videos, plates)]
-    about = (fits, body_model, footage.frames, settings.loose.margin_m)
+    about = (persons, body_model, footage.frames, settings.loose.margin_m)
     step = max(1, footage.frames // _REST_FRAMES)
     views = rested(views, moments_of(views, *about, step=step, factors=every), settings.loose)
     moments = moments_of(views, *about, factors=every)

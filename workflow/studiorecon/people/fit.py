@@ -273,20 +273,20 @@ def run(
     manifest: Path,
     detections: list[Path],
     identities: list[Path],
-    standing: list[Path],
+    silhouettes: list[Path],
     readouts: list[Path],
     body: Path,
     fit: Written,
 ) -> None:
-    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``standing``.
+    """Fit one person's body to the keypoints of all training cameras, or to the silhouettes in ``silhouettes``.
 
     ``identities`` says which tracks are the person's, ``readouts`` by how much rows look one after the other, if at
-    all; of somebody without keypoints there is ``standing`` instead.
+    all; of somebody without keypoints there are ``silhouettes`` instead.
     """
     cameras = {c.name: c for c in read_model(model.parent)}
     footage = read_manifest(manifest)
-    if standing:
-        (someone,) = read_standing(standing[0])
+    if silhouettes:
+        (someone,) = read_standing(silhouettes[0])
         body_model = BodyModel.load(body)
         fitted = fit_standing(someone, list(cameras.values()), body_model, footage.frames, footage.fps, settings)
         _say_filled(fitted)

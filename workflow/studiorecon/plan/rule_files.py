@@ -184,8 +184,8 @@ class Files(Brought):
         return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
 
     def walkers(self, wildcards: Any) -> list[str]:
-        """Bodies of the people whose ways are kept free of furniture; none unless ``depth.solids_walked`` asks."""
-        return self.fits(wildcards) if self.config["depth"]["solids_walked"] else []
+        """Bodies of the people whose ways are kept free of furniture; none unless ``depth.primitives_walked`` asks."""
+        return self.fits(wildcards) if self.config["depth"]["primitives_walked"] else []
 
     def sightings(self, wildcards: Any) -> list[str]:
         """What cameras saw of those people, which nothing can stand in front of."""

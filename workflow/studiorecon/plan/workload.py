@@ -90,7 +90,7 @@ def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str
         "cameras_refine": Work(1, training * frames * people),
         "cameras_held_out": Work(1, footage.held_out * frames * people),
         "depth_sweep": Work(training, training * sweep_mpx * planes),
-        "depth_room": Work(1, training**2 * (sweep_mpx * depth["candidates"] + 10 * depth["solids"] * 0.014)),
+        "depth_room": Work(1, training**2 * (sweep_mpx * depth["candidates"] + 10 * depth["primitives"] * 0.014)),
         "depth_refine": Work(training, training * refine_mpx * depth["candidates"] * depth["passes"]),
         "people_first_associate": Work(1, training * frames * people),
         "people_second_look": Work(footage.detected, frames * people),

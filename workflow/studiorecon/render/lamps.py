@@ -28,10 +28,10 @@ _PIXELS = 256
 _LEAST_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
-def patches(shell: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
+def patches(room_box: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
     """Patches of the ceiling and of the upper walls about ``spacing_m`` apart, fewer and wider ones where they are far
     from ``seen_from_m`` (3,), and of the sky."""
-    low, high = shell.low_m, shell.high_m
+    low, high = room_box.low_m, room_box.high_m
 
     def steps(start: float, end: float) -> np.ndarray:
         count = max(round((end - start) / spacing_m), 1)
@@ -48,7 +48,7 @@ def patches(shell: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
     facing = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in parts])
     inside = Lamps(points, facing, np.full(len(points), spacing_m / np.sqrt(np.pi)))
     for width_m in (2 * spacing_m, 4 * spacing_m):
-        inside = _joined(inside, width_m, shell.axes @ np.asarray(seen_from_m, np.float64))
+        inside = _joined(inside, width_m, room_box.axes @ np.asarray(seen_from_m, np.float64))
     sky = []
     for elevation, count in _SKY_RINGS:
         azimuth, rise = np.arange(count) * 2 * np.pi / count, np.radians(elevation)
@@ -59,8 +59,8 @@ def patches(shell: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
         )
     far = np.concatenate(sky) * _SKY_M
     return Lamps(
-        np.concatenate([inside.positions_m @ shell.axes, far]),
-        np.concatenate([inside.facing @ shell.axes, np.zeros_like(far)]),
+        np.concatenate([inside.positions_m @ room_box.axes, far]),
+        np.concatenate([inside.facing @ room_box.axes, np.zeros_like(far)]),
         np.concatenate([inside.radius_m, np.full(len(far), _SKY_RADIUS * _SKY_M)]),
     )
 

@@ -125,20 +125,20 @@ def estimate(
     observed: Sequence[Observed],
     frames: Sequence[int],
     bodies: Sequence[Sequence[np.ndarray]],
-    shell: RoomBox,
+    room_box: RoomBox,
     settings: LightSettings,
 ) -> Light:
     """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last
     quarter of them."""
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, float(shell.low_m[2]))
+    blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, float(room_box.low_m[2]))
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
     later = np.arange(len(frames)) >= len(frames) - max(1, round(_HELD_OUT * len(frames)))
     some = (np.isfinite(ratio[:, ~later]).sum(axis=1) >= 2) & np.isfinite(ratio[:, later]).any(axis=1)
     if some.sum() < _LEAST_PX:
         return replace(blank, reason="too little floor is seen over time near anybody to tell the light from")
     points, ratio = points[some], ratio[some]
-    lamps, groups = patches(shell, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
+    lamps, groups = patches(room_box, settings.spacing_m, points.mean(axis=0)), Groups.of(points)
     lost = np.empty((len(points), len(frames), 2 + len(lamps.radius_m)), np.float32)
     for k, t in enumerate(progress(frames, "moments with shadows")):
         lost[:, k] = losses(groups, bodies[t], lamps, settings.contact_m)
@@ -186,25 +186,25 @@ def _light(blank: Light, found: np.ndarray, lamps: Lamps, usual: np.ndarray) -> 
 def run(
     settings: Settings,
     model: Path,
-    people: list[Path],
+    fits: list[Path],
     body: Path,
     videos: list[Path],
     masks: list[Path],
     plates: list[Path],
     depths: list[Path],
-    shell: Path,
+    room_box: Path,
     light: Written,
 ) -> None:
     """Look at the floor beside people and write what light explains its shadows."""
-    cameras, box, chosen = read_model(model.parent), read_room(shell), settings.light
+    cameras, box, chosen = read_model(model.parent), read_room(room_box), settings.light
     one_each(cameras, videos=videos, masks=masks, plates=plates, depth_maps=depths)
-    fits = [read_person(path) for path in people]
-    if not fits:
+    persons = [read_person(path) for path in fits]
+    if not persons:
         raise UserError("nobody is there to throw a shadow: leave moving_shadows out of survey.force")
-    bodies = bodies_over_time(fits, BodyModel.load(body))
+    bodies = bodies_over_time(persons, BodyModel.load(body))
     frames = evenly_spread(len(bodies), chosen.pictures)
-    at = np.array([person.trans[frames, :2] for person in fits])
-    sure = np.array([person.valid[frames] for person in fits])
+    at = np.array([person.trans[frames, :2] for person in persons])
+    sure = np.array([person.valid[frames] for person in persons])
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path)

@@ -134,10 +134,12 @@ class RoomBox:
         return np.where(hit, length, 0.0), np.where(hit, 2 * axis + outward, -1)
 
 
-def write_room(path: Path, shell: RoomBox) -> None:
+def write_room(path: Path, room_box: RoomBox) -> None:
     """Write ``depth/room.json``."""
-    value = {name: getattr(shell, name) for name in ("yaw_rad", "low_m", "high_m", "gains", "planes")}
-    faces = {name: {"fitted": bool(shell.fitted[i]), "score": float(shell.score[i])} for i, name in enumerate(FACES)}
+    value = {name: getattr(room_box, name) for name in ("yaw_rad", "low_m", "high_m", "gains", "planes")}
+    faces = {
+        name: {"fitted": bool(room_box.fitted[i]), "score": float(room_box.score[i])} for i, name in enumerate(FACES)
+    }
     write_json(path, value | {"faces": faces})
 
 

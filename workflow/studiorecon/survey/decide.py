@@ -42,7 +42,7 @@ def run(
     videos: list[Path],
     plates: list[Path],
     depths: list[Path],
-    shell: Path,
+    room_box: Path,
     earlier: list[Path],
     decisions: Written,
     artefacts: list[Written],
@@ -74,7 +74,7 @@ def run(
         for video, camera, own in zip(videos, cameras, own_points)
     ]
     followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
-    material = Material(cameras, names, views, films, followed, float(read_room(shell).low_m[2]), capture.fps)
+    material = Material(cameras, names, views, films, followed, float(read_room(room_box).low_m[2]), capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier), settings.force)}

@@ -18,9 +18,9 @@ from studiorecon.survey.exposures import ExposureView
 _LIMIT = 0.99
 _LEAST_POINTS, _STRIDE = 200, 4
 # Depth and calibration misplace a sample by about this much; where colours change within it, they say nothing about
-# gloss.
+# specularity.
 _MISPLACED_PX = 1.5
-# The gains are themselves estimated, and lenses shade their corners: differences below this are not gloss.
+# The gains are themselves estimated, and lenses shade their corners: differences below this are not specular.
 _FLOOR = 0.01
 
 
@@ -28,7 +28,7 @@ def varying_share(colours: np.ndarray, noise: np.ndarray) -> Estimate:
     """Share of points whose brightness varies between views more than its noise allows in one case out of a hundred.
 
     ``colours`` (V, N, 3) after exposure correction, NaN where a view does not see the point; ``noise`` (V, N) standard
-    deviation of the mean over channels. Points need two views. The expected share without gloss is 1 %.
+    deviation of the mean over channels. Points need two views. The expected share without specularity is 1 %.
     """
     require("colours", colours, ("V", "N", 3))
     require("noise", noise, colours.shape[:2])

@@ -38,9 +38,9 @@ class Standing:
     body: BodyModel | None
 
     @staticmethod
-    def read(people: Sequence[Path], body: Path | None) -> Standing:
+    def read(fits: Sequence[Path], body: Path | None) -> Standing:
         """From body files; UserError names one that is broken."""
-        return Standing([read_person(path) for path in people], BodyModel.load(body) if people and body else None)
+        return Standing([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
 
     def depth_m(self, camera: Camera) -> np.ndarray:
         """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""

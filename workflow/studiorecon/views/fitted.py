@@ -114,17 +114,17 @@ def run(
     path: Path,
     model: Path,
     plates: list[Path],
-    depth: list[Path],
-    exposure: list[Path],
-    people: list[Path],
+    depths: list[Path],
+    gains: list[Path],
+    fits: list[Path],
     body: Path | None,
     seen: list[Path],
     views: Written,
     support: Written,
 ) -> None:
-    """Write the pictures and the support of one segment from its ``film``, one picture per view of the path; ``people``
+    """Write the pictures and the support of one segment from its ``film``, one picture per view of the path; ``fits``
     and their ``body`` only where the network was shown them, or ``seen``, where another network sees them in it."""
-    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
+    photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     cameras, fps = read_segment(path, segment)
     count = sum(1 for _ in read_frames(film))
     if count != len(cameras):
@@ -136,14 +136,14 @@ def run(
     if seen:
         who = seen_by_network(seen[0])
     elif settings.key_frames == "first_frames":
-        standing = Standing.read(people, body)
+        standing = Standing.read(fits, body)
         who = lambda camera, hw: standing.depth_m(camera) > 0  # noqa: E731
     made = list(views_of(read_frames(film), cameras, photos, who, settings))
     holes = np.mean([mask == 0 for _, mask in made])
     say(f"segment {segment}: {len(made)} generated views; {holes:.1%} of them is shown by no photo, 0 in the mask")
     if who:
         covered = np.mean([mask == SOMEBODY for _, mask in made])
-        told = "people as a network sees them" if seen else f"{len(people)} people"
+        told = "people as a network sees them" if seen else f"{len(fits)} people"
         say(f"segment {segment}: {covered:.1%} of them is {told}, left out of the training")
     write_lossless(views, (picture for picture, _ in made), fps)
     write_lossless(support, (mask for _, mask in made), fps)

@@ -65,20 +65,20 @@ def run(
     path: Path,
     model: Path,
     plates: list[Path],
-    depth: list[Path],
-    exposure: list[Path],
+    depths: list[Path],
+    gains: list[Path],
     videos: list[Path],
     masks: list[Path],
-    people: list[Path],
+    fits: list[Path],
     body: Path | None,
     reference: str,
     request: Written,
 ) -> None:
-    """Write the checked request (npz) of one segment; ``videos`` (with ``masks``, ``people`` and their ``body``) only
-    where their first pictures are the key frames. ``reference``: what measured ``depth`` (``depth.reference``)."""
-    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
+    """Write the checked request (npz) of one segment; ``videos`` (with ``masks``, ``fits`` and their ``body``) only
+    where their first pictures are the key frames. ``reference``: what measured ``depths`` (``depth.reference``)."""
+    photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     if settings.key_frames == "first_frames":
-        standing, factors = Standing.read(people, body), read_factors(exposure)
+        standing, factors = Standing.read(fits, body), read_factors(gains)
         measured = reference == "calibration"
         photos = first_pictures(photos, videos, masks, standing, factors, settings.depth_jump, measured)
     way, _ = read_segment(path, segment)

@@ -61,22 +61,22 @@ def views_of(
 
 
 def read_photos(
-    model: Path, plates: list[Path], depth: list[Path], exposure: list[Path], depth_jump: float
+    model: Path, plates: list[Path], depths: list[Path], gains: list[Path], depth_jump: float
 ) -> list[WarpSource]:
-    """The training cameras' plates divided by the gains of ``exposure``, with depth; UserError for a missing or
+    """The training cameras' plates divided by the ``gains``, with depth; UserError for a missing or
     misshapen one."""
     cameras = read_model(model.parent)
-    one_each(cameras, plates=plates, depth_maps=depth)
-    gains = read_factors(exposure)
+    one_each(cameras, plates=plates, depth_maps=depths)
+    factors = read_factors(gains)
     photos = []
-    for camera, plate, depth_path in zip(cameras, plates, depth):
+    for camera, plate, depth_path in zip(cameras, plates, depths):
         rgb, measured = read_plate(plate)
         depth_m, _ = read_depth(depth_path)
         if rgb.shape[:2] != depth_m.shape:
             raise UserError(
                 f"{depth_path} is {depth_m.shape[1]}×{depth_m.shape[0]} but {plate} is {rgb.shape[1]}×{rgb.shape[0]}"
             )
-        photos.append(source(camera, gains.even(camera.name, rgb), measured, depth_m, depth_jump))
+        photos.append(source(camera, factors.even(camera.name, rgb), measured, depth_m, depth_jump))
     return photos
 
 
@@ -95,13 +95,13 @@ def run(
     path: Path,
     model: Path,
     plates: list[Path],
-    depth: list[Path],
-    exposure: list[Path],
+    depths: list[Path],
+    gains: list[Path],
     views: Written,
     support: Written,
 ) -> None:
     """Write the pictures and the support of one segment's views."""
-    photos = read_photos(model, plates, depth, exposure, settings.depth_jump)
+    photos = read_photos(model, plates, depths, gains, settings.depth_jump)
     wanted, fps = read_segment(path, segment)
     made = list(views_of(wanted, photos, settings))
     holes = np.mean([mask == 0 for _, mask in made])

@@ -196,9 +196,9 @@ def refine_yaw(
     return float(turns[int(value.argmax())]) if value.any() else 0.0
 
 
-def candidates(planes: np.ndarray, votes: np.ndarray, shell: RoomBox, most: int, least_votes: int) -> np.ndarray:
-    """(K, 4) the shell's six faces, then the most voted planes inside it that are not near-copies of one another."""
-    chosen = list(shell.faces)
+def candidates(planes: np.ndarray, votes: np.ndarray, room_box: RoomBox, most: int, least_votes: int) -> np.ndarray:
+    """(K, 4) the room box's six faces, then the most voted planes inside it that are not near-copies of one another."""
+    chosen = list(room_box.faces)
     for k in np.argsort(-votes, kind="stable"):
         if votes[k] < least_votes or len(chosen) >= most + 6:
             break

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture as a few convex solids: upright boxes and upright cylinders, and where a camera's rays meet them."""
+"""Furniture as a few convex primitives: upright boxes and upright cylinders, and where a camera's rays meet them."""
 
 from __future__ import annotations
 
@@ -52,31 +52,31 @@ class Primitive:
         return Primitive(KINDS[int(kind)], (x, y), yaw, (along, across), low, high, evidence)
 
     def depth(self, camera: Camera) -> np.ndarray:
-        """(H, W) z-depth at which a camera's rays enter the solid; 0 where they miss it."""
+        """(H, W) z-depth at which a camera's rays enter the primitive; 0 where they miss it."""
         origin, rays = camera.rays()
         depth_m = np.zeros(camera.hw)
         _meet(self.numbers, origin, rays.reshape(-1, 3), depth_m.reshape(-1))
         return depth_m
 
 
-def in_front(solids: Sequence[Primitive], camera: Camera, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (H, W) with every solid that stands before it, in the type of ``depth_m``, and (H, W) bool: a solid is what
-    is seen.
+def in_front(primitives: Sequence[Primitive], camera: Camera, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) with every primitive that stands before it, in the type of ``depth_m``, and (H, W) bool: a
+    primitive is what is seen.
 
     Unknown depth (0) is taken to be behind.
     """
     nearest = np.where(depth_m > 0, depth_m, np.inf)
     shown = np.zeros(depth_m.shape, bool)
-    for solid in solids:
-        entered = solid.depth(camera)
+    for primitive in primitives:
+        entered = primitive.depth(camera)
         before = (entered > 0) & (entered < nearest)
         nearest, shown = np.where(before, entered, nearest), shown | before
     return np.where(np.isfinite(nearest), nearest, 0).astype(depth_m.dtype), shown
 
 
-def write_primitives(path: Path, solids: Sequence[Primitive]) -> None:
-    """Write ``depth/primitives.json``: the solids in the order they were found."""
-    write_json(path, {"solids": [dict(vars(solid)) for solid in solids]})
+def write_primitives(path: Path, primitives: Sequence[Primitive]) -> None:
+    """Write ``depth/primitives.json``: the primitives in the order they were found."""
+    write_json(path, {"primitives": [dict(vars(primitive)) for primitive in primitives]})
 
 
 def read_primitives(path: Path) -> list[Primitive]:
@@ -84,35 +84,35 @@ def read_primitives(path: Path) -> list[Primitive]:
     found = []
     content = read_content(path)
     with as_written(path):
-        for value in content["solids"]:
+        for value in content["primitives"]:
             value["centre_m"], value["size_m"] = tuple(value["centre_m"]), tuple(value["size_m"])
             found.append(Primitive(**value))
     return found
 
 
 @njit(cache=True)
-def _meet(solid, origin, rays, depth_m):
+def _meet(primitive, origin, rays, depth_m):
     normal = np.zeros(3)
     for i in range(len(rays)):
-        depth_m[i] = max(enter(solid, origin, rays[i], normal), 0.0)
+        depth_m[i] = max(enter(primitive, origin, rays[i], normal), 0.0)
 
 
 @njit(cache=True)
-def enter(solid, origin, ray, normal):
-    """Length along ``ray`` (3,) at which it enters a solid (8,), -1 when it misses; fills the outward ``normal`` (3,)
-    there.
+def enter(primitive, origin, ray, normal):
+    """Length along ``ray`` (3,) at which it enters a primitive (8,), -1 when it misses; fills the outward ``normal``
+    (3,) there.
 
     A ray that starts inside misses: a camera inside a piece of furniture sees the room, not the furniture.
     """
-    c, s = np.cos(solid[3]), np.sin(solid[3])
-    x, y = origin[0] - solid[1], origin[1] - solid[2]
+    c, s = np.cos(primitive[3]), np.sin(primitive[3])
+    x, y = origin[0] - primitive[1], origin[1] - primitive[2]
     ou, ov = c * x + s * y, c * y - s * x
     du, dv = c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]
     near, far = -np.inf, np.inf
     nu, nv, nz = 0.0, 0.0, 0.0
-    if solid[0] == 0:
+    if primitive[0] == 0:
         for axis in range(2):
-            o, d, half = (ou, du, solid[4] / 2) if axis == 0 else (ov, dv, solid[5] / 2)
+            o, d, half = (ou, du, primitive[4] / 2) if axis == 0 else (ov, dv, primitive[5] / 2)
             if abs(d) < 1e-12:
                 if abs(o) > half:
                     return -1.0
@@ -123,7 +123,7 @@ def enter(solid, origin, ray, normal):
                 nu, nv = (-np.sign(d), 0.0) if axis == 0 else (0.0, -np.sign(d))
             far = min(far, max(a, b))
     else:
-        radius = solid[4] / 2
+        radius = primitive[4] / 2
         a = du * du + dv * dv
         b = ou * du + ov * dv
         q = ou * ou + ov * ov - radius * radius
@@ -138,10 +138,10 @@ def enter(solid, origin, ray, normal):
             near, far = (-b - root) / a, (-b + root) / a
             nu, nv = (ou + near * du) / radius, (ov + near * dv) / radius
     if abs(ray[2]) < 1e-12:
-        if origin[2] < solid[6] or origin[2] > solid[7]:
+        if origin[2] < primitive[6] or origin[2] > primitive[7]:
             return -1.0
     else:
-        a, b = (solid[6] - origin[2]) / ray[2], (solid[7] - origin[2]) / ray[2]
+        a, b = (primitive[6] - origin[2]) / ray[2], (primitive[7] - origin[2]) / ray[2]
         if min(a, b) > near:
             near = min(a, b)
             nu, nv, nz = 0.0, 0.0, -np.sign(ray[2])

@@ -20,31 +20,31 @@ _HIDDEN_SHARE = 0.02
 _PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
-def edges(solid: Primitive) -> np.ndarray:
-    """(E, 2, 3) end points of a solid's edges, metres; a cylinder's rims as many short ones, and four lines up its
+def edges(primitive: Primitive) -> np.ndarray:
+    """(E, 2, 3) end points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its
     side."""
-    if solid.kind == "box":
-        plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(solid.size_m) / 2
+    if primitive.kind == "box":
+        plan = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(primitive.size_m) / 2
     else:
         angle = np.arange(_ROUND) * 2 * np.pi / _ROUND
-        plan = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * solid.size_m[0] / 2
-    c, s = np.cos(solid.yaw_rad), np.sin(solid.yaw_rad)
-    plan = plan @ np.array([[c, s], [-s, c]]) + solid.centre_m
-    low, high = (np.column_stack([plan, np.full(len(plan), z)]) for z in (solid.low_m, solid.high_m))
+        plan = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * primitive.size_m[0] / 2
+    c, s = np.cos(primitive.yaw_rad), np.sin(primitive.yaw_rad)
+    plan = plan @ np.array([[c, s], [-s, c]]) + primitive.centre_m
+    low, high = (np.column_stack([plan, np.full(len(plan), z)]) for z in (primitive.low_m, primitive.high_m))
     uprights = slice(None, None, max(len(plan) // 4, 1))
     pairs = [(low, np.roll(low, -1, 0)), (high, np.roll(high, -1, 0)), (low[uprights], high[uprights])]
     return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
 
 
-def outlined(picture: Picture, solids: Sequence[Primitive], depth_m: np.ndarray) -> np.ndarray:
+def outlined(picture: Picture, primitives: Sequence[Primitive], depth_m: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8: the photo with the edges that no nearer surface of ``depth_m`` (h, w) hides, one colour a
-    solid."""
+    primitive."""
     height = round(_WIDTH * picture.camera.hw[0] / picture.camera.wh[0])
     camera = picture.camera.resized((_WIDTH, height))
     canvas = cv2.resize(to_bytes(picture.rgb), (_WIDTH, height), interpolation=cv2.INTER_CUBIC)
     seen_m = cv2.resize(depth_m.astype(np.float32), (_WIDTH, height), interpolation=cv2.INTER_NEAREST)
-    for k, solid in enumerate(solids):
-        ends = edges(solid)
+    for k, primitive in enumerate(primitives):
+        ends = edges(primitive)
         share = np.linspace(0, 1, 65)[:, None]
         for a, b in ends:
             pixels, z = camera.project(a + share * (b - a))
@@ -57,12 +57,12 @@ def outlined(picture: Picture, solids: Sequence[Primitive], depth_m: np.ndarray)
     return canvas
 
 
-def plan(shell: RoomBox, cameras: Sequence[Camera], solids: Sequence[Primitive], height: int) -> np.ndarray:
-    """(height, 640, 3) uint8: the room's walls, every solid with the height of its top in centimetres, cameras as
+def plan(room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int) -> np.ndarray:
+    """(height, 640, 3) uint8: the room's walls, every primitive with the height of its top in centimetres, cameras as
     dots."""
     canvas = np.full((height, _WIDTH, 3), _PAPER, np.uint8)
-    u, v = [(shell.low_m[a], shell.high_m[a]) for a in (0, 1)]
-    corners = np.array([(a, b, 0) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1]))]) @ shell.axes
+    u, v = [(room_box.low_m[a], room_box.high_m[a]) for a in (0, 1)]
+    corners = np.array([(a, b, 0) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1]))]) @ room_box.axes
     low, high = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
     scale = 0.92 * min(_WIDTH / (high - low)[0], height / (high - low)[1])
 
@@ -72,13 +72,13 @@ def plan(shell: RoomBox, cameras: Sequence[Camera], solids: Sequence[Primitive],
         ).astype(int)
 
     cv2.polylines(canvas, [at(corners)], True, _INK, 2, cv2.LINE_AA)
-    for k, solid in enumerate(solids):
-        for a, b in at(edges(solid)):
+    for k, primitive in enumerate(primitives):
+        for a, b in at(edges(primitive)):
             cv2.line(canvas, tuple(map(int, a)), tuple(map(int, b)), _colour(k), 2, cv2.LINE_AA)
-        where = at(np.array(solid.centre_m)) - (8, -4)
+        where = at(np.array(primitive.centre_m)) - (8, -4)
         cv2.putText(
             canvas,
-            f"{100 * solid.high_m:.0f}",
+            f"{100 * primitive.high_m:.0f}",
             tuple(map(int, where)),
             cv2.FONT_HERSHEY_SIMPLEX,
             0.35,
@@ -92,11 +92,11 @@ def plan(shell: RoomBox, cameras: Sequence[Camera], solids: Sequence[Primitive],
 
 
 def sheet(
-    pictures: Sequence[Picture], shell: RoomBox, solids: Sequence[Primitive], depths_m: Sequence[np.ndarray]
+    pictures: Sequence[Picture], room_box: RoomBox, primitives: Sequence[Primitive], depths_m: Sequence[np.ndarray]
 ) -> np.ndarray:
     """(H, W, 3) uint8: all photos, two to a row, and the plan last."""
-    shown = [outlined(picture, solids, depth_m) for picture, depth_m in zip(pictures, depths_m)]
-    shown.append(plan(shell, [p.camera for p in pictures], solids, shown[0].shape[0]))
+    shown = [outlined(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
+    shown.append(plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))
     tallest = max(s.shape[0] for s in shown)
     shown = [cv2.copyMakeBorder(s, 0, tallest - s.shape[0], 0, 0, cv2.BORDER_CONSTANT, value=_PAPER) for s in shown]
     if len(shown) % 2:

@@ -111,21 +111,21 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
     return shared / (rows * columns + height * width - shared)
 
 
-def ground(room: Explained, shell: RoomBox) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) least and (3,) greatest coordinates along the shell's axes between which furniture is looked for.
+def ground(room: Explained, room_box: RoomBox) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) least and (3,) greatest coordinates along the room box's axes between which furniture is looked for.
 
     That is the room; where a wall is a default, as far as furniture can be told from two cameras.
     """
-    centres = room.centre @ shell.axes.T
-    fitted = shell.fitted.reshape(3, 2)
-    low = np.where(fitted[:, 0], shell.low_m, np.maximum(shell.low_m, centres.min(axis=0) - _REACH_M))
-    high = np.where(fitted[:, 1], shell.high_m, np.minimum(shell.high_m, centres.max(axis=0) + _REACH_M))
+    centres = room.centre @ room_box.axes.T
+    fitted = room_box.fitted.reshape(3, 2)
+    low = np.where(fitted[:, 0], room_box.low_m, np.maximum(room_box.low_m, centres.min(axis=0) - _REACH_M))
+    high = np.where(fitted[:, 1], room_box.high_m, np.minimum(room_box.high_m, centres.max(axis=0) + _REACH_M))
     return low, high
 
 
-def tops(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
-    """(sum, solid (8,)) of boxes and slabs under every rectangle in plan that matches."""
-    low_m, high_m = ground(room, shell)
+def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(sum, primitive (8,)) of boxes and slabs under every rectangle in plan that matches."""
+    low_m, high_m = ground(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
     # One square map, so that it can be turned about its middle.
@@ -135,7 +135,8 @@ def tops(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
     within = (np.abs(u) < size[0] / 2) & (np.abs(v) < size[1] / 2)
     for height in _TOPS_M:
         points = (
-            np.stack([middle[0] + u, middle[1] + v, np.full(u.shape, shell.low_m[2] + height)], axis=-1) @ shell.axes
+            np.stack([middle[0] + u, middle[1] + v, np.full(u.shape, room_box.low_m[2] + height)], axis=-1)
+            @ room_box.axes
         )
         value = np.where(within, advantage(room, points, np.array([0.0, 0.0, 1.0])), np.float32(-0.5))
         for yaw in _YAWS_RAD:
@@ -145,7 +146,7 @@ def tops(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
             c, s = np.cos(yaw), np.sin(yaw)
             for total, top, left, rows, columns in rectangles(turned, sides, standing=False):
                 a, b = (top + (rows - 1) / 2 - half) * _CELL_M, (left + (columns - 1) / 2 - half) * _CELL_M
-                at = np.array([middle[0] + c * a - s * b, middle[1] + s * a + c * b, 0]) @ shell.axes
+                at = np.array([middle[0] + c * a - s * b, middle[1] + s * a + c * b, 0]) @ room_box.axes
                 for low in (0.0, height - _SLAB_M):
                     yield (
                         total,
@@ -154,30 +155,32 @@ def tops(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
                                 0,
                                 at[0],
                                 at[1],
-                                shell.yaw_rad + yaw,
+                                room_box.yaw_rad + yaw,
                                 rows * _CELL_M,
                                 columns * _CELL_M,
-                                shell.low_m[2] + low,
-                                shell.low_m[2] + height,
+                                room_box.low_m[2] + low,
+                                room_box.low_m[2] + height,
                             ]
                         ),
                     )
 
 
-def fronts(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
-    """(sum, solid (8,)) of boxes behind every rectangle in elevation that matches."""
-    low_m, high_m = ground(room, shell)
+def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(sum, primitive (8,)) of boxes behind every rectangle in elevation that matches."""
+    low_m, high_m = ground(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
-    heights = shell.low_m[2] + np.arange(_CELL_M / 2, min(_FRONT_HEIGHT_M, shell.high_m[2] - shell.low_m[2]), _CELL_M)
+    heights = room_box.low_m[2] + np.arange(
+        _CELL_M / 2, min(_FRONT_HEIGHT_M, room_box.high_m[2] - room_box.low_m[2]), _CELL_M
+    )
     for axis, side in product((0, 1), (-1, 1)):
         other = 1 - axis
         along = np.arange(low_m[other] + _CELL_M / 2, high_m[other], _CELL_M)
-        outward = side * shell.axes[axis]
-        wall = shell.low_m[axis] if side > 0 else shell.high_m[axis]
+        outward = side * room_box.axes[axis]
+        wall = room_box.low_m[axis] if side > 0 else room_box.high_m[axis]
         for offset in np.arange(low_m[axis] + _FRONT_STEP_M, high_m[axis], _FRONT_STEP_M):
             local = np.zeros((len(heights), len(along), 3))
             local[..., axis], local[..., other], local[..., 2] = offset, along, heights[:, None]
-            value = advantage(room, local @ shell.axes, outward)
+            value = advantage(room, local @ room_box.axes, outward)
             back = abs(offset - wall)
             for total, _, left, rows, columns in rectangles(value, sides, standing=True):
                 for depth in (
@@ -186,17 +189,25 @@ def fronts(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]
                     at, size = np.zeros(3), np.zeros(2)
                     at[axis], at[other] = offset - side * depth / 2, along[left] + (columns - 1) / 2 * _CELL_M
                     size[axis], size[other] = depth, columns * _CELL_M
-                    at = at @ shell.axes
+                    at = at @ room_box.axes
                     yield (
                         total,
                         np.array(
-                            [0, at[0], at[1], shell.yaw_rad, *size, shell.low_m[2], shell.low_m[2] + rows * _CELL_M]
+                            [
+                                0,
+                                at[0],
+                                at[1],
+                                room_box.yaw_rad,
+                                *size,
+                                room_box.low_m[2],
+                                room_box.low_m[2] + rows * _CELL_M,
+                            ]
                         ),
                     )
 
 
-def standing(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
-    """(area, solid (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
+def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+    """(area, primitive (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
     point."""
     for v in range(len(room.known)):
         alone = room.known[v] & (room.cost[v] >= UNSEEN) & (room.surface[v] < 6)
@@ -216,11 +227,11 @@ def standing(room: Explained, shell: RoomBox) -> Iterator[tuple[float, np.ndarra
                 ray = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (bottom + 1 - cy) / fy, 1.0])
                 if ray[2] >= 0:
                     continue
-                z = (shell.low_m[2] - room.centre[v, 2]) / ray[2]
+                z = (room_box.low_m[2] - room.centre[v, 2]) / ray[2]
                 side = width * z / fx
                 ahead = ray[:2] / np.linalg.norm(ray[:2])
                 at = room.centre[v, :2] + z * ray[:2] + ahead * side / 2
                 over = room.pose[v, :, :3].T @ np.array([(column + 0.5 - cx) / fx, (top - cy) / fy, 1.0])
-                high = shell.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], shell.high_m[2])
-                yield float(area), np.array([1, *at, 0, side, side, shell.low_m[2], high])
-                yield float(area), np.array([0, *at, shell.yaw_rad, side, side, shell.low_m[2], high])
+                high = room_box.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], room_box.high_m[2])
+                yield float(area), np.array([1, *at, 0, side, side, room_box.low_m[2], high])
+                yield float(area), np.array([0, *at, room_box.yaw_rad, side, side, room_box.low_m[2], high])

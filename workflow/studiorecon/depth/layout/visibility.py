@@ -37,7 +37,7 @@ def walked(people: Sequence[Person]) -> np.ndarray:
 
 
 def kept_from(places_m: np.ndarray, distance_m: float) -> np.ndarray:
-    """(M, 4): places (M, 3) and the distance that solids keep from each."""
+    """(M, 4): places (M, 3) and the distance that primitives keep from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
 
@@ -48,7 +48,7 @@ def seen_through(
     whose: Mapping[tuple[str, int], str],
 ) -> np.ndarray:
     """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may
-    graze a solid.
+    graze a primitive.
 
     ``found`` are detections of any of the cameras in their working pixels, ``whose`` names the person of (camera,
     track).

@@ -38,17 +38,17 @@ def looked_through(camera: Camera, depth_m: np.ndarray, others: Sequence[tuple[C
     return past & ~confirmed
 
 
-def back_to_the_shell(
-    labelled: Labelled, camera: Camera, shell: RoomBox, others: Sequence[tuple[Camera, np.ndarray]]
+def back_to_room_box(
+    labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, np.ndarray]]
 ) -> tuple[Labelled, float]:
-    """The labelling with unconfirmed floating surfaces put on the room's shell, unjudged, and the share of pixels
+    """The labelling with unconfirmed floating surfaces put on the room box, unjudged, and the share of pixels
     concerned.
 
-    Only planes inside the room (label ≥ 6) are questioned; the shell is where everything else already stands.
+    Only planes inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
     """
     floating = looked_through(camera, labelled.depth_m, others) & (labelled.plane >= 6)
     origin, directions = camera.rays()
-    length, face = shell.intersect(origin, directions)
+    length, face = room_box.intersect(origin, directions)
     floating &= face >= 0
     return (
         replace(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled loops of ``photo_cost``: colours of one camera's surfaces in the others, windowed correlation over a
-surface, one solid on trial.
+surface, one primitive on trial.
 
-Arrays are (V, H, W) for V views; a solid is eight numbers (``solids.Solid.numbers``).
+Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
 # A thing stands before everybody's eyes when so much of its foot has floor before it, seen this many pixels below, and
 # what is this many pixels beside it is wall again; its foot is on the floor within so many metres.
 _CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
-# Surfaces are numbered: the shell's faces 0-5, then ten for every solid; a solid on trial has the numbers from here.
+# Surfaces are numbered: the room box's faces 0-5, then ten for every primitive; one on trial has the numbers from here.
 FIRST, _TRIAL = 10, 30_000
 
 
@@ -152,14 +152,18 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
 
 
 @njit(cache=True)
-def _bounds(lens, pose, solid, v, height, width):
-    """Rows and columns (top, bottom, left, right) that a solid can cover in a view."""
-    c, s = np.cos(solid[3]), np.sin(solid[3])
+def _bounds(lens, pose, primitive, v, height, width):
+    """Rows and columns (top, bottom, left, right) that a primitive can cover in a view."""
+    c, s = np.cos(primitive[3]), np.sin(primitive[3])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
     for corner in range(8):
-        a = solid[4] / 2 if corner & 1 else -solid[4] / 2
-        b = solid[5] / 2 if corner & 2 else -solid[5] / 2
-        px, py, pz = solid[1] + c * a - s * b, solid[2] + s * a + c * b, solid[7] if corner & 4 else solid[6]
+        a = primitive[4] / 2 if corner & 1 else -primitive[4] / 2
+        b = primitive[5] / 2 if corner & 2 else -primitive[5] / 2
+        px, py, pz = (
+            primitive[1] + c * a - s * b,
+            primitive[2] + s * a + c * b,
+            primitive[7] if corner & 4 else primitive[6],
+        )
         z = pose[v, 2, 0] * px + pose[v, 2, 1] * py + pose[v, 2, 2] * pz + pose[v, 2, 3]
         if z < _NEAR_M:
             return 0, height, 0, width
@@ -175,44 +179,46 @@ def _bounds(lens, pose, solid, v, height, width):
 
 
 @njit(cache=True)
-def _trace(lens, pose, centre, v, y, x, solid, ray, normal):
-    """(depth or -1, face 0..7) at which a pixel's ray enters a solid."""
+def _trace(lens, pose, centre, v, y, x, primitive, ray, normal):
+    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive."""
     rx, ry = (x + 0.5 - lens[v, 2]) / lens[v, 0], (y + 0.5 - lens[v, 3]) / lens[v, 1]
     for i in range(3):
         ray[i] = pose[v, 0, i] * rx + pose[v, 1, i] * ry + pose[v, 2, i]
-    d = enter(solid, centre[v], ray, normal)
+    d = enter(primitive, centre[v], ray, normal)
     face = 0
     if normal[2] > 0.5:
         face = 1
     elif normal[2] < -0.5:
         face = 2
-    elif solid[0] == 0:
-        u = np.cos(solid[3]) * normal[0] + np.sin(solid[3]) * normal[1]
-        w = np.cos(solid[3]) * normal[1] - np.sin(solid[3]) * normal[0]
+    elif primitive[0] == 0:
+        u = np.cos(primitive[3]) * normal[0] + np.sin(primitive[3]) * normal[1]
+        w = np.cos(primitive[3]) * normal[1] - np.sin(primitive[3]) * normal[0]
         face = (3 if u > 0 else 4) if abs(u) > abs(w) else (5 if w > 0 else 6)
     return d, face
 
 
 @njit(cache=True)
-def draw(lens, pose, centre, known, depth, surface, solid, first):
-    """Put a solid into depth and surface."""
+def draw(lens, pose, centre, known, depth, surface, primitive, first):
+    """Put a primitive into depth and surface."""
     views, height, width = known.shape
     ray, normal = np.zeros(3), np.zeros(3)
     for v in range(views):
-        top, bottom, left, right = _bounds(lens, pose, solid, v, height, width)
+        top, bottom, left, right = _bounds(lens, pose, primitive, v, height, width)
         for y in range(top, bottom):
             for x in range(left, right):
-                d, face = _trace(lens, pose, centre, v, y, x, solid, ray, normal)
+                d, face = _trace(lens, pose, centre, v, y, x, primitive, ray, normal)
                 if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
                     depth[v, y, x], surface[v, y, x] = d, first + face
 
 
 @njit(cache=True, parallel=True)
-def gains(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, solids):
-    """(N,) by how much the cost of all pixels falls with each of N solids (N, 8) added alone; ``floor_m``: height of
-    the floor."""
-    found = np.zeros(len(solids))
-    for k in prange(len(solids)):
+def gains(
+    lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, primitives
+):
+    """(N,) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; ``floor_m``: height
+    of the floor."""
+    found = np.zeros(len(primitives))
+    for k in prange(len(primitives)):
         found[k] = _gain(
             lens,
             pose,
@@ -229,7 +235,7 @@ def gains(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
             half,
             mean_weight,
             floor_m,
-            solids[k],
+            primitives[k],
         )
     return found
 
@@ -264,18 +270,20 @@ def _stands_clear(number, known, surface, odds, top, bottom, left, right):
 
 
 @njit(cache=True)
-def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, solid):
+def _gain(
+    lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, primitive
+):
     views, height, width = known.shape
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int32)
     ray, normal = np.zeros(3), np.zeros(3)
     touched = np.zeros((views, 4), np.int64)
     for v in range(views):
-        top, bottom, left, right = _bounds(lens, pose, solid, v, height, width)
+        top, bottom, left, right = _bounds(lens, pose, primitive, v, height, width)
         touched[v, 0], touched[v, 1], touched[v, 2], touched[v, 3] = height, 0, width, 0
         for y in range(top, bottom):
             for x in range(left, right):
-                d, face = _trace(lens, pose, centre, v, y, x, solid, ray, normal)
+                d, face = _trace(lens, pose, centre, v, y, x, primitive, ray, normal)
                 if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
                     trial[v, y, x], number[v, y, x] = d, _TRIAL + face
                     touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
@@ -283,7 +291,7 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
     gain, unlike, clear = 0.0, 0.0, 0.0
     for v in range(views):
         before_view = unlike
-        # Pixels that now show the solid.
+        # Pixels that now show the primitive.
         top, bottom, left, right = touched[v]
         rows, columns = max(bottom - top, 0), max(right - left, 0)
         total, count = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.int32)
@@ -335,7 +343,7 @@ def _gain(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odd
                 elif surface[v, y + top, x + left] < 6:
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
         own = (unlike - before_view) / _ODDS_WEIGHT
-        stands = own > 0 and solid[6] <= floor_m + _STANDING_M
+        stands = own > 0 and primitive[6] <= floor_m + _STANDING_M
         if stands and _stands_clear(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
             clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second look: few planes, judged only by the cameras that can see past the others' surfaces; the room's shell where
+"""Second look: few planes, judged only by the cameras that can see past the others' surfaces; the room box where
 none can."""
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _OUTSIDE_MARGIN_M = 0.05
 
 @dataclass(frozen=True)
 class PassSettings(Matching):
-    """Costs of the second look: its window, the price of a change, of shell and other planes where no other camera can
-    judge, and what furniture pays over walls. The gap between the two defaults puts one-view pixels on the walls."""
+    """Costs of the second look: its window, the price of a change, of room box and other planes where no other camera
+    can judge, and what furniture pays over walls. The gap between the two defaults puts one-view pixels on walls."""
 
     refine_window: int = 5
     refine_penalty: float = 0.8
-    shell_default: float = 0.3
+    room_box_default: float = 0.3
     other_default: float = 0.85
     other_extra: float = 0.15
 
@@ -51,16 +51,16 @@ class Labelled:
     judged: np.ndarray
 
 
-def plane_depths(picture: Picture, planes: np.ndarray, shell: RoomBox, settings: PassSettings) -> np.ndarray:
+def plane_depths(picture: Picture, planes: np.ndarray, room_box: RoomBox, settings: PassSettings) -> np.ndarray:
     """(L, H, W) float32 depth of every plane in a picture; 0 where it is out of range or outside the shell."""
     depths = np.zeros((len(planes), *picture.camera.hw), np.float32)
     pixels = picture.camera.pixel_centres()
     for k, plane in enumerate(planes):
         depth_m = picture.depth(plane, settings.near_m, settings.far_m)
-        # The shell may lie beyond far_m: a default wall of an open place is still the end of the world.
+        # The room box may lie beyond far_m: a default wall of an open place is still the end of the world.
         if k < 6:
             depth_m = picture.depth(plane, settings.near_m, np.inf)
-        inside = shell.contains(picture.camera.unproject(pixels, depth_m), _OUTSIDE_MARGIN_M)
+        inside = room_box.contains(picture.camera.unproject(pixels, depth_m), _OUTSIDE_MARGIN_M)
         depths[k] = np.where(inside, depth_m, 0)
     return depths
 
@@ -93,7 +93,7 @@ def explain(
     """Label one picture from its scores against every other camera, given those cameras and their latest depth (H',
     W').
 
-    The first six planes are the shell: where no camera can judge, they cost ``shell_default`` and all others
+    The first six planes are the room box: where no camera can judge, they cost ``room_box_default`` and all others
     ``other_default``; this is what puts pixels that one camera sees on the walls rather than anywhere.
     """
     cost = np.empty((*picture.camera.hw, len(planes)), np.float32)
@@ -107,12 +107,12 @@ def explain(
             for (camera, depth_m), score in zip(others, scores):
                 homography = plane_homography(picture.camera, camera, weights)
                 _judge(score[k], homography, depths[k], depth_m, total, weight)
-        is_shell = k < 6
-        default = settings.shell_default if is_shell else settings.other_default
+        of_room_box = k < 6
+        default = settings.room_box_default if of_room_box else settings.other_default
         value = np.where(weight > 0, total / np.maximum(weight, 1e-6), default)
         # A flat window matches flat windows everywhere: that is worth no more than not being judged.
-        value = np.where(flat, np.maximum(value, settings.shell_default), value) + (
-            0.0 if is_shell else settings.other_extra
+        value = np.where(flat, np.maximum(value, settings.room_box_default), value) + (
+            0.0 if of_room_box else settings.other_extra
         )
         cost[..., k] = np.where(depths[k] > 0, value, _OUTSIDE)
         judged[..., k] = weight > 0

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a room with solids in it explains all photos at once: the cost of every pixel of every view, and what one
-solid more changes.
+"""How well a room with primitives in it explains all photos at once: the cost of every pixel of every view, and what
+one primitive more changes.
 
 A pixel's surface is seen by other cameras or hidden from them; those that see it must show the same colours (windowed
-correlation over the pixels of one surface). So a solid is paid for by its faces that match and by wrong matches behind
-it that it hides, and it pays for everything true that it would hide. What no other camera sees of it wins nothing by
-matching; what looks unlike the wall behind may extend what is matched elsewhere, or make up a thing that stands on the
-floor before everybody's eyes (``unlikeness``).
+correlation over the pixels of one surface). So a primitive is paid for by its faces that match and by wrong
+matches behind it that it hides, and it pays for everything true that it would hide. What no other camera sees of it
+wins nothing by matching; what looks unlike the wall behind may extend what is matched elsewhere, or make up a thing
+that stands on the floor before everybody's eyes (``unlikeness``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from studiorecon.scene.room import RoomBox
 
 @dataclass
 class Explained:
-    """All views as the present solids explain them; arrays are (V, H, W), padded to the largest picture.
+    """All views as the present primitives explain them; arrays are (V, H, W), padded to the largest picture.
 
     Attributes:
         lens: (V, 4) focal lengths and principal point, pixels. pose: (V, 3, 4) camera_from_world. centre: (V, 3)
@@ -36,9 +36,9 @@ class Explained:
         judges: how many other cameras see its surface.
         half, mean_weight: half a window in pixels, price of a difference of means.
         floor_m: height of the floor.
-        bare: depth and surface of the shell alone.
-        odds: ``unlikeness.surface_odds`` of the shell alone.
-        solids: (K, 8) those added so far.
+        bare: depth and surface of the room box alone.
+        odds: ``unlikeness.surface_odds`` of the room box alone.
+        primitives: (K, 8) those added so far.
     """
 
     lens: np.ndarray
@@ -58,10 +58,10 @@ class Explained:
     floor_m: float
     bare: tuple[np.ndarray, np.ndarray]
     odds: np.ndarray
-    solids: np.ndarray
+    primitives: np.ndarray
 
     @staticmethod
-    def by_shell(pictures: Sequence[Picture], shell: RoomBox, window: int, mean_weight: float) -> Explained:
+    def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> Explained:
         """The empty room: every pixel on the shell."""
         count = len(pictures)
         height, width = np.max([p.camera.hw for p in pictures], axis=0)
@@ -70,7 +70,7 @@ class Explained:
         depth_m, surface = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
         for v, picture in enumerate(pictures):
             rows, columns = picture.camera.hw
-            length_m, face = shell.intersect(*picture.camera.rays())
+            length_m, face = room_box.intersect(*picture.camera.rays())
             rgb[v, :rows, :columns], known[v, :rows, :columns] = picture.rgb, picture.known & (face >= 0)
             depth_m[v, :rows, :columns], surface[v, :rows, :columns] = length_m, face
         lens = np.array([[*p.camera.focal_px, *p.camera.principal_px] for p in pictures])
@@ -96,18 +96,18 @@ class Explained:
             judges,
             window // 2,
             mean_weight,
-            float(shell.low_m[2]),
+            float(room_box.low_m[2]),
             bare,
             odds,
             np.zeros((0, 8)),
         )
-        room.replace_all(room.solids)
-        for own, unlike in zip(room.odds, surface_odds(pictures, shell)):
+        room.replace_all(room.primitives)
+        for own, unlike in zip(room.odds, surface_odds(pictures, room_box)):
             own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
-    def gains(self, solids: np.ndarray, looks: bool = True) -> np.ndarray:
-        """(N,) by how much the cost of all pixels would fall with each of N solids (N, 8) added alone; without
+    def gains(self, primitives: np.ndarray, looks: bool = True) -> np.ndarray:
+        """(N,) by how much the cost of all pixels would fall with each of N primitives (N, 8) added alone; without
         ``looks`` only what cameras agree on counts."""
         return gains(
             *self._photos,
@@ -121,19 +121,19 @@ class Explained:
             self.half,
             self.mean_weight,
             self.floor_m,
-            np.ascontiguousarray(solids, np.float64),
+            np.ascontiguousarray(primitives, np.float64),
         )
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
-    def replace_all(self, solids: np.ndarray) -> None:
-        """Explain the room anew with these solids (K, 8) and no other."""
-        self.solids = np.ascontiguousarray(solids, np.float64).reshape(-1, 8)
+    def replace_all(self, primitives: np.ndarray) -> None:
+        """Explain the room anew with these primitives (K, 8) and no other."""
+        self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
         self.depth[:], self.surface[:] = self.bare
-        for k, solid in enumerate(self.solids):
-            draw(self.lens, self.pose, self.centre, self.known, self.depth, self.surface, solid, FIRST + 10 * k)
+        for k, primitive in enumerate(self.primitives):
+            draw(self.lens, self.pose, self.centre, self.known, self.depth, self.surface, primitive, FIRST + 10 * k)
         explain_all(
             *self._photos,
             self.depth,
@@ -147,6 +147,6 @@ class Explained:
             self.mean_weight,
         )
 
-    def add(self, solid: np.ndarray) -> None:
-        """Add one solid (8,)."""
-        self.replace_all(np.concatenate([self.solids, np.asarray(solid, np.float64)[None]]))
+    def add(self, primitive: np.ndarray) -> None:
+        """Add one primitive (8,)."""
+        self.replace_all(np.concatenate([self.primitives, np.asarray(primitive, np.float64)[None]]))

@@ -60,11 +60,11 @@ class Regions:
     judged: np.ndarray
 
 
-def directions(camera: Camera, shell: RoomBox) -> np.ndarray:
+def directions(camera: Camera, room_box: RoomBox) -> np.ndarray:
     """(M, 3) unit normals in the camera's axes: upright ones all around from the walls' own, leaning ones, and up."""
     normals = []
     for elevation_deg, count in _ELEVATIONS:
-        yaw = shell.yaw_rad + 2 * np.pi * np.arange(count) / count
+        yaw = room_box.yaw_rad + 2 * np.pi * np.arange(count) / count
         level, up = np.cos(np.radians(elevation_deg)), np.sin(np.radians(elevation_deg))
         normals.append(np.stack([level * np.cos(yaw), level * np.sin(yaw), np.full(count, up)], axis=-1))
     return np.concatenate(normals) @ camera.rotation_camera_from_world.T
@@ -117,7 +117,7 @@ def smaller(seen: RegionView, width: int) -> RegionView:
 def propose(
     me: RegionView,
     others: Sequence[RegionView],
-    shell: RoomBox,
+    room_box: RoomBox,
     regions: Sequence[np.ndarray],
     mean_weight: float,
     most_share: float,
@@ -133,9 +133,9 @@ def propose(
         Others.around(me.picture, others),
     )
     camera, small_camera = me.picture.camera, small.picture.camera
-    wall_m, small_wall_m = (shell.intersect(*c.rays())[0] for c in (camera, small_camera))
+    wall_m, small_wall_m = (room_box.intersect(*c.rays())[0] for c in (camera, small_camera))
     lens = np.array([*small_camera.focal_px, *small_camera.principal_px])
-    normals = directions(small_camera, shell)
+    normals = directions(small_camera, room_box)
     all_judge = np.ones(len(others), bool)
     found = []
     for number, mask in enumerate(regions):
@@ -191,7 +191,7 @@ def explain_regions(
     pictures: Sequence[Picture],
     index: int,
     depths: Sequence[np.ndarray],
-    shell: RoomBox,
+    room_box: RoomBox,
     *,
     window: int,
     mean_weight: float,
@@ -221,14 +221,14 @@ def explain_regions(
     others = [s for i, s in enumerate(seen) if i != index]
     cost, judged = costs[index]
     regions = unexplained(picture, cost, window)
-    found = sorted(propose(seen[index], others, shell, regions, mean_weight, most_share, near_m), key=lambda f: -f[2])[
-        :most
-    ]
+    found = sorted(
+        propose(seen[index], others, room_box, regions, mean_weight, most_share, near_m), key=lambda f: -f[2]
+    )[:most]
     if not found:
         return nothing
     planes, areas = [w for w, *_ in found], [regions[number] for _, number, _ in found]
     volume, sees = _volume(
-        picture, [(o.picture, o.depth_m) for o in others], shell, areas, planes, cost, judged, window, mean_weight
+        picture, [(o.picture, o.depth_m) for o in others], room_box, areas, planes, cost, judged, window, mean_weight
     )
     chosen = label(volume, picture.rgb, penalty)
     chosen_cost, chosen_judged = (np.take_along_axis(a, chosen[..., None], axis=-1)[..., 0] for a in (volume, sees))
@@ -238,7 +238,7 @@ def explain_regions(
 def _volume(
     picture: Picture,
     others: Sequence[tuple[Picture, np.ndarray]],
-    shell: RoomBox,
+    room_box: RoomBox,
     areas: Sequence[np.ndarray],
     planes: Sequence[np.ndarray],
     cost: np.ndarray,
@@ -251,7 +251,7 @@ def _volume(
     volume = np.full((height, width, 1 + len(planes)), _OUTSIDE, np.float32)
     sees = np.zeros(volume.shape, bool)
     volume[..., 0], sees[..., 0] = cost, judged
-    wall_m = shell.intersect(*picture.camera.rays())[0]
+    wall_m = room_box.intersect(*picture.camera.rays())[0]
     margin = max(round(SIZES[0] * width), 4)
     for k, (w, area) in enumerate(zip(planes, areas), start=1):
         rows, columns = np.flatnonzero(area.any(axis=1)), np.flatnonzero(area.any(axis=0))

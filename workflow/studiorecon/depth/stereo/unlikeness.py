@@ -30,15 +30,15 @@ _LEAST_PIECES = 200
 _USUAL, _NOISE = 1.5, 0.01
 
 
-def surface_odds(pictures: Sequence[Picture], shell: RoomBox) -> list[np.ndarray]:
-    """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the shell
+def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[np.ndarray]:
+    """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the room box
     behind it, -1 where just like it, 0 where that cannot be told.
 
     2 s for four pictures 160 pixels wide.
     """
-    where = [shell.intersect(*p.camera.rays()) for p in pictures]
+    where = [room_box.intersect(*p.camera.rays()) for p in pictures]
     odds = [np.zeros(p.camera.hw, np.float32) for p in pictures]
-    for index, face in enumerate(shell.rectangles):
+    for index, face in enumerate(room_box.rectangles):
         nodes = face.nodes(_CELL_M)
         pieces = [_pieces(picture, on == index, nodes) for picture, (_, on) in zip(pictures, where)]
         if sum(len(at) for at, _ in pieces) < _LEAST_PIECES:

@@ -26,7 +26,7 @@ NOBODY = np.zeros((0, 4))
 
 
 def cupboard(room: Room) -> Primitive:
-    """The solid that stands in ``made_room``."""
+    """The primitive that stands in ``made_room``."""
     low, high = room.table.low_m, room.table.high_m
     x, y, _ = (low + high) / 2 @ room.table.axes
     return Primitive("box", (x, y), room.table.yaw_rad, tuple((high - low)[:2]), low[2], high[2], 0.0)
@@ -42,24 +42,26 @@ def furnished() -> tuple[Room, list[Picture], list[Primitive]]:
     """The room with its cupboard, four looks at it, and what is found in them."""
     room = made_room()
     pictures = looks(room)
-    return room, pictures, furnish(pictures, room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3)
+    return room, pictures, furnish(pictures, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3)
 
 
-@pytest.mark.parametrize("solid", [BOX, POST], ids=["box", "cylinder"])
-def test_rays_enter_a_solid_on_its_surface(solid: Primitive) -> None:
+@pytest.mark.parametrize("primitive", [BOX, POST], ids=["box", "cylinder"])
+def test_rays_enter_a_primitive_on_its_surface(primitive: Primitive) -> None:
     for camera in ring(3):
-        depth_m = solid.depth(camera)
+        depth_m = primitive.depth(camera)
         hit = depth_m > 0
         assert 0.02 < hit.mean() < 0.5
         points = camera.unproject(camera.pixel_centres(), depth_m)[hit]
-        c, s = np.cos(solid.yaw_rad), np.sin(solid.yaw_rad)
-        u, v = ((points[:, :2] - solid.centre_m) @ np.array([[c, -s], [s, c]]) / (np.array(solid.size_m) / 2)).T
-        side = np.maximum(np.abs(u), np.abs(v)) if solid.kind == "box" else np.hypot(u, v)
-        level = np.abs((points[:, 2] - (solid.low_m + solid.high_m) / 2) / ((solid.high_m - solid.low_m) / 2))
+        c, s = np.cos(primitive.yaw_rad), np.sin(primitive.yaw_rad)
+        u, v = ((points[:, :2] - primitive.centre_m) @ np.array([[c, -s], [s, c]]) / (np.array(primitive.size_m) / 2)).T
+        side = np.maximum(np.abs(u), np.abs(v)) if primitive.kind == "box" else np.hypot(u, v)
+        level = np.abs(
+            (points[:, 2] - (primitive.low_m + primitive.high_m) / 2) / ((primitive.high_m - primitive.low_m) / 2)
+        )
         np.testing.assert_allclose(np.maximum(side, level), 1.0, atol=1e-9)
 
 
-def test_a_camera_inside_a_solid_sees_the_room() -> None:
+def test_a_camera_inside_a_primitive_sees_the_room() -> None:
     camera = ring(1)[0]
     around = Primitive("box", tuple(camera.centre_m[:2]), 0.0, (1.0, 1.0), 0.0, 3.0, 0.0)
     assert not around.depth(camera).any()
@@ -68,7 +70,7 @@ def test_a_camera_inside_a_solid_sees_the_room() -> None:
     assert not shown.any()
 
 
-def test_a_solid_stands_before_what_is_behind_it_and_before_the_unknown() -> None:
+def test_a_primitive_stands_before_what_is_behind_it_and_before_the_unknown() -> None:
     camera = ring(1)[0]
     own = BOX.depth(camera)
     for behind, seen in ((50.0, own > 0), (0.0, own > 0), (0.5, np.zeros(camera.hw, bool))):
@@ -78,15 +80,15 @@ def test_a_solid_stands_before_what_is_behind_it_and_before_the_unknown() -> Non
         assert depth_m.dtype == np.float32
 
 
-def test_solids_are_written_and_read(tmp_path: Path) -> None:
-    write_primitives(tmp_path / "solids.json", [BOX, POST])
-    assert read_primitives(tmp_path / "solids.json") == [BOX, POST]
+def test_primitives_are_written_and_read(tmp_path: Path) -> None:
+    write_primitives(tmp_path / "primitives.json", [BOX, POST])
+    assert read_primitives(tmp_path / "primitives.json") == [BOX, POST]
     assert Primitive.from_numbers(POST.numbers, POST.evidence) == POST
 
 
-def test_the_true_solid_is_worth_most_and_gains_are_what_adding_brings() -> None:
+def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> None:
     room = made_room()
-    seen = Explained.by_shell(looks(room), room.shell, 5, 1.5)
+    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
     true = cupboard(room).numbers
     beside, larger, thin_air = true.copy(), true.copy(), true.copy()
     beside[1] += 0.4
@@ -106,27 +108,27 @@ def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primit
     room, pictures, found = furnished
     assert found
     truth = [photograph(room, p.camera)[1] for p in pictures]
-    bare = [room.shell.intersect(*p.camera.rays())[0] for p in pictures]
+    bare = [room.room_box.intersect(*p.camera.rays())[0] for p in pictures]
     error = {}
-    for name, solids in (("bare", []), ("found", found)):
-        depths = [in_front(solids, p.camera, d)[0] for p, d in zip(pictures, bare)]
+    for name, primitives in (("bare", []), ("found", found)):
+        depths = [in_front(primitives, p.camera, d)[0] for p, d in zip(pictures, bare)]
         error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
     assert error["found"] < 0.4 * error["bare"]
 
 
 def test_an_empty_room_stays_empty() -> None:
     room = made_room(table=False)
-    assert furnish(looks(room), room.shell, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+    assert furnish(looks(room), room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
 
 
 def test_nothing_is_put_where_somebody_walked_or_a_camera_is(
     furnished: tuple[Room, list[Picture], list[Primitive]], tmp_path: Path
 ) -> None:
     room, pictures, found = furnished
-    numbers = np.stack([solid.numbers for solid in found])
+    numbers = np.stack([primitive.numbers for primitive in found])
     place = np.array([*found[0].centre_m, (found[0].low_m + found[0].high_m) / 2])
-    assert allowed(numbers, room.shell, NOBODY)[0]
-    assert not allowed(numbers, room.shell, kept_from(place[None], 0.0))[0]
+    assert allowed(numbers, room.room_box, NOBODY)[0]
+    assert not allowed(numbers, room.room_box, kept_from(place[None], 0.0))[0]
     assert not around(numbers, kept_from(np.stack([p.camera.centre_m for p in pictures]), 0.0)).any()
     joints = np.tile(place, (3, 24, 1))
     joints[1], joints[2, 0] = 9.0, np.nan
@@ -184,11 +186,11 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     unsure = 0.4 * camera.centre_m + 0.6 * joints[-1]
     assert np.linalg.norm(free[:, :3] - unsure, axis=1).min() > 0.25
     box = np.array([[0, *halfway[:2], 0.0, 0.3, 0.3, halfway[2] - 0.3, halfway[2] + 0.3]])
-    assert allowed(box, room.shell, NOBODY)[0]
-    assert not allowed(box, room.shell, free)[0]
+    assert allowed(box, room.room_box, NOBODY)[0]
+    assert not allowed(box, room.room_box, free)[0]
     beyond = camera.centre_m + 1.4 * (joints[10] - camera.centre_m)
-    behind = np.array([[0, *beyond[:2], 0.0, 0.2, 0.2, room.shell.low_m[2], room.shell.low_m[2] + 1.0]])
-    assert allowed(behind, room.shell, free)[0] == allowed(behind, room.shell, NOBODY)[0], (
+    behind = np.array([[0, *beyond[:2], 0.0, 0.2, 0.2, room.room_box.low_m[2], room.room_box.low_m[2] + 1.0]])
+    assert allowed(behind, room.room_box, free)[0] == allowed(behind, room.room_box, NOBODY)[0], (
         "what stands behind somebody stays possible"
     )
 
@@ -213,6 +215,9 @@ def test_what_nobody_was_surely_seen_through_is_not_kept_free(case: str) -> None
 def test_the_sheet_shows_every_photo_and_the_plan(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
     room, pictures, found = furnished
     depths = [p.depth_of(np.broadcast_to([0, 0, 1.0, 0], (*p.camera.hw, 4))) for p in pictures]
-    with_them, without = sheet(pictures, room.shell, [*found, POST], depths), sheet(pictures, room.shell, [], depths)
+    with_them, without = (
+        sheet(pictures, room.room_box, [*found, POST], depths),
+        sheet(pictures, room.room_box, [], depths),
+    )
     assert with_them.shape == without.shape == (3 * 360, 2 * 640, 3)
     assert (with_them != without).any(axis=-1).mean() > 0.002
