@@ -20,6 +20,8 @@ rule cameras_refine:
         "logs/{scene}/cameras/refine.log",
     benchmark:
         "benchmarks/{scene}/cameras/refine.tsv"
+    # Everything later waits for it: before kernels are compiled, which is done beside it.
+    priority: 5
     container:
         image("core")
     threads: 1

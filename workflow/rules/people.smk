@@ -22,6 +22,8 @@ checkpoint people_associate:
         "logs/{scene}/people/associate.log",
     benchmark:
         "benchmarks/{scene}/people/associate.tsv"
+    # The room is fitted after people are found, and everything that is drawn after the room.
+    priority: 6
     container:
         image("core")
     threads: 1
@@ -138,6 +140,8 @@ if PLAN.sight.detected:
             "benchmarks/{scene}/people/second_look/{camera}.tsv"
         wildcard_constraints:
             camera=one_of(PLAN.sight.detected),
+        # As for who is who.
+        priority: 6
         container:
             image("core")
         threads: 1
@@ -226,6 +230,8 @@ rule people_fit:
         "logs/{scene}/people/fit/{person}.log",
     benchmark:
         "benchmarks/{scene}/people/fit/{person}.tsv"
+    # As for who is who.
+    priority: 6
     container:
         image("core")
     threads: 1

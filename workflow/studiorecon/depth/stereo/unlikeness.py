@@ -84,15 +84,21 @@ def _apart(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
     _, directions = np.linalg.eigh(pieces.T @ pieces)
     described = np.ascontiguousarray(pieces @ directions[:, -_COMPONENTS:])
     chosen = rng.permutation(len(pieces))[:_OTHERS]
+    # Cells in the smallest type that holds them: what takes time here is reading them.
+    at = at.astype(np.int16 if at.max() < 2**15 else np.int64)
     others, places = described[chosen], at[chosen]
+    # Fewer cells apart than this are beside each other.
+    reach = at.dtype.type(np.ceil(_ELSEWHERE_M / _CELL_M))
     squared = np.empty(len(pieces), np.float32)
     for first in range(0, len(pieces), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
         distance = (
             (described[some] ** 2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2 * described[some] @ others.T
         )
-        beside = np.abs(at[some, None] - places) * _CELL_M < _ELSEWHERE_M
-        distance[beside[..., 1] if upright else beside.all(axis=-1)] = np.inf
+        beside = np.abs(at[some, None, 1] - places[:, 1]) < reach
+        if not upright:
+            beside &= np.abs(at[some, None, 0] - places[:, 0]) < reach
+        np.copyto(distance, np.float32(np.inf), where=beside)
         rank = min(_NEAREST, distance.shape[1] - 1)
         squared[some] = np.partition(distance, rank, axis=1)[:, rank]
     finite = squared[np.isfinite(squared)]
