@@ -49,9 +49,16 @@ def found(take, body: BodyModel, given: GivenLengths, told_px: dict | None = Non
     truth, seen = take
     focal_px = {c.name: c.focal_px[0] for c in truth} if known else {}
     return from_people.pose_cameras(
-        seen, [c.wh for c in truth], focal_px, 60, from_people.mean_body(body), loaded(from_people.Settings), told_px,
-        given, stature_m(body),
-    )  # fmt: skip
+        seen,
+        [c.wh for c in truth],
+        focal_px,
+        60,
+        from_people.mean_body(body),
+        loaded(from_people.Settings),
+        told_px,
+        given,
+        stature_m(body),
+    )
 
 
 def test_a_measured_distance_decides_the_scale(take, body: BodyModel) -> None:

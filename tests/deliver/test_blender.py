@@ -68,8 +68,10 @@ def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path, default_se
     point_m, frame = [0.2, -0.1, 1.1], FRAMES - 1
     done = subprocess.run(
         [sys.executable, "-c", LOOK, str(folder), str(frame), json.dumps(point_m)],
-        text=True, capture_output=True, check=False,
-    )  # fmt: skip
+        text=True,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     told = json.loads(done.stdout.partition("TOLD")[2].splitlines()[0])
     assert told["fps"] == pytest.approx(FPS)

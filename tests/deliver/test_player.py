@@ -162,8 +162,13 @@ def test_whoever_is_switched_off_is_gone(browser: Browser, page: Path) -> None:
     opened(browser, page)
     browser.run("player.scene.sets.forEach((set) => (set.shown = set.name !== 'p0'))")
     without = replace(scene, people=[scene.people[1]])
-    assert psnr(seen(browser, mode="camera", camera=number, frame=3.0),
-                to_bytes(drawn(without, scene.cameras[number], 3.0, shade_for(scene)))) > 40  # fmt: skip
+    assert (
+        psnr(
+            seen(browser, mode="camera", camera=number, frame=3.0),
+            to_bytes(drawn(without, scene.cameras[number], 3.0, shade_for(scene))),
+        )
+        > 40
+    )
 
 
 def test_at_a_camera_the_picture_is_as_bright_as_the_photo(browser: Browser, page: Path) -> None:

@@ -71,7 +71,8 @@ def test_several_people_in_any_order_of_parts(tmp_path: Path, capsys: pytest.Cap
     order = np.random.default_rng(1).permutation(17)
     given = planted(3, 2, 17)
     given[1, 1] = np.nan  # the second person is not seen in frame 1
-    path = write(tmp_path / "k.csv", [names[k] for k in order] + ["tail"], np.concatenate([given[:, :, order], given[:, :, :1]], 2), True)  # fmt: skip  # noqa: E501
+    written = np.concatenate([given[:, :, order], given[:, :, :1]], 2)
+    path = write(tmp_path / "k.csv", [names[k] for k in order] + ["tail"], written, True)
     entries, _ = read_keypoints(path)
     assert [(e.frame, e.identity) for e in entries] == [(0, 0), (0, 1), (1, 0), (2, 0), (2, 1)]
     for entry in entries:

@@ -59,7 +59,10 @@ def test_two_tracks_are_steadied_apart() -> None:
     t = np.arange(30)
     one, other = of(np.stack([100 + t, 50 + 0 * t], -1)), of(np.stack([400 - 2 * t, 90 + 0 * t], -1))
     both = Detections(
-        "a", "coco17", np.concatenate([one.frame, other.frame]), np.repeat([0, 1], 30),
+        "a",
+        "coco17",
+        np.concatenate([one.frame, other.frame]),
+        np.repeat([0, 1], 30),
         np.concatenate([one.keypoints, other.keypoints]),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(steadied(both, 60.0).keypoints, both.keypoints, atol=1e-9)

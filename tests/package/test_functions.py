@@ -28,10 +28,13 @@ def test_examples_of_docstrings_run(name: str, tmp_path: Path) -> None:
             noisy = np.clip(picture + rng.integers(-noise, noise + 1, picture.shape), 0, 255).astype(np.uint8)
             cv2.imwrite(str(tmp_path / folder / "cam0" / f"{t:03d}.png"), noisy)
     given = {
-        "np": np, "studiorecon": studiorecon, "cameras": cameras, "folder": tmp_path,
+        "np": np,
+        "studiorecon": studiorecon,
+        "cameras": cameras,
+        "folder": tmp_path,
         "detections": detect(cameras, people, 0.5, rng),
         "moved": [cameras[0], replace(cameras[1], camera_from_world=pose), *cameras[2:]],
-    }  # fmt: skip
+    }
     (example,) = doctest.DocTestFinder(recurse=False).find(getattr(studiorecon, name), name, globs=given)
     assert example.examples, "a docstring without an example shows nothing"
     told: list[str] = []

@@ -205,9 +205,17 @@ def someone(files: tuple, root: Path) -> tuple[Path, Path, list[Path], list[Path
     poses[:, :3] = upright_global_orientation(0.4)
     trans, betas = np.tile([0.2, -0.1, 0.95], (2, 1)), np.zeros(10)
     person = Person(
-        "p0", model.identity, 24.0, poses, trans, betas, model.joints(poses, betas, trans), np.ones(2, bool),
-        np.zeros((2, 24)), True,
-    )  # fmt: skip
+        "p0",
+        model.identity,
+        24.0,
+        poses,
+        trans,
+        betas,
+        model.joints(poses, betas, trans),
+        np.ones(2, bool),
+        np.zeros((2, 24)),
+        True,
+    )
     write_person(folder / "p0.npz", person)
     standing = Standing([person], model)
     videos, masks = [], []

@@ -8,7 +8,6 @@ The only step that may use the network of the machine.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,6 @@ from studiorecon.models.catalogue.fetching import fetch
 from studiorecon.models.catalogue.registry import model
 from studiorecon.progress import say
 from studiorecon.signature import Place
-
-
-@dataclass(frozen=True)
-class WeightEntry:
-    """One file, and what is known about it here: "verified", "missing", or a sentence about what is wrong."""
-
-    file: WeightFile
-    state: str
 
 
 def described(file: WeightFile, folder: Path) -> str:

@@ -10,7 +10,7 @@ ones can.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -136,15 +136,6 @@ class CameraPictures:
         )
         there &= valid
         return np.column_stack([np.where(there[:, None], pixels, np.nan), np.where(there, keypoints[:, 2], 0.0)])
-
-
-def each_of(pictures: Iterable[np.ndarray], wanted: Sequence[int]) -> Iterator[np.ndarray]:
-    """The pictures of the frames ``wanted`` (ascending), which come once each, as often as they are wanted."""
-    coming = iter(pictures)
-    for k, number in enumerate(wanted):
-        if not k or number != wanted[k - 1]:
-            picture = next(coming)
-        yield picture
 
 
 def improved_by(

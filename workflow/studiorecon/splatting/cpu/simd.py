@@ -12,7 +12,6 @@ numba's on-disk cache looks at the file of a kernel, not at what it imports: aft
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -29,9 +28,6 @@ INTS = ir.VectorType(ir.IntType(32), LANES)
 BITS = ir.VectorType(ir.IntType(1), LANES)
 INT32 = ir.IntType(32)
 FLAGS = ("nsz", "contract")
-
-# IR builders take (context, builder, signature, values); the types of numba's internals are not worth spelling out.
-Emit = Callable[[Any, Any, Any, Any], Any]
 
 
 class _LanesType(types.Type):
