@@ -55,10 +55,11 @@ def reached(modules: Iterable[str], without: Set[str] = frozenset()) -> dict[str
 
 def module_path(module: str) -> Path | None:
     """The file of ``"scene.camera"`` (or of a package, its ``__init__.py``); None when it is not a module of ours."""
-    base = PACKAGE.joinpath(*module.split(".")) if module else PACKAGE
-    for path in (base.with_suffix(".py"), base / "__init__.py"):
-        if path.is_file() and (module or path.name == "__init__.py"):
-            return path
+    # Asked some 25,000 times before a run: as text, a path takes a quarter of the time.
+    base = os.path.join(PACKAGE, *module.split(".")) if module else str(PACKAGE)
+    for path in ([f"{base}.py"] if module else []) + [os.path.join(base, "__init__.py")]:
+        if os.path.isfile(path):
+            return Path(path)
     return None
 
 
