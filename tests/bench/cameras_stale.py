@@ -94,7 +94,8 @@ def rows(
             continue
         seconds = time.process_time() - begun
         before, (turn, direction) = apart(stale, truth)[0], apart(outcome.training, truth)
-        sigma = max(outcome.report.get("stale", {"sigma_deg": {"": float("nan")}})["sigma_deg"].values())
+        stale_report = outcome.report.get("stale", {"sigma_deg": {"": float("nan")}, "between_deg": float("nan")})
+        sigma = max(stale_report["sigma_deg"].values())
         found.append(
             {
                 **about,
@@ -103,6 +104,7 @@ def rows(
                 "turn_deg": turn,
                 "direction_deg": direction,
                 "sigma_deg": sigma,
+                "stated_deg": stale_report["between_deg"],
                 "px": outcome.report["after_px"],
                 "cpu_s": seconds,
             }

@@ -172,6 +172,16 @@ def off(camera: Camera, degrees: float, metres: float) -> Camera:
     return moved(camera, turn @ camera.camera_from_world[:3, :3], camera.centre_m + np.array([0.0, 0.0, metres]))
 
 
+def test_what_people_leave_open_is_told_where_it_is_much(options):
+    report = examined(ring(), options)
+    assert 0 < report["refined"]["asked_deg"] < report["refined"]["between_deg"] < 2
+    # As a real man on one spot leaves it.
+    report["refined"] |= {"asked_deg": 3.9, "between_deg": 3.4}
+    name, sentences = verdict(report, 12.8)
+    assert name == "good", "nothing speaks against the calibration"
+    assert any("a calibration that is off by up to 7.3° fits these people" in sentence for sentence in sentences)
+
+
 def test_a_camera_that_was_knocked_is_usable_and_its_move_is_named(options):
     report = examined([*ring()[:2], off(ring()[2], 1.0, 0.05), ring()[3]], options)
     assert report["verdict"] == "usable"

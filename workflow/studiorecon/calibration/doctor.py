@@ -30,6 +30,7 @@ from studiorecon.images.encoded import png
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
+from studiorecon.rig.certainty import people_tell, stale_between_deg
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
@@ -97,7 +98,7 @@ def examined(
     refined, odd = _refined(cameras, detections, frames, median, settings) if people else None, None
     if people and (median is None or any(e is None or e > limit_px for e in each)):
         odd = odd_one_out(cameras, detections, chosen, settings.gate_m, settings.limits)
-        if odd is not None and not odd.cause and refined is not None and refined["elsewhere"]:
+        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined["elsewhere"]:
             odd = None  # cameras that were moved explain it
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
     middle, reach = _volume(cameras, points)
@@ -144,8 +145,8 @@ def _refined(
     median_px: float | None,
     settings: Settings,
 ) -> dict[str, Any] | None:
-    """What refinement would make of the cameras: the median error then, and every camera's move; None where it could do
-    nothing."""
+    """What refinement would make of the cameras: the median error then, every camera's move, and what people leave
+    open of how cameras are turned to one another (``people_tell``); None where it could do nothing."""
     if len(cameras) < 3 or sum(len(d.frame) > 0 for d in detections) < len(cameras):
         return None
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
@@ -161,7 +162,16 @@ def _refined(
     moved = {
         c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(cameras, *moves(held.cameras, cameras))
     }
-    return {"px": error_medians(held.cameras, seen, limits)[0], "elsewhere": anew is not None, "moves": moved}
+    px = error_medians(held.cameras, seen, limits)[0]
+    told = people_tell(cameras, seen, limits) if anew is None else (0.0, stale_between_deg(anew, limits))
+    asked_deg, between_deg = (None, None) if told is None else told
+    return {
+        "px": px,
+        "elsewhere": anew is not None,
+        "moves": moved,
+        "asked_deg": asked_deg,
+        "between_deg": between_deg,
+    }
 
 
 def _median_px(

@@ -31,6 +31,7 @@ from studiorecon.rig.bundle import (
     lenses_called_for,
     straightened,
 )
+from studiorecon.rig.certainty import stale_between_deg
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.floor_marks import RoomPicture
@@ -147,8 +148,10 @@ def decide(
         if odd is not None and (anew is None or (odd.cause and not odd.turned)):
             raise UserError(odd.sentence())
     if anew is not None:
-        tell(given, anew)
-        training, seen, report = anew.cameras, anew.seen, {**report, "stale": anew.report}
+        between_deg = stale_between_deg(anew, settings.limits)
+        tell(given, anew, between_deg)
+        training, seen = anew.cameras, anew.seen
+        report = {**report, "stale": {**anew.report, "between_deg": between_deg}}
     if blind and (share := contradicted(training, seen, detections, settings.limits)) > _MOST_CONTRADICTED:
         raise UserError(
             "the calibration does not fit the footage: no keypoint agrees in three cameras, "

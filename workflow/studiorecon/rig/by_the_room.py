@@ -123,7 +123,14 @@ def by_the_room(
     unsaid = np.zeros(result.sigma.shape[1])
     unsaid[:3], unsaid[3:6] = np.radians(_UNSAID_BY_EDGES_DEG if marks is None else _UNSAID_DEG), _UNSAID_M
     result = replace(result, sigma=np.hypot(result.sigma, unsaid))
-    return ByTheRoom(current, marks, result, {**report, "believed": believed}, bool(explained), believed)
+    return ByTheRoom(
+        current,
+        marks,
+        result,
+        {**report, "explained": bool(explained), "believed": believed},
+        bool(explained),
+        believed,
+    )
 
 
 def _turns(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:

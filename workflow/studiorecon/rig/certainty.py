@@ -14,11 +14,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from studiorecon.geometry.bundle import Adjusted, LensPrior, without_drift
-from studiorecon.geometry.triangulation import Limits, Triangulated
+from studiorecon.geometry.rotations import angle
+from studiorecon.geometry.triangulation import Limits, Triangulated, triangulate
+from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks
 from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
 from studiorecon.rig.room_turns import RoomTurn
-from studiorecon.rig.stale import HALF_OF_THE_JOINTS, moves
+from studiorecon.rig.stale import HALF_OF_THE_JOINTS, Stale, moves
+from studiorecon.scene.camera import Camera
 
 # What stays when every half agrees: joints that are defined otherwise seen from the front than from behind.
 _FLOOR_DEG = 0.2
@@ -26,6 +29,9 @@ _FLOOR_DEG = 0.2
 # each axis in the lenses of a motion-capture system and of a checkerboard calibration. It turns a camera by as much.
 _PRINCIPAL_SHARE = 0.006
 _LEAST_POINTS = 60
+_LENSES_KNOWN = LensPrior(0.0, 0.0)
+# How much wider the interval of the worst pair is for errors about all three axes than ``between_deg`` says.
+_ABOUT_ALL_AXES = 3.4 / 3.0
 # Fields of the floor that err together: a carpet's border, the edge of a platform.
 _FIELD_M = 0.5
 
@@ -38,13 +44,15 @@ def sigma_of(
     known_px: Mapping[int, float] | None = None,
     turns: Mapping[int, RoomTurn] | None = None,
     marks: FloorMarks | None = None,
+    principal_share: float = _PRINCIPAL_SHARE,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(V,) standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
     another.
 
     The largest of what the residuals say (``Adjusted.sigma``, with all places of a joint as one observation), and of
     what half fits are off in the root mean square, of the clip and of the joints; and 0.2° of what no half shows, with
-    what that means in place at the people's distance; and the principal point, which nobody looks for. The difference
+    what that means in place at the people's distance; and the principal point, which nobody looks for
+    (``principal_share`` of the longer side; 0 where lenses were calibrated). The difference
     of a half from the whole is as uncertain as the whole where errors are independent. Focal lengths are known no worse
     than ``lens`` says; ``known_px``, ``turns`` and ``marks`` as for ``adjusted``: fields of the floor
     are halves too.
@@ -70,10 +78,39 @@ def sigma_of(
     seen = np.max(of_kinds, axis=0)
     middle = np.median(result.points_m, axis=0)
     away = np.array([np.linalg.norm(c.centre_m - middle) for c in result.cameras])
-    principal = np.degrees([_PRINCIPAL_SHARE * max(c.wh) / c.focal_px[0] for c in result.cameras])
+    principal = np.degrees([principal_share * max(c.wh) / c.focal_px[0] for c in result.cameras])
     floor = np.hypot(_FLOOR_DEG, principal), np.radians(_FLOOR_DEG) * away, 0.0
     turn, place, focal = (np.hypot(np.maximum(f, s), least) for f, s, least in zip(formal, seen, floor))
     return turn, place, np.minimum(focal, lens.log_focal)
+
+
+def people_tell(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[float, float] | None:
+    """What people alone, with calibrated lenses, tell of how any two of calibrated cameras are turned to one another:
+    by how many degrees they would turn two of them, and half of the 95 % interval of that (``between_deg``).
+
+    A calibration fits people while it is off by as much as the sum: one man on one spot allows degrees. None where
+    there is too little.
+    """
+    rig = Rig(dict(enumerate(cameras)), seen, triangulate(seen.pixels, seen.confidence, cameras, limits), 0)
+    counted = rig.points.verified if len(cameras) > 2 else rig.points.valid
+    if int(counted.sum()) < _LEAST_POINTS:
+        return None
+    result, _ = adjusted(rig, _LENSES_KNOWN, limits)
+    turn_deg, _, _ = sigma_of(rig, result, _LENSES_KNOWN, limits, principal_share=0.0)
+    pairs = [(a, b) for a in range(len(cameras)) for b in range(a)]
+    ours, given = ([c.camera_from_world[:3, :3] for c in group] for group in (result.cameras, cameras))
+    turned = [angle(ours[a] @ ours[b].T, given[a] @ given[b].T) for a, b in pairs]
+    return float(np.degrees(np.max(turned))), between_deg(turn_deg)
+
+
+def stale_between_deg(found: Stale, limits: Limits) -> float:
+    """``between_deg`` of cameras that were put right, for errors about all three axes: of what their fit says, and
+    where no room joined the people, of what halves of the people disagree by."""
+    found_deg = between_deg(np.array(list(found.report["sigma_deg"].values())))
+    if not found.report.get("room", {}).get("explained"):
+        told = people_tell(found.cameras, found.seen, limits)
+        found_deg = max(found_deg, 0.0 if told is None else told[1])
+    return _ABOUT_ALL_AXES * found_deg
 
 
 def _both(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -99,16 +99,17 @@ def where_they_stand_now(
     )
 
 
-def tell(given: Sequence[Camera], found: Stale) -> None:
-    """Say where the cameras stand now, and how well that is known."""
+def tell(given: Sequence[Camera], found: Stale, between_deg: float) -> None:
+    """Say where the cameras stand now, and how well that is known: ``between_deg`` is half of the 95 % interval of the
+    rotation between any two of them."""
     degrees, metres = moves(found.cameras, given)
-    turn, place = (np.array(list(found.report[key].values())) for key in ("sigma_deg", "sigma_m"))
+    place = np.array(list(found.report["sigma_m"].values()))
     warn(
         "people call for cameras that stand elsewhere than the calibration says: "
         + ", ".join(
             f"{c.name} turned by {d:.1f}° and moved by {100 * m:.0f} cm" for c, d, m in zip(given, degrees, metres)
         )
-        + f"; relative to one another they are known to ±{turn.max():.1f}° and "
+        + f"; relative to one another they are known to ±{between_deg:.1f}° (95 %) and "
         f"±{100 * place.max():.0f} cm (one standard deviation), so "
         "calibrate again if that is not enough"
     )

@@ -17,6 +17,9 @@ _WHITE = 250
 # What detectors err on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
 _NOISE_SHARE = 0.004
 _WORTH_REFINING = 0.1
+# Cameras that may be turned to one another by more than this, degrees, without people showing it: that is told. Two
+# people who walk past each other leave 1.6 open, one man on one spot 6 to 7.
+_TOLD_DEG = 2.0
 
 # What each verdict means, as the page's headline.
 HEADLINES = {
@@ -65,7 +68,8 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     )
     # Held-out cameras need no keypoints: that alone is no reason to look again.
     silent = report["without_keypoints"] if report["people"] else []
-    remarks = [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
+    remarks = _left_open(report) if not wrong else []
+    remarks += [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
     return name, refused + wrong + unclear + off + rest + remarks
 
 
@@ -126,6 +130,27 @@ def _off(report: dict[str, Any]) -> list[str]:
     return [
         f"{size}, {refined['px']:.1f} px once refinement has moved the cameras "
         f"({turned}); usable, with cameras.refine on"
+    ]
+
+
+def _left_open(report: dict[str, Any]) -> list[str]:
+    """How far off cameras may be that people fit, where that is much."""
+    refined = report["refined"]
+    if refined is None or refined["between_deg"] is None:
+        return []
+    asked, between = refined["asked_deg"], refined["between_deg"]
+    if asked + between <= _TOLD_DEG:
+        return []
+    remedy = "let somebody walk through the whole room while all cameras film, or calibrate again if that is not enough"
+    if refined["elsewhere"]:
+        return [
+            f"once refinement has moved them, people tell how any two cameras are turned to one another to "
+            f"±{between:.1f}° (95 %), less where the room's floor joins them; {remedy}"
+        ]
+    return [
+        f"people alone tell how any two cameras are turned to one another to ±{between:.1f}° (95 %), and would turn "
+        f"two of them by {asked:.1f}°: a calibration that is off by up to {asked + between:.1f}° fits these people; "
+        f"{remedy}"
     ]
 
 
