@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from studiorecon.background import hole_filling as room
 from studiorecon.background import preparation, train
-from studiorecon.background.seeding import random_volume, seeds_from_depth
+from studiorecon.background.seeding import finest, random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, view_weight
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
@@ -115,6 +115,24 @@ def test_seeds_lie_on_the_walls_in_the_plates_colours(cameras: list[Camera]) -> 
     assert np.allclose(made.sh[:, 0] * 0.28209479 + 0.5, rgb[at[:, 0], at[:, 1]], atol=1e-5)
     # Thin across the wall: the shortest axis is a third or less of the others.
     assert np.all(made.log_scales[:, 2] < made.log_scales[:, 0] - 1)
+
+
+def test_what_several_photos_show_is_started_from_the_one_that_shows_it_finest() -> None:
+    near, far = ring([0, 0], "c", radius_m=1.9, wh=WH)
+    back = near.camera_from_world.copy()
+    back[2, 3] += 1.5
+    far = replace(far, camera_from_world=back)
+    (_, near_m), (_, far_m) = look(near), look(far)
+    known = np.ones(near.hw, bool)
+    own, theirs = finest([near, far], [near_m, far_m], [known, known])
+    assert own.mean() > 0.95, "all that the nearer one sees"
+    there, depth_m = near.project(far.unproject(far.pixel_centres(), far_m))
+    shared = (depth_m > 0) & (there > 0).all(-1) & (there < WH).all(-1)
+    assert shared.mean() > 0.2
+    assert theirs[shared].mean() < 0.05
+    assert theirs[~shared].mean() > 0.9, "what it alone sees"
+    known[:28] = False
+    assert not finest([near, far], [near_m, far_m], [known, known])[0][:28].any()
 
 
 def test_plates_are_trained_on_with_the_depth_they_were_seeded_from(cameras: list[Camera]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.background import hole_filling
-from studiorecon.background.seeding import random_volume, seeds_from_depth
+from studiorecon.background.seeding import finest, random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, view_weight
 from studiorecon.background.train_settings import Settings
 from studiorecon.errors import UserError
@@ -103,11 +103,12 @@ def seeds(
     nobody sees it."""
     degree = settings.training.sh_degree
     sets, marks = [], []
-    for photo in photos:
+    wanted = finest([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
+    for photo, alone in zip(photos, wanted):
         made, at = seeds_from_depth(
             photo.camera,
             photo.rgb,
-            photo.known,
+            alone,
             photo.depth_m,
             settings.stride,
             settings.seed_size,

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from studiorecon.geometry.depth_surface import points_and_normals
@@ -14,6 +16,8 @@ from studiorecon.splatting.discs import discs
 _FLATNESS = 0.15
 # A jump in depth by more than this share: no Gaussian there, its normal would lean between two surfaces.
 _EDGE_SHARE = 0.24
+# Between photos, surfaces nearer to each other than this share of their depth are one.
+_SAME_SURFACE = 0.03
 # Opacity of Gaussians that were put anywhere: faint enough for gradients to reach those behind them.
 _FAINT = 0.1
 
@@ -44,6 +48,42 @@ def seeds_from_depth(
     spacing_m = depth_m[at] / np.mean(camera.focal_px) * stride
     made = discs(points[at], normals[at], rgb[at], spacing_m * size / np.sqrt(facing), _FLATNESS, opacity, sh_degree)
     return made, np.stack(at, axis=1)
+
+
+def finest(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], known: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """(H, W) bool of every camera: pixels ``known`` there whose surface no other camera shows finer.
+
+    What several photos show is started once, from the photo that has most pixels on a square metre of it: another set
+    of discs a little before or behind it costs as much and shows nothing more. ``depths_m`` and ``known`` (H, W).
+    """
+    views = [points_and_normals(depth_m, camera, _EDGE_SHARE) for camera, depth_m in zip(cameras, depths_m)]
+    fine = [
+        np.where(valid & own, _pixels_per_m2(camera, points, normals), 0)
+        for camera, own, (points, normals, valid) in zip(cameras, known, views)
+    ]
+    wanted = []
+    for first, (points, normals, _) in enumerate(views):
+        best = fine[first] > 0
+        for second, camera in enumerate(cameras):
+            if second == first:
+                continue
+            pixels, depth_m = camera.project(points)
+            at = np.where(np.isfinite(pixels), pixels, -1).astype(int)
+            inside = (depth_m > 0) & (at >= 0).all(-1) & (at < camera.wh).all(-1)
+            there = np.where(inside, at[..., 1], 0), np.where(inside, at[..., 0], 0)
+            same = np.abs(depths_m[second][there] - depth_m) < _SAME_SURFACE * depth_m
+            finer = (fine[second][there] > 0) & (_pixels_per_m2(camera, points, normals) > fine[first])
+            best &= ~(inside & same & finer)
+        wanted.append(best)
+    return wanted
+
+
+def _pixels_per_m2(camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """How many pixels a camera has on a square metre of surface at ``points`` (H, W, 3)."""
+    rays = points - camera.centre_m
+    distance_m = np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)
+    facing = np.abs(np.sum(rays * normals, axis=-1)) / distance_m
+    return np.mean(camera.focal_px) ** 2 * facing / distance_m**2
 
 
 def random_volume(

@@ -23,7 +23,7 @@ class Settings:
     )
     random_count: int = 56000
     random_size_m: float = 0.06
-    stride: int = setting(3, "One Gaussian per so many pixels in either direction of every plate.", minimum=1)
+    stride: int = setting(2, "One Gaussian per so many pixels in either direction of every plate.", minimum=1)
     seed_size: float = 0.6
     seed_opacity: float = 0.7
     measured_confidence: float = 0.2
@@ -59,7 +59,7 @@ class Settings:
     )
     fill_limit: int = setting(150000, "Most nodes of that grid.", minimum=1)
     views_share: float = setting(
-        0.5,
+        0.75,
         "Share of the steps that train on synthesized views.",
         minimum=0,
         below=1,

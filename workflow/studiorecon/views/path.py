@@ -45,7 +45,7 @@ class Settings:
         letter="slerp",
     )
     clearance: float = setting(
-        0.6,
+        1.0,
         "Horizontal distance to the scene centre, as a share of the smaller of the two cameras' own distances; where "
         "the straight line comes nearer, views stand on an arc: 1 = always.",
         minimum=0,
