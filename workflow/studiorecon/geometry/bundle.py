@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.configuration.setting import setting
 from studiorecon.geometry.rotations import cross_matrix, exp, log
 from studiorecon.scene.camera import Camera
 
@@ -28,13 +27,12 @@ class BundleSettings:
 
     Attributes:
         iterations: Levenberg-Marquardt steps.
+        prior_deg, prior_m: standard deviations of the given rotations and centres: how far a calibration is trusted.
     """
 
     iterations: int = 30
-    prior_deg: float | np.ndarray = setting(
-        0.3, "Standard deviation of the given rotations: how far a calibration is trusted.", unit="degrees", above=0
-    )
-    prior_m: float | np.ndarray = setting(0.03, "Standard deviation of the given centres.", unit="m", above=0)
+    prior_deg: float | np.ndarray = 0.3
+    prior_m: float | np.ndarray = 0.03
 
 
 @dataclass(frozen=True)

@@ -77,9 +77,8 @@ class Rates:
     opacity: float = 0.02
     colour: float = 0.005
     harmonics: float = 0.00025
-    pose_rad: float = setting(
-        0.0005, "Step of joints, metres for the pelvis; 0 keeps the fitted poses.", unit="rad", minimum=0
-    )
+    # Of joints, metres for the pelvis.
+    pose_rad: float = 0.0005
 
     def at(self, done: float) -> dict[str, float]:
         """The rate of every kind of parameter after this share of the iterations."""

@@ -55,14 +55,8 @@ class Settings(Drawn):
     background_rgb: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), "Colour where nothing was reconstructed, RGB.", minimum=0, maximum=1
     )
-    clearance_m: float = setting(
-        0.3,
-        "Orbits, oscillations and following cameras keep this distance to solid background by stepping "
-        "inwards; 0 = do not check.",
-        unit="m",
-        minimum=0,
-        maximum=10,
-    )
+    # Orbits, oscillations and following cameras keep this distance to solid background by stepping inwards.
+    clearance_m: float = 0.3
 
 
 def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int, fps: float) -> Subjects:

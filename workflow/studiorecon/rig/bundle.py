@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from studiorecon.configuration.setting import setting
 from studiorecon.geometry.bundle import Adjusted, BundleSettings, LensPrior, adjust_with_lenses, without_drift
 from studiorecon.geometry.distortion import undistort
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
@@ -26,15 +25,12 @@ _POSES_ONLY = LensPrior(0.0, 0.0)
 class Agreement:
     """When cameras agree with people; every step that judges or moves cameras on people is told.
 
+    A calibration is refused when people's keypoints are off by more than ``max_error_share`` of the longer image side.
     Tracks of two cameras may be one person when their rays pass within ``gate_m``, generous, since poses may be off.
     """
 
-    max_error_share: float = setting(
-        0.01,
-        "A calibration is refused when people's keypoints are off by more than this share of the longer image side; "
-        "the worst real one that refinement could still use was 0.7 % off, one that was shuffled 1.2 %.",
-        above=0,
-    )
+    # The worst real calibration that refinement could still use was 0.7 % off, one that was shuffled 1.2 %.
+    max_error_share: float = 0.01
     gate_m: float = 0.25
     limits: Limits = Limits()
 
@@ -43,7 +39,7 @@ class Agreement:
 class Trust:
     """How far the given cameras are trusted where people call for others."""
 
-    bundle: BundleSettings = setting(BundleSettings(), "How far bundle adjustment may move the cameras.")
+    bundle: BundleSettings = BundleSettings()
 
 
 @dataclass(frozen=True)

@@ -80,12 +80,8 @@ class AssociationLimits:
     sigma_rad: float = 0.5
     undecided_margin: float = 0.05
     track_agreement: float = 0.5
-    camera_share: float = setting(
-        0.6,
-        "Share of the training cameras that must see a person for some time; fewer make a bystander, three never do.",
-        minimum=0,
-        maximum=1,
-    )
+    # Of the training cameras, that must see a person for some time; fewer make a bystander, three never do.
+    camera_share: float = 0.6
     min_s: float = 0.4
     torso_m: tuple[float, float] = (0.2, 0.8)
     reentry_speed_m_s: float = 1.5
