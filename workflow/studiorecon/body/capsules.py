@@ -31,9 +31,8 @@ class Occluder:
     ends_m: Num[np.ndarray, "C 2 3"]
     radius_m: Num[np.ndarray, " C"]
 
-    def posed(self, world_from_rest: np.ndarray) -> Num[np.ndarray, "C 7"]:
-        """(C, 7) capsules in the world, two ends and a radius, from joint transforms (24, 4, 4); none when those are
-        not finite.
+    def posed(self, world_from_rest: Num[np.ndarray, "24 4 4"]) -> Num[np.ndarray, "C 7"]:
+        """Capsules in the world, two ends and a radius, from joint transforms; none when those are not finite.
 
         Raises ValueError for another shape.
         """
@@ -46,7 +45,7 @@ class Occluder:
         return np.concatenate([ends.reshape(-1, 6), self.radius_m[:, None]], axis=1)
 
 
-def occluder(model: BodyModel, betas: np.ndarray) -> Occluder:
+def occluder(model: BodyModel, betas: Num[np.ndarray, " B"]) -> Occluder:
     """Every joint's vertices, those that it moves most, as a capsule along their longest direction.
 
     The radius is their mean distance from the axis, and the axis ends that much before they do.

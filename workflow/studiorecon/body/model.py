@@ -64,14 +64,14 @@ class BodyModel:
     joint_template_m: Num[np.ndarray, "24 3"]
     joint_directions: Num[np.ndarray, "24 3 B"]
     weights: Float[np.ndarray, "V 24"]
-    pose_directions: np.ndarray | None
+    pose_directions: Num[np.ndarray, "V 3 207"] | None
     keypoint_names: tuple[str, ...]
-    keypoint_vertices: np.ndarray
-    keypoint_joints: np.ndarray
+    keypoint_vertices: Num[np.ndarray, "K V"]
+    keypoint_joints: Num[np.ndarray, "K 24"]
     region_names: tuple[str, ...]
     region: Integer[np.ndarray, " V"]
     proxy_vertices: Num[np.ndarray, " P"]
-    proxy_faces: np.ndarray
+    proxy_faces: Integer[np.ndarray, "Q 3"]
 
     @staticmethod
     def load(path: Path) -> BodyModel:
@@ -102,19 +102,20 @@ class BodyModel:
         held = {name: getattr(self, name) for name in lengths}
         return replace(self, **{name: scale * array for name, array in held.items() if array is not None})
 
-    def rest_vertices(self, betas: np.ndarray) -> Num[np.ndarray, "V 3"]:
-        """(V, 3) the shaped T-pose, pelvis at its rest position. Raises ValueError for more betas than shape and
-        size."""
+    def rest_vertices(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "V 3"]:
+        """The shaped T-pose, pelvis at its rest position. Raises ValueError for more betas than shape and size."""
         shape, size = _betas(betas, self.shapes)
         return size * self.template_m + self.shape_directions @ shape
 
-    def rest_joints(self, betas: np.ndarray) -> Num[np.ndarray, "24 3"]:
-        """(24, 3) joints of the shaped T-pose. Raises ValueError for more betas than shape and size."""
+    def rest_joints(self, betas: Num[np.ndarray, " B"]) -> Num[np.ndarray, "24 3"]:
+        """Joints of the shaped T-pose. Raises ValueError for more betas than shape and size."""
         shape, size = _betas(betas, self.shapes)
         return size * self.joint_template_m + self.joint_directions @ shape
 
-    def joints(self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray) -> Num[np.ndarray, "T 24 3"]:
-        """(T, 24, 3) world joints of poses (T, 72) axis-angle, betas (B,) and pelvis positions (T, 3).
+    def joints(
+        self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
+    ) -> Num[np.ndarray, "T 24 3"]:
+        """World joints of axis-angle poses, betas and pelvis positions, metres.
 
         Raises ValueError for other shapes; so do the functions below.
         """
@@ -123,19 +124,23 @@ class BodyModel:
         return skinning.forward_kinematics(local, self.rest_joints(betas), self.parents)[1] + trans_m[:, None]
 
     def joint_transforms(
-        self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray
+        self, poses: Num[np.ndarray, "T 72"], betas: Num[np.ndarray, " B"], trans_m: Num[np.ndarray, "T 3"]
     ) -> Num[np.ndarray, "T 24 4 4"]:
-        """(T, 24, 4, 4) world_from_rest of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as
-        ``joints`` does."""
+        """``world_from_rest`` of every joint; rest is the shaped T-pose (``rest_vertices``). Raises as ``joints``
+        does."""
         poses, trans_m = _frames(poses, trans_m)
         rest = self.rest_joints(betas)
         world, joints = skinning.forward_kinematics(rotations.exp(poses.reshape(-1, 24, 3)), rest, self.parents)
         return skinning.world_from_rest(world, joints + trans_m[:, None], rest)
 
     def vertices(
-        self, poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray, chosen: np.ndarray | None = None
+        self,
+        poses: Num[np.ndarray, "T 72"],
+        betas: Num[np.ndarray, " B"],
+        trans_m: Num[np.ndarray, "T 3"],
+        chosen: Integer[np.ndarray, " C"] | None = None,
     ) -> Float[np.ndarray, "T V 3"]:
-        """(T, V, 3) float32 world vertices; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given.
+        """World vertices, float32; only those ``chosen`` (indices, e.g. ``proxy_vertices``) when given.
 
         Raises as ``joints`` does.
         """
@@ -151,9 +156,13 @@ class BodyModel:
         return skinning.skin(rest, self.weights[everything], transforms)
 
     def keypoints(
-        self, names: Sequence[str], poses: np.ndarray, betas: np.ndarray, trans_m: np.ndarray
+        self,
+        names: Sequence[str],
+        poses: Num[np.ndarray, "T 72"],
+        betas: Num[np.ndarray, " B"],
+        trans_m: Num[np.ndarray, "T 3"],
     ) -> Num[np.ndarray, "T K 3"]:
-        """(T, K, 3) world keypoints by name (``keypoint_names``); exact for the surface without pose correctives.
+        """World keypoints by name (``keypoint_names``); exact for the surface without pose correctives.
 
         Raises as ``joints`` does, and KeyError for a name that the body lacks.
         """
@@ -166,8 +175,8 @@ class BodyModel:
         offsets = anchors - share[..., None] * rest
         return np.einsum("tjxy,kjy->tkx", world, offsets) + np.einsum("kj,tjx->tkx", share, joints) + trans_m[:, None]
 
-    def keypoint_basis(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """Shares (K, 24) and anchors (K, 24, 3, 1 + B) with which K keypoints need no mesh.
+    def keypoint_basis(self, names: Sequence[str]) -> tuple[Num[np.ndarray, "K 24"], Num[np.ndarray, "K 24 3 1+B"]]:
+        """Shares and anchors with which K keypoints need no mesh.
 
         A linear surface point under skinning is Σ_j G_j (anchor_kj(β) − share_kj J_j(β)) + share_kj J_j^posed, G_j the
         joint's world rotation: the sums over vertices are done once, here. Raises KeyError for a name the body does not
@@ -186,9 +195,10 @@ class BodyModel:
             anchors[k] = np.einsum("vj,vxb->jxb", carried, surface) + joints[k][:, None, None] * skeleton
         return share, anchors
 
-    def vertex_basis(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Shares (V, 24) and anchors (V, 24, 3, 1 + B) of surface points (V,); without pose correctives, see
-        ``keypoint_basis``."""
+    def vertex_basis(
+        self, vertices: Integer[np.ndarray, " V"]
+    ) -> tuple[Num[np.ndarray, "V 24"], Num[np.ndarray, "V 24 3 1+B"]]:
+        """Shares and anchors of surface points; without pose correctives, see ``keypoint_basis``."""
         share = self.weights[vertices].astype(np.float64)
         share /= share.sum(1, keepdims=True)
         surface = np.concatenate([self.template_m[vertices, :, None], self.shape_directions[vertices]], axis=-1)
@@ -207,12 +217,12 @@ def _missing(name: str) -> int:
     raise KeyError(name)
 
 
-def of_size(betas: np.ndarray, scale: float) -> Num[np.ndarray, " B+1"]:
-    """Betas (B + 1,) of the body with ``betas`` (B,) and all its lengths times ``scale`` (paper, Eq. 4: s* J(β))."""
+def of_size(betas: Num[np.ndarray, " B"], scale: float) -> Num[np.ndarray, " B+1"]:
+    """Betas of the body with ``betas`` and all its lengths times ``scale`` (paper, Eq. 4: s* J(β))."""
     return np.append(scale * np.asarray(betas, dtype=np.float64), scale - 1.0)
 
 
-def shape_and_size(betas: np.ndarray, shapes: int) -> tuple[Num[np.ndarray, " B"], float]:
+def shape_and_size(betas: Num[np.ndarray, " _"], shapes: int) -> tuple[Num[np.ndarray, " B"], float]:
     """Coordinates (B,) of the shape space and the scale that ``betas`` of a body with B ``shapes`` stand for: what
     ``of_size`` was given. Raises ValueError as ``rest_joints`` does."""
     shape, size = _betas(betas, shapes)

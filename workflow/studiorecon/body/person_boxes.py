@@ -47,7 +47,10 @@ def people_regions(
 
 
 def draw_person(
-    region: Num[np.ndarray, "H W"], points: dict[str, np.ndarray], bones: Sequence[tuple[str, str]], margin: float
+    region: Num[np.ndarray, "H W"],
+    points: dict[str, Num[np.ndarray, " 2"]],
+    bones: Sequence[tuple[str, str]],
+    margin: float,
 ) -> None:
     """Draw one person into ``region`` (H, W) uint8; ``points`` are pixels by keypoint name, absent when not seen."""
     if len(points) < 3:

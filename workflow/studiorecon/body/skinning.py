@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 def forward_kinematics(
     rotations: Num[np.ndarray, "T J 3 3"],
-    rest_joints_m: Num[np.ndarray, "24 3"],
+    rest_joints_m: Num[np.ndarray, "... J 3"],
     parents: Num[np.ndarray, " J"],
-    root_m: np.ndarray | float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """World rotations (T, 24, 3, 3) and joints (T, 24, 3), root joint at ``root_m`` (T, 3), the origin by default.
+    root_m: Num[np.ndarray, "T 3"] | float = 0.0,
+) -> tuple[Num[np.ndarray, "T J 3 3"], Num[np.ndarray, "T J 3"]]:
+    """World rotations and joints, root joint at ``root_m``, the origin by default.
 
-    ``rotations`` (T, 24, 3, 3) are each joint's relative to its parent, ``rest_joints_m`` (24, 3) the shaped
-    T-pose, or (T, 24, 3) one per frame; parents come before their children. Raises ValueError that names the argument
-    for other shapes; a rotation that is not finite makes its own frame so, no other.
+    ``rotations`` are each joint's relative to its parent, ``rest_joints_m`` the shaped T-pose, or one per frame;
+    parents come before their children. Raises ValueError that names the argument for other shapes; a rotation that is
+    not finite makes its own frame so, no other.
     """
     sizes = require("rotations", rotations, ("T", "J", 3, 3))
     require("rest_joints_m", rest_joints_m, ("J", 3) if np.ndim(rest_joints_m) == 2 else ("T", "J", 3), sizes)
@@ -62,10 +62,9 @@ def world_from_rest(
 
 
 def skin(
-    points_m: np.ndarray, weights: Num[np.ndarray, "V J"], transforms: Num[np.ndarray, "T J 4 4"]
+    points_m: Num[np.ndarray, "... V 3"], weights: Num[np.ndarray, "V J"], transforms: Num[np.ndarray, "T J 4 4"]
 ) -> Num[np.ndarray, "T V 3"]:
-    """(T, V, 3) points (V, 3) or (T, V, 3) carried by (T, J, 4, 4) transforms with weights (V, J), in the dtype of
-    ``weights``.
+    """Points, the same in every frame or each frame's own, carried by transforms, in the dtype of ``weights``.
 
     A dense product with BLAS beats gathering four transforms per point: 1 ms against 3 ms for 13,718 vertices in
     float32. Raises ValueError that names the argument for other shapes.

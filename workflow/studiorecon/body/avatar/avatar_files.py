@@ -79,8 +79,8 @@ class Avatar:
         """Share of the Gaussians that a training camera saw."""
         return float((self.provenance == MEASURED).mean()) if len(self.provenance) else 0.0
 
-    def pose_at(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
-        """Axis-angle pose (72,) and pelvis position (3,) at a 0-based frame, between frames on the sphere of rotations.
+    def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 72"], Num[np.ndarray, " 3"]]:
+        """Axis-angle pose and pelvis position, metres, at a 0-based frame, between frames on the sphere of rotations.
 
         Frames outside the clip show its first or last pose: a film may hold the end.
         """
@@ -106,7 +106,7 @@ class Avatar:
 
     @cached_property
     def _moved(self) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
-        def moved(frame: float) -> tuple[np.ndarray, np.ndarray]:
+        def moved(frame: float) -> tuple[Num[np.ndarray, "24 4 4"], Num[np.ndarray, "24 3"]]:
             pose, trans = self.pose_at(frame)
             transforms = self.model.joint_transforms(pose[None], self.betas, trans[None])[0]
             joints = self.model.joints(pose[None], self.betas, trans[None])[0]
@@ -130,9 +130,9 @@ class Avatar:
     def _drift(self) -> Drift | None:
         return Drift(self.network, self.gaussians.means_m[self.drifting]) if self.network else None
 
-    def looks_at(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
-        """Harmonics (N, K, 3) and logit opacities (N,) of the canonical Gaussians at a 0-based, possibly fractional
-        frame: what the network adds over time, on those that it acts on."""
+    def looks_at(self, frame: float) -> tuple[Float[np.ndarray, "N K 3"], Float[np.ndarray, " N"]]:
+        """Harmonics and logit opacities of the canonical Gaussians at a 0-based, possibly fractional frame: what the
+        network adds over time, on those that it acts on."""
         own, seen = self.gaussians, self.drifting
         if self._drift is None or not seen.any():
             return own.sh, own.logit_opacities

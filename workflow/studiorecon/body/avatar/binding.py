@@ -99,10 +99,9 @@ def bind(given: Gaussians, model: BodyModel, named: str) -> Binding:
 
 def surface_weights(
     points_m: Num[np.ndarray, "N 3"], vertices_m: Num[np.ndarray, "V 3"], weights: Num[np.ndarray, "V J"]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Joints (N, 4) and weights (N, 4) of points (N, 3) from the surface beside them: the four nearest of the vertices
-    (V, 3), each by its inverse squared distance, so that a thigh's skin hardly listens to the other thigh's (
-    L06).
+) -> tuple[Integer[np.ndarray, "N 4"], Num[np.ndarray, "N 4"]]:
+    """Joints and weights of points from the surface beside them: the four nearest of the vertices, each by its inverse
+    squared distance, so that a thigh's skin hardly listens to the other thigh's (L06).
 
     Raises ValueError for other shapes.
     """

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 import scipy
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # Points that a Gaussian between them listens to.
 _NEAREST = 4
@@ -28,13 +32,13 @@ class ControlPoints:
         shares: (N, 4) float32 how much it listens to each; rows sum to 1.
     """
 
-    points_m: np.ndarray
-    near: np.ndarray
-    shares: np.ndarray
+    points_m: Float[np.ndarray, "M 3"]
+    near: Integer[np.ndarray, "N 4"]
+    shares: Float[np.ndarray, "N 4"]
 
     @classmethod
-    def on(cls, means_m: np.ndarray, count: int) -> ControlPoints:
-        """``count`` of the places ``means_m`` (N, 3), as far apart as may be, and the shares of all N in them.
+    def on(cls, means_m: Num[np.ndarray, "N 3"], count: int) -> ControlPoints:
+        """``count`` of the places ``means_m``, as far apart as may be, and the shares of all N in them.
 
         A share falls to 0 where the next point takes over, so that nothing jumps from one Gaussian to its neighbour.
         The same places give the same points; where there are fewer, all of them are points.
@@ -54,15 +58,14 @@ class ControlPoints:
         shares = np.where(total > 1e-12, shares / np.maximum(total, 1e-12), np.eye(_NEAREST)[0])
         return cls(points, near[:, :_NEAREST].astype(np.int32), shares.astype(np.float32))
 
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        """(N, C) float32 of the Gaussians from (M, C) of the points."""
+    def spread(self, values: Num[np.ndarray, "M C"]) -> Float[np.ndarray, "N C"]:
+        """Values of the Gaussians, float32, from those of the points."""
         out = np.empty((len(self.near), values.shape[1]), np.float32)
         _spread(self.near, self.shares, np.ascontiguousarray(values, np.float32), out)
         return out
 
-    def gathered(self, gradient: np.ndarray) -> np.ndarray:
-        """(M, C) float32: the gradient by the points' values from that by the Gaussians' (N, C); NaN and inf count
-        0."""
+    def gathered(self, gradient: Num[np.ndarray, "N C"]) -> Float[np.ndarray, "M C"]:
+        """The gradient by the points' values, float32, from that by the Gaussians'; NaN and inf count 0."""
         out = np.zeros((len(self.points_m), gradient.shape[1]), np.float32)
         _gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
         return out
@@ -77,9 +80,9 @@ class ControlPoints:
         return cls(held["points_m"], held["near"], held["shares"]) if "points_m" in held else None
 
 
-def spread_out(points_m: np.ndarray, count: int) -> np.ndarray:
-    """(min(count, N),) indices of points (N, 3) of which each is the one furthest from all before it; the first is the
-    one nearest to their mean."""
+def spread_out(points_m: Num[np.ndarray, "N 3"], count: int) -> Integer[np.ndarray, " K"]:
+    """Indices of ``count`` points, or of all where there are fewer, each the one furthest from all before it; the first
+    is the one nearest to their mean."""
     chosen = np.empty(min(count, len(points_m)), np.int64)
     chosen[0] = np.square(points_m - points_m.mean(axis=0)).sum(axis=1).argmin()
     gap = np.full(len(points_m), np.inf)

@@ -8,10 +8,14 @@ body are, and films that show a frame several times, or from several cameras, as
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.body.avatar.temporal import TemporalNetwork
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 # Answers that are kept, bytes: a thousand frames of some hundred points, a hundred of ten thousand Gaussians.
 _KEPT = 1 << 26
@@ -20,15 +24,15 @@ _KEPT = 1 << 26
 class Drift:
     """A network at the Gaussians it was made for."""
 
-    def __init__(self, network: TemporalNetwork, means_m: np.ndarray) -> None:
-        """``means_m`` (N, 3): the places of the Gaussians that the network speaks of, in the rest pose."""
+    def __init__(self, network: TemporalNetwork, means_m: Num[np.ndarray, "N 3"]) -> None:
+        """``means_m``: the places of the Gaussians that the network speaks of, in the rest pose."""
         self._network, self._means_m = network, means_m
         rows = len(means_m) if network.control is None else len(network.control.points_m)
         self._answers = lru_cache(max(2, _KEPT // max(16 * rows, 1)))(self._asked)
 
-    def residuals(self, frame: float) -> tuple[np.ndarray, np.ndarray]:
-        """What to add to the constant harmonic (N, 3) and to the logit opacity (N,), float32, at a 0-based, possibly
-        fractional frame; before the first and after the last, theirs."""
+    def residuals(self, frame: float) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """What to add to the constant harmonic and to the logit opacity, float32, at a 0-based, possibly fractional
+        frame; before the first and after the last, theirs."""
         at = float(np.clip(frame, 0, self._network.frames - 1))
         low = int(at)
         found, share = self._answers(low), np.float32(at - low)

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 BANDS = 10
 
 
-def in_body_box(points_m: np.ndarray, low_m: np.ndarray, high_m: Num[np.ndarray, " 3"]) -> Float[np.ndarray, "N 3"]:
-    """(N, 3) float64 points with the box from ``low_m`` to ``high_m`` (3,) as [−1, 1]; a box without extent counts as a
-    metre wide.
+def in_body_box(
+    points_m: Num[np.ndarray, "N 3"], low_m: Num[np.ndarray, " 3"], high_m: Num[np.ndarray, " 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Points, float64, with the box from ``low_m`` to ``high_m`` as [−1, 1]; a box without extent counts as a metre
+    wide.
 
     Sines of 2⁹ x lose all digits in metres far from the origin (O01), never inside the box.
     """
@@ -29,9 +31,8 @@ def in_body_box(points_m: np.ndarray, low_m: np.ndarray, high_m: Num[np.ndarray,
     return (np.asarray(points_m, np.float64) - (low + high) / 2) / half
 
 
-def encode_position(normalised: np.ndarray, half_turns: bool = False) -> np.ndarray:
-    """(N, 3) normalised points → (N, 63) float32: the point, then sine and cosine of every band. No float16 anywhere
-    (O01)."""
+def encode_position(normalised: Num[np.ndarray, "N 3"], half_turns: bool = False) -> Float[np.ndarray, "N 63"]:
+    """Normalised points → float32: the point, then sine and cosine of every band. No float16 anywhere (O01)."""
     return _encoded(np.asarray(normalised, np.float64), BANDS, half_turns)
 
 

@@ -8,10 +8,13 @@ exist; there the bone with the largest weight decides (L04).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # Real SH constants of degree 2 in the order and with the signs of the 3DGS file format.
 _C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -244,7 +247,7 @@ class Posing:
         weights: (N, K) float32, non-negative, each row sums to 1.
     """
 
-    def __init__(self, bones: np.ndarray, weights: np.ndarray) -> None:
+    def __init__(self, bones: Integer[np.ndarray, "N K"], weights: Num[np.ndarray, "N K"]) -> None:
         count = len(bones)
         self.bones = np.ascontiguousarray(bones, np.uint8)
         self.weights = np.ascontiguousarray(weights, np.float32)
@@ -252,16 +255,25 @@ class Posing:
         self._turn_quaternions = np.empty((count, 4))
 
     def out(
-        self, means_m: np.ndarray, quaternions: np.ndarray, sh: np.ndarray, world_from_rest: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Posed means (N, 3), quaternions (N, 4) and SH (N, K, 3), float32, for bone transforms (24, 4, 4)."""
+        self,
+        means_m: Num[np.ndarray, "N 3"],
+        quaternions: Num[np.ndarray, "N 4"],
+        sh: Num[np.ndarray, "N C 3"],
+        world_from_rest: Num[np.ndarray, "B 4 4"],
+    ) -> tuple[Num[np.ndarray, "N 3"], Num[np.ndarray, "N 4"], Num[np.ndarray, "N C 3"]]:
+        """Posed means, quaternions and SH, float32, for the bones' transforms."""
         posed = np.empty_like(means_m), np.empty_like(quaternions), np.empty_like(sh)
         transforms = np.ascontiguousarray(world_from_rest, np.float64)
         kept = self.linear, self.turn, self._turn_quaternions
         carry_out(self.bones, self.weights, transforms, means_m, quaternions, sh, *kept, *posed)
         return posed
 
-    def back(self, grad_means: np.ndarray, grad_quaternions: np.ndarray, grad_sh: np.ndarray) -> tuple[np.ndarray, ...]:
+    def back(
+        self,
+        grad_means: Num[np.ndarray, "N 3"],
+        grad_quaternions: Num[np.ndarray, "N 4"],
+        grad_sh: Num[np.ndarray, "N C 3"],
+    ) -> tuple[Num[np.ndarray, "N 3"], Num[np.ndarray, "N 4"], Num[np.ndarray, "N C 3"]]:
         """Gradients at the canonical Gaussians, for the pose of the last ``out``."""
         canonical = np.empty_like(grad_means), np.empty_like(grad_quaternions), np.empty_like(grad_sh)
         kept = self.linear, self.turn, self._turn_quaternions
@@ -269,9 +281,12 @@ class Posing:
         return canonical
 
     def wrenches(
-        self, means_m: np.ndarray, grad_means: np.ndarray, world_from_rest: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Force and torque (24, 3) on every bone; see ``bone_wrenches``."""
+        self,
+        means_m: Num[np.ndarray, "N 3"],
+        grad_means: Num[np.ndarray, "N 3"],
+        world_from_rest: Num[np.ndarray, "B 4 4"],
+    ) -> tuple[Num[np.ndarray, "B 3"], Num[np.ndarray, "B 3"]]:
+        """Force and torque on every bone; see ``bone_wrenches``."""
         force, torque = np.zeros((len(world_from_rest), 3)), np.zeros((len(world_from_rest), 3))
         bone_wrenches(
             means_m,

@@ -23,7 +23,7 @@ from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.encoding import encode_position, encode_time, in_body_box
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Float, Num
 
 WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
@@ -47,7 +47,7 @@ class TemporalNetwork:
         everywhere: it acts on Gaussians that no camera saw as well (paper).
     """
 
-    flat: np.ndarray
+    flat: Float[np.ndarray, " P"]
     width: int
     layers: int
     low_m: Num[np.ndarray, " 3"]
@@ -62,8 +62,8 @@ class TemporalNetwork:
     @classmethod
     def start(
         cls,
-        low_m: np.ndarray,
-        high_m: np.ndarray,
+        low_m: Num[np.ndarray, " 3"],
+        high_m: Num[np.ndarray, " 3"],
         frames: int,
         rng: np.random.Generator,
         width: int = WIDTH,
@@ -89,9 +89,10 @@ class TemporalNetwork:
             weights[...] = rng.standard_normal(weights.shape) * np.sqrt(2 / len(weights))
         return made
 
-    def matrices(self, flat: np.ndarray | None = None) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Weights (in, out) and biases (out,) of every layer as views of the parameters, or of ``flat``, a vector of
-        the same size."""
+    def matrices(
+        self, flat: Float[np.ndarray, " P"] | None = None
+    ) -> list[tuple[Float[np.ndarray, "inputs units"], Float[np.ndarray, " units"]]]:
+        """Weights and biases of every layer as views of the parameters, or of ``flat``, a vector of the same size."""
         source, at, views = self.flat if flat is None else flat, 0, []
         for rows, columns in _shapes(self.width, self.layers):
             middle = at + rows * columns
@@ -99,9 +100,11 @@ class TemporalNetwork:
             at = middle + columns
         return views
 
-    def residuals(self, means_m: Num[np.ndarray, "N 3"], frame: float) -> tuple[np.ndarray, np.ndarray]:
-        """What to add to the constant harmonic (N, 3) and to the logit opacity (N,), float32, at a 0-based, possibly
-        fractional frame.
+    def residuals(
+        self, means_m: Num[np.ndarray, "N 3"], frame: float
+    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """What to add to the constant harmonic and to the logit opacity, float32, at a 0-based, possibly fractional
+        frame.
 
         With control points the answer is theirs, for the Gaussians they were made for, wherever those are now.
 
@@ -146,9 +149,8 @@ class TemporalNetwork:
             self._kept.append(hidden)
         return hidden @ weights + biases
 
-    def gradient(self, by_colour: np.ndarray, by_logit: np.ndarray) -> np.ndarray:
-        """Gradient of ``flat`` from those of the last ``residuals`` (N, 3) and (N,); positions are held, as the
-        predecessor does."""
+    def gradient(self, by_colour: Num[np.ndarray, "N 3"], by_logit: Num[np.ndarray, " N"]) -> Float[np.ndarray, " P"]:
+        """Gradient of ``flat`` from those of the last ``residuals``; positions are held, as the predecessor does."""
         found = np.empty_like(self.flat)
         back = np.empty((len(by_colour), _OUTPUTS), self.flat.dtype)
         back[:, :3], back[:, 3] = by_colour, by_logit
@@ -185,14 +187,14 @@ class TemporalNetwork:
 
 def with_residuals(
     network: TemporalNetwork | None,
-    seen: np.ndarray,
-    means_m: np.ndarray,
-    colour: np.ndarray,
-    logits: np.ndarray,
+    seen: Bool[np.ndarray, " N"],
+    means_m: Num[np.ndarray, "N 3"],
+    colour: Num[np.ndarray, "N 1 3"],
+    logits: Num[np.ndarray, " N"],
     frame: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Constant harmonics (N, 1, 3) and logits (N,) with what ``network`` adds to the ``seen`` Gaussians; unchanged
-    without a network."""
+) -> tuple[Num[np.ndarray, "N 1 3"], Num[np.ndarray, " N"]]:
+    """Constant harmonics and logits with what ``network`` adds to the ``seen`` Gaussians; unchanged without a
+    network."""
     if network is None or not seen.any():
         return colour, logits
     more_colour, more_logit = network.residuals(means_m[seen], frame)

@@ -17,7 +17,7 @@ import scipy
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Num
+    from jaxtyping import Float, Integer, Num
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,10 @@ def _trilinear(at, weights, found):
             found[i, bone] = mixed[bone] / total
 
 
-def every_bone(grid: WeightGrid, points_m: Num[np.ndarray, "N 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """All bones (N, B) uint8 and the grid's weights (N, B) at points. Raises as ``query`` does."""
+def every_bone(
+    grid: WeightGrid, points_m: Num[np.ndarray, "N 3"]
+) -> tuple[Integer[np.ndarray, "N B"], Num[np.ndarray, "N B"]]:
+    """All bones, uint8, and the grid's weights at points. Raises as ``query`` does."""
     weights = grid.query(points_m)
     return np.tile(np.arange(weights.shape[1], dtype=np.uint8), (len(weights), 1)), weights
 
@@ -98,8 +100,10 @@ def build_weight_grid(
     return WeightGrid(origin, spacing, mixed.reshape(resolution, resolution, resolution, -1).astype(np.float32))
 
 
-def strongest(weights: Num[np.ndarray, "N B"], keep: int) -> tuple[np.ndarray, np.ndarray]:
-    """The ``keep`` largest weights of every row: joints (N, keep) uint8, weights (N, keep) float32 summing to 1.
+def strongest(
+    weights: Num[np.ndarray, "N B"], keep: int
+) -> tuple[Integer[np.ndarray, "N keep"], Float[np.ndarray, "N keep"]]:
+    """The ``keep`` largest weights of every row: joints, uint8, and weights, float32 summing to 1.
 
     Raises ValueError for another shape or numbers that are not finite.
     """

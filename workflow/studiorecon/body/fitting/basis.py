@@ -14,37 +14,37 @@ from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Integer, Num
 
 
 @dataclass(frozen=True)
 class State:
-    local: np.ndarray  # (F, 24, 3, 3)
-    trans: np.ndarray  # (F, 3)
-    betas: np.ndarray  # (B,)
+    local: Num[np.ndarray, "F 24 3 3"]
+    trans: Num[np.ndarray, "F 3"]
+    betas: Num[np.ndarray, " B"]
     log_scale: float
-    corrections: (
-        np.ndarray
-    )  # (C, 3) metres, detector's point minus the body's, in the axes of the joint that carries it most
+    # Metres, detector's point minus the body's, in the axes of the joint that carries it most.
+    corrections: Num[np.ndarray, "C 3"]
 
     @property
     def shared(self) -> Num[np.ndarray, " S"]:
         """(S,) what all frames share: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
-    def at(self, frames: np.ndarray) -> State:
-        """Some frames (F,) bool."""
+    def at(self, frames: Bool[np.ndarray, " F"]) -> State:
+        """Some frames only."""
         return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
 
-    def put(self, frames: np.ndarray, part: State) -> State:
+    def put(self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"], part: State) -> State:
         """The state whose ``frames`` are those of ``part``; what is shared stays."""
         local, trans = self.local.copy(), self.trans.copy()
         local[frames], trans[frames] = part.local, part.trans
         return State(local, trans, self.betas, self.log_scale, self.corrections)
 
-    def moved(self, local_turn: np.ndarray, shift: np.ndarray, shared: np.ndarray) -> State:
-        """The state after small turns (F, 24, 3) about the joints' own axes, shifts (F, 3) and a change (S,) of what is
-        shared."""
+    def moved(
+        self, local_turn: Num[np.ndarray, "F 24 3"], shift: Num[np.ndarray, "F 3"], shared: Num[np.ndarray, " S"]
+    ) -> State:
+        """The state after small turns about the joints' own axes, shifts and a change of what is shared."""
         count = len(self.betas)
         return State(
             self.local @ rotations.exp(local_turn),
@@ -59,20 +59,20 @@ class State:
 class BodyPoints:
     """Points in a pose and what their derivatives are made of."""
 
-    points: np.ndarray  # (F, K, 3)
-    parts: np.ndarray  # (F, 24, K, 3) what each joint contributes, about the pelvis and unscaled
-    world: np.ndarray  # (F, 24, 3, 3)
-    joints: np.ndarray  # (F, 24, 3) about the pelvis and unscaled
+    points: Num[np.ndarray, "F K 3"]
+    parts: Num[np.ndarray, "F 24 K 3"]  # what each joint contributes, about the pelvis and unscaled
+    world: Num[np.ndarray, "F 24 3 3"]
+    joints: Num[np.ndarray, "F 24 3"]  # about the pelvis and unscaled
 
 
 @dataclass(frozen=True)
 class Linear:
     """Posed points and their derivatives."""
 
-    points: np.ndarray  # (F, K, 3)
-    turned: np.ndarray  # (F, K, 24, 3): D; the memory's order is (F, K, 3, 24)
-    shaped: np.ndarray  # (F, K, 3, B + 1): by betas and log scale
-    world: np.ndarray  # (F, 24, 3, 3)
+    points: Num[np.ndarray, "F K 3"]
+    turned: Num[np.ndarray, "F K 24 3"]  # D; the memory's order is (F, K, 3, 24)
+    shaped: Num[np.ndarray, "F K 3 B+1"]  # by betas and log scale
+    world: Num[np.ndarray, "F 24 3 3"]
 
 
 class Basis:
@@ -83,7 +83,12 @@ class Basis:
     """
 
     def __init__(
-        self, body: BodyModel, share: np.ndarray, anchors: np.ndarray, ancestors: np.ndarray, corrected: int
+        self,
+        body: BodyModel,
+        share: Num[np.ndarray, "K 24"],
+        anchors: Num[np.ndarray, "K 24 3 1+B"],
+        ancestors: Num[np.ndarray, "24 24"],
+        corrected: int,
     ) -> None:
         self.corrected = corrected
         self.carrier = share.argmax(1)
@@ -113,9 +118,12 @@ class Basis:
         """(F, K, 3) the points in the state's pose."""
         return self.placed(state)[0]
 
-    def placed(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The points, world rotations (F, 24, 3, 3) and joints (F, 24, 3) as in ``BodyPoints``, and offsets (24, K,
-        3)."""
+    def placed(
+        self, state: State
+    ) -> tuple[
+        Num[np.ndarray, "F K 3"], Num[np.ndarray, "F 24 3 3"], Num[np.ndarray, "F 24 3"], Num[np.ndarray, "24 K 3"]
+    ]:
+        """The points, world rotations and joints as in ``BodyPoints``, and offsets."""
         world, joints = forward_kinematics(
             np.ascontiguousarray(state.local), self.body.rest_joints(state.betas), self.body.parents
         )

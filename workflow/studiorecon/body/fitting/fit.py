@@ -25,7 +25,7 @@ from studiorecon.body.fitting.start import start
 from studiorecon.body.model import BodyModel
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Integer, Num
 
 PER_FRAME = (
     "rotations",
@@ -79,12 +79,11 @@ class FitSettings:
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Observed points of the surface: ``vertices`` (V,) of the body model, ``points_m`` (T, V, 3), NaN = none,
-    ``sigma_m`` (T, V)."""
+    """Observed points of the surface: ``vertices`` of the body model, ``points_m``, NaN = none, ``sigma_m``."""
 
-    vertices: np.ndarray
-    points_m: np.ndarray
-    sigma_m: np.ndarray
+    vertices: Integer[np.ndarray, " V"]
+    points_m: Num[np.ndarray, "T V 3"]
+    sigma_m: Num[np.ndarray, "T V"]
 
 
 @dataclass(frozen=True)
@@ -105,17 +104,17 @@ class Fit:
     """
 
     rotations: Num[np.ndarray, "T 24 3 3"]
-    trans_m: np.ndarray
-    betas: np.ndarray
-    frame_betas: np.ndarray
+    trans_m: Num[np.ndarray, "T 3"]
+    betas: Num[np.ndarray, " B"]
+    frame_betas: Num[np.ndarray, "T B"]
     scale: float
     corrections_m: Num[np.ndarray, "K 3"]
     valid: Bool[np.ndarray, " T"]
     joints_m: Num[np.ndarray, "T 24 3"]
     joint_sigma_m: Num[np.ndarray, "T 24"]
     turn_sigma_rad: Num[np.ndarray, "T 24 3"]
-    part_sigma_rad: np.ndarray
-    beta_sigma: np.ndarray
+    part_sigma_rad: Num[np.ndarray, "T 24"]
+    beta_sigma: Num[np.ndarray, " B"]
     residual_m: Num[np.ndarray, "T K"]
     iterations: int
     converged: bool
@@ -204,7 +203,7 @@ def check(
         raise ValueError(f"shape must be shared or per_frame, not {settings.shape!r}")
 
 
-def nothing_known(frames: int, count: int, shapes: int, valid: np.ndarray) -> Fit:
+def nothing_known(frames: int, count: int, shapes: int, valid: Bool[np.ndarray, " T"]) -> Fit:
     """A fit of ``frames`` frames and ``count`` keypoints in which nothing has been measured yet."""
     return Fit(
         rotations=np.full((frames, 24, 3, 3), np.nan),
@@ -228,8 +227,8 @@ def nothing_known(frames: int, count: int, shapes: int, valid: np.ndarray) -> Fi
 def gather(
     body: BodyModel,
     names: list[str],
-    points_m: np.ndarray,
-    sigma_m: np.ndarray,
+    points_m: Num[np.ndarray, "T K 3"],
+    sigma_m: Num[np.ndarray, "T K"],
     settings: FitSettings,
     surface: SurfacePoints | None,
 ) -> PointEvidence:
@@ -289,7 +288,7 @@ def _fit_each_frame(
     )
 
 
-def chosen(surface: SurfacePoints | None, frames: np.ndarray | slice) -> SurfacePoints | None:
+def chosen(surface: SurfacePoints | None, frames: Bool[np.ndarray, " T"] | slice) -> SurfacePoints | None:
     """The surface in some frames."""
     return (
         None if surface is None else SurfacePoints(surface.vertices, surface.points_m[frames], surface.sigma_m[frames])

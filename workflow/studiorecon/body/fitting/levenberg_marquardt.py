@@ -9,10 +9,15 @@ raises the cost.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.body.fitting.basis import State
 from studiorecon.body.fitting.problem import Normal, Problem
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # First, least and most damping, its factors after a refused and a taken step, and trials of one step.
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3, 8.0, 5.0, 8
@@ -75,14 +80,14 @@ def _held_where_worse(
 def alone(
     problem: Problem,
     state: State,
-    costs: np.ndarray,
+    costs: Num[np.ndarray, " F"],
     iterations: int,
     tolerance: float,
-    damping: np.ndarray | None = None,
-) -> tuple[State, np.ndarray, np.ndarray]:
-    """Every frame by itself with all that is shared held fixed, until none gains: state, costs (F,), damping (F,).
+    damping: Num[np.ndarray, " F"] | None = None,
+) -> tuple[State, Num[np.ndarray, " F"], Num[np.ndarray, " F"]]:
+    """Every frame by itself with all that is shared held fixed, until none gains: state, costs, damping.
 
-    ``costs`` are those of ``state``; ``damping`` (F,) is where to start, by default where ``descend`` does.
+    ``costs`` are those of ``state``; ``damping`` is where to start, by default where ``descend`` does.
     """
     busy = np.ones(len(costs), dtype=bool)
     costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()

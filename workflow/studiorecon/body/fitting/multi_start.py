@@ -22,7 +22,7 @@ from studiorecon.body.fitting.problem import Problem
 from studiorecon.geometry import rotations
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 # Fewer keypoints, or fewer of the trunk's four corners, are few.
 _POINTS, _CORNERS = 12, 3
@@ -43,7 +43,7 @@ class Spread:
 
     joints_m2: Num[np.ndarray, "F 24"]
     turns_rad2: Num[np.ndarray, "F 24 3"]
-    parts_rad2: np.ndarray
+    parts_rad2: Num[np.ndarray, "F 24"]
 
 
 def few(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]:
@@ -53,10 +53,10 @@ def few(names: list[str], seen: Num[np.ndarray, "F K"]) -> Num[np.ndarray, " F"]
 
 
 def best_of(
-    problem: Problem, state: State, chosen: np.ndarray, iterations: int, tolerance: float
+    problem: Problem, state: State, chosen: Bool[np.ndarray, " F"], iterations: int, tolerance: float
 ) -> tuple[State, Spread]:
-    """The state with the least cost that is found from any side in the ``chosen`` frames (F,), and what the other
-    solutions add.
+    """The state with the least cost that is found from any side in the ``chosen`` frames, and what the other solutions
+    add.
 
     About 10 ms for each chosen frame. Shape and corrections stay.
     """

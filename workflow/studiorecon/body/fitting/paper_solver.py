@@ -12,7 +12,7 @@ in metres pins the shape to the mean (S07).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 # Pull towards no turn, as a share of the lever arms' sum of squares: it decides only about turns that the points do not
 # see.
 _STAY = 1e-9
@@ -33,16 +36,16 @@ _AT_ONCE = 40_000_000
 
 @dataclass(frozen=True)
 class _Pose:
-    local: np.ndarray  # (F, 24, 3, 3)
-    trans: np.ndarray  # (F, 3)
-    betas: np.ndarray  # (F, B)
+    local: Num[np.ndarray, "F 24 3 3"]
+    trans: Num[np.ndarray, "F 3"]
+    betas: Num[np.ndarray, "F B"]
 
 
 def fit(
     body: BodyModel,
     names: list[str],
-    points_m: np.ndarray,
-    sigma_m: np.ndarray,
+    points_m: Num[np.ndarray, "T K 3"],
+    sigma_m: Num[np.ndarray, "T K"],
     settings: FitSettings,
     surface: SurfacePoints | None = None,
 ) -> Fit:

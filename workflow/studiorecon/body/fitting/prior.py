@@ -83,8 +83,8 @@ def bend(local: Num[np.ndarray, "F 24 3 3"]) -> Num[np.ndarray, "F 24 3"]:
 
 
 @cache
-def limits() -> tuple[np.ndarray, np.ndarray]:
-    """(24, 3) least and most bend about each joint's axes, read-only; infinite for the pelvis, hands and feet."""
+def limits() -> tuple[Num[np.ndarray, "24 3"], Num[np.ndarray, "24 3"]]:
+    """Least and most bend about each joint's axes, read-only; infinite for the pelvis, hands and feet."""
     low, high = np.full((24, 3), -np.inf), np.full((24, 3), np.inf)
     for j, name in enumerate(JOINT_NAMES):
         side, _, part = name.rpartition("_")
@@ -95,15 +95,14 @@ def limits() -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def excess(bent: np.ndarray) -> Num[np.ndarray, "F 24 3"]:
-    """(F, 24, 3) how far bends (F, 24, 3) lie beyond the limits, with sign; 0 within."""
+def excess(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3"]:
+    """How far bends lie beyond the limits, with sign; 0 within."""
     low, high = limits()
     return bent - np.clip(bent, low, high)
 
 
-def bend_derivative(bent: np.ndarray) -> Num[np.ndarray, "F 24 3 3"]:
-    """(F, 24, 3, 3) derivative of ``bend`` by a small turn about the joint's own axes: the inverse right Jacobian of
-    SO(3).
+def bend_derivative(bent: Num[np.ndarray, "F 24 3"]) -> Num[np.ndarray, "F 24 3 3"]:
+    """Derivative of ``bend`` by a small turn about the joint's own axes: the inverse right Jacobian of SO(3).
 
     I + [φ]×/2 + (1 − (θ/2) cot(θ/2)) / θ² [φ]×²; the last factor tends to 1/12 at 0.
     """

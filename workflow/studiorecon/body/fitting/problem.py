@@ -26,7 +26,7 @@ from studiorecon.body.fitting.basis import Basis, State
 from studiorecon.body.model import BodyModel
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 # Frames handled at once: their rows (0.7 MB for 25 points) then stay in the cache.
 _CHUNK = 12
@@ -65,14 +65,13 @@ class Pulls:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a state: H (F, 75, 75), rows of C and the gradient (F, S + 1, 75), shared (S, S) and (S,),
-    and G."""
+    """Normal equations at a state: H, rows of C and then the gradient, what is shared, and G."""
 
-    own: np.ndarray
-    rows: np.ndarray
-    shared: np.ndarray
-    shared_side: np.ndarray
-    world: np.ndarray
+    own: Num[np.ndarray, "F 75 75"]
+    rows: Num[np.ndarray, "F S+1 75"]
+    shared: Num[np.ndarray, "S S"]
+    shared_side: Num[np.ndarray, " S"]
+    world: Num[np.ndarray, "F 24 3 3"]
 
 
 class Problem:
@@ -93,8 +92,8 @@ class Problem:
         )
         self.shared_precision = len(evidence.targets_m) * alone
 
-    def only(self, frames: np.ndarray) -> Problem:
-        """The same problem in some frames (F,) bool."""
+    def only(self, frames: Bool[np.ndarray, " F"]) -> Problem:
+        """The same problem in some frames."""
         part, given = copy.copy(self), self.evidence
         part.evidence = PointEvidence(self.basis, given.targets_m[frames], given.precision[frames], given.share[frames])
         return part
@@ -174,7 +173,7 @@ class Problem:
         change = np.stack([solve(one.T, rest, lower=1, trans=1) for one, rest in zip(lower, half.astype(lower.dtype))])
         return self._moved(state, normal, change, shared)
 
-    def own_step(self, state: State, normal: Normal, damping: np.ndarray) -> State:
+    def own_step(self, state: State, normal: Normal, damping: Num[np.ndarray, " F"]) -> State:
         """The same with all that frames share held fixed."""
         blocks = normal.own.copy()
         diagonal = np.einsum("fii->fi", blocks)
@@ -218,9 +217,16 @@ class Problem:
             product += part
         return lower, solved, np.tril(product) + np.tril(product, -1).T
 
-    def posterior(self, state: State, normal: Normal) -> tuple[np.ndarray, ...]:
-        """Joints (F, 24, 3) and Laplace's deviations: of joints (F, 24), turns (F, 24, 3), parts (F, 24), betas (B,),
-        from the last normal equations.
+    def posterior(
+        self, state: State, normal: Normal
+    ) -> tuple[
+        Num[np.ndarray, "F 24 3"],
+        Num[np.ndarray, "F 24"],
+        Num[np.ndarray, "F 24 3"],
+        Num[np.ndarray, "F 24"],
+        Num[np.ndarray, " B"],
+    ]:
+        """Joints and Laplace's deviations: of joints, turns, parts and betas, from the last normal equations.
 
         A joint's is the root of its covariance's mean eigenvalue. A turn's is about the joint's own axes, a part's the
         angle of its orientation in the world (all turns above it and their correlation), both for the shape found.

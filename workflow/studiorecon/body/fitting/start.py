@@ -7,6 +7,7 @@ A gradient alone does not turn a body that faces the wrong way (M05), so nothing
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.body.fitting import prior
 from studiorecon.body.model import BodyModel
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
 
 # Points that move with the trunk, detector's and SMPL's names; then joint, its point, the next point down the limb.
 _TORSO = ("shoulder", "hip", "shoulder_joint", "hip_joint")
@@ -26,15 +30,17 @@ _FAR_M = 0.3
 
 @dataclass(frozen=True)
 class Start:
-    """Local rotations (T, 24, 3, 3), pelvis (T, 3) in metres, and the frames (T,) in which they are determined."""
+    """Local rotations, the pelvis in metres, and the frames in which they are determined."""
 
-    local: np.ndarray
-    trans_m: np.ndarray
-    determined: np.ndarray
+    local: Num[np.ndarray, "T 24 3 3"]
+    trans_m: Num[np.ndarray, "T 3"]
+    determined: Bool[np.ndarray, " T"]
 
 
-def start(body: BodyModel, names: list[str], points_m: np.ndarray, seen: np.ndarray) -> Start:
-    """A first guess of the mean shape from keypoints (T, K, 3) seen in (T, K); undetermined frames keep the relaxed
+def start(
+    body: BodyModel, names: list[str], points_m: Num[np.ndarray, "T K 3"], seen: Bool[np.ndarray, "T K"]
+) -> Start:
+    """A first guess of the mean shape from the keypoints that were ``seen``; undetermined frames keep the relaxed
     pose."""
     frames = len(points_m)
     at = {n: k for k, n in enumerate(names)}
