@@ -31,8 +31,8 @@ class BundleSettings:
     """
 
     iterations: int = 30
-    prior_deg: float | np.ndarray = 0.3
-    prior_m: float | np.ndarray = 0.03
+    prior_deg: float | Num[np.ndarray, " V"] = 0.3
+    prior_m: float | Num[np.ndarray, " V"] = 0.03
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class LensPrior:
     """How far lenses may move: standard deviations of the focal length's logarithm, of all or of each (V,), and of a
     radial term k1 that starts at 0."""
 
-    log_focal: float | np.ndarray
+    log_focal: float | Num[np.ndarray, " V"]
     radial: float
 
 
@@ -67,30 +67,30 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class _State:
-    rotations: np.ndarray
-    centres: np.ndarray
-    lens: np.ndarray  # (V, 2): log of the focal length's factor, radial term
-    points: np.ndarray
+    rotations: Num[np.ndarray, "V 3 3"]
+    centres: Num[np.ndarray, "V 3"]
+    lens: Num[np.ndarray, "V 2"]  # log of the focal length's factor, radial term
+    points: Num[np.ndarray, "N 3"]
 
 
 def adjust_with_lenses(
     cameras: Sequence[Camera],
     pixels: Num[np.ndarray, "V N 2"],
     weights: Num[np.ndarray, "V N"],
-    points_m: np.ndarray,
+    points_m: Num[np.ndarray, "N 3"],
     huber_px: Num[np.ndarray, " V"],
     settings: BundleSettings,
     lens: LensPrior,
     given: Sequence[Camera] | None = None,
 ) -> Adjusted:
-    """Cameras and points (N, 3) that lower the Huber cost of ``pixels`` (V, N, 2), and how well they are known;
-    ``weights`` (V, N), 0 = not seen.
+    """Cameras and points that lower the Huber cost of ``pixels``, and how well they are known; ``weights``: 0 = not
+    seen.
 
     Six numbers per camera, and one focal factor and one radial term where ``lens`` leaves them free; points are
     eliminated by their Schur complement, so a step costs O(N V²). The Huber norm is that of the two-dimensional
-    residual (T11) with the delta ``huber_px`` (V,), so residuals are in error units and the priors count as one unit
-    per standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors are about, where
-    the search does not start at them, lenses included. Pixels that are not finite are not seen; raises ValueError that
+    residual (T11) with the delta ``huber_px``, so residuals are in error units and the priors count as one unit per
+    standard deviation. 0.1 s for 400 points and 4 views. ``given``: the cameras that the priors are about, where the
+    search does not start at them, lenses included. Pixels that are not finite are not seen; raises ValueError that
     names the argument for other shapes, and for points that are seen and not finite.
     """
     problem = _Problem(cameras, pixels, weights, huber_px, settings, lens, given)
@@ -104,7 +104,9 @@ def adjust_with_lenses(
     return Adjusted(found, state.points, state.lens[:, 1].copy(), sigma, error)
 
 
-def moved(camera: Camera, rotation_camera_from_world: np.ndarray, centre_m: np.ndarray) -> Camera:
+def moved(
+    camera: Camera, rotation_camera_from_world: Num[np.ndarray, "3 3"], centre_m: Num[np.ndarray, " 3"]
+) -> Camera:
     """The camera at another place."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_camera_from_world, -rotation_camera_from_world @ centre_m
@@ -113,7 +115,7 @@ def moved(camera: Camera, rotation_camera_from_world: np.ndarray, centre_m: np.n
 
 def without_drift(
     adjusted: Sequence[Camera], given: Sequence[Camera], weights: Sequence[float] | None = None
-) -> tuple[list[Camera], tuple[np.ndarray, np.ndarray, float]]:
+) -> tuple[list[Camera], tuple[Num[np.ndarray, "3 3"], Num[np.ndarray, " 3"], float]]:
     """The adjusted cameras without their common rotation, translation and scale against the given ones, and that
     similarity.
 
@@ -148,9 +150,9 @@ class _Problem:
     def __init__(
         self,
         cameras: Sequence[Camera],
-        pixels: np.ndarray,
-        weights: np.ndarray,
-        huber_px: np.ndarray,
+        pixels: Num[np.ndarray, "V N 2"],
+        weights: Num[np.ndarray, "V N"],
+        huber_px: Num[np.ndarray, " V"],
         settings: BundleSettings,
         lens: LensPrior,
         given: Sequence[Camera] | None = None,
@@ -178,7 +180,7 @@ class _Problem:
         )
         self.sigma = np.stack([np.broadcast_to(c, len(cameras)) for c in columns], axis=1)
 
-    def start(self, points_m: np.ndarray) -> _State:
+    def start(self, points_m: Num[np.ndarray, "N 3"]) -> _State:
         require("points_m", points_m, (self.seen.shape[1], 3))
         require("points_m that are seen", np.asarray(points_m)[self.seen.any(0)], ("n", 3), finite=True)
         return _State(
@@ -193,9 +195,8 @@ class _Problem:
         turned = log(state.rotations @ np.swapaxes(self.given_rotations, 1, 2))
         return np.concatenate([turned, state.centres - self.given_centres, state.lens - self.given_lens], axis=1)
 
-    def residuals(self, state: _State) -> tuple[np.ndarray, np.ndarray, float]:
-        """(V, N, 3) points in the cameras, (V, N, 2) errors in error units, and the cost: inf when a seen point is
-        behind."""
+    def residuals(self, state: _State) -> tuple[Num[np.ndarray, "V N 3"], Num[np.ndarray, "V N 2"], float]:
+        """Points in the cameras, errors in error units, and the cost: inf when a seen point is behind."""
         in_camera = np.einsum("vij,vnj->vni", state.rotations, state.points[None] - state.centres[:, None])
         if (self.seen & ~(in_camera[..., 2] > _NEAR_M)).any():
             return in_camera, np.zeros_like(self.measured), np.inf
@@ -208,9 +209,16 @@ class _Problem:
         cost = (self.weights * np.where(norm <= 1, norm**2, 2 * norm - 1)).sum()
         return in_camera, error, float(cost + ((self.prior(state) / self.sigma) ** 2).sum())
 
-    def normal_equations(self, state: _State, in_camera: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Camera blocks (V, 8, 8) and sides, point blocks (N, 3, 3) and sides, mixed blocks (V, N, 8, 3); priors
-        included."""
+    def normal_equations(
+        self, state: _State, in_camera: Num[np.ndarray, "V N 3"], error: Num[np.ndarray, "V N 2"]
+    ) -> tuple[
+        Num[np.ndarray, "V 8 8"],
+        Num[np.ndarray, "V 8"],
+        Num[np.ndarray, "N 3 3"],
+        Num[np.ndarray, "N 3"],
+        Num[np.ndarray, "V N 8 3"],
+    ]:
+        """Camera blocks and sides, point blocks and sides, mixed blocks; priors included."""
         robust = self.weights / np.maximum(np.linalg.norm(error, axis=-1), 1.0)
         depth = np.where(self.seen, in_camera[..., 2], 1.0)
         normal = np.where(self.seen[..., None], in_camera[..., :2], 0.0) / depth[..., None]
@@ -239,9 +247,8 @@ class _Problem:
             np.einsum("vnki,vnkj->vnij", weighted, of_points),
         )
 
-    def accuracy(self, state: _State) -> tuple[np.ndarray, float]:
-        """(V, 8) standard deviations without the common similarity, and the robust residual per coordinate in error
-        units."""
+    def accuracy(self, state: _State) -> tuple[Num[np.ndarray, "V 8"], float]:
+        """Standard deviations without the common similarity, and the robust residual per coordinate in error units."""
         in_camera, error, _ = self.residuals(state)
         blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
         reduced = _reduced(blocks, point_blocks + 1e-9 * np.eye(3), mixed)

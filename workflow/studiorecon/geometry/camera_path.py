@@ -49,7 +49,7 @@ def azimuths_rad(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"]) -> 
     return np.arctan2(offsets[:, 1], offsets[:, 0]) % (2 * np.pi)
 
 
-def order_around(cameras: Sequence[Camera], centre_m: np.ndarray, closed: bool) -> tuple[list[int], float]:
+def order_around(cameras: Sequence[Camera], centre_m: Num[np.ndarray, " 3"], closed: bool) -> tuple[list[int], float]:
     """Camera indices counter-clockwise around the centre (U18), and the largest gap between neighbours in radians.
 
     A closed ring starts at the first camera; an open arc starts behind the largest gap, so that the gap is not flown
@@ -125,9 +125,12 @@ def straight(
 
 
 def arc(
-    start_m: np.ndarray, end_m: np.ndarray, shares: Num[np.ndarray, " N"], centre_m: np.ndarray
+    start_m: Num[np.ndarray, " 3"],
+    end_m: Num[np.ndarray, " 3"],
+    shares: Num[np.ndarray, " N"],
+    centre_m: Num[np.ndarray, " 3"],
 ) -> Num[np.ndarray, "N 3"]:
-    """(N, 3) points around the vertical through the centre, the short way: angle, radius and height change evenly.
+    """Points around the vertical through the centre, the short way: angle, radius and height change evenly.
 
     Exactly opposite ends go counter-clockwise. Raises ValueError for other shapes.
     """
@@ -144,8 +147,8 @@ def arc(
     return np.stack([centre_m[0] + radius * np.cos(angle), centre_m[1] + radius * np.sin(angle), height], axis=1)
 
 
-def clearance_share(points_m: Num[np.ndarray, "N 3"], centre_m: np.ndarray) -> float:
-    """Least horizontal distance of a path (N, 3) to the centre, over the smaller of its two ends' distances.
+def clearance_share(points_m: Num[np.ndarray, "N 3"], centre_m: Num[np.ndarray, " 3"]) -> float:
+    """Least horizontal distance of a path to the centre, over the smaller of its two ends' distances.
 
     Raises ValueError for other shapes or points that are not finite.
     """

@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.arrays import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
 
 # Relief (robust spread over median) below which a shift cannot be told from a scale (D02).
 _LEAST_RELIEF = 0.05
@@ -30,7 +33,7 @@ class Alignment:
     shift_m: float
     model: str
 
-    def apply(self, predicted: np.ndarray, near_m: float) -> np.ndarray:
+    def apply(self, predicted: Num[np.ndarray, " ..."], near_m: float) -> Num[np.ndarray, " ..."]:
         """Aligned depth in metres; 0 (unknown) where the prediction is unknown, not finite, or falls nearer than
         ``near_m`` (D04)."""
         known = np.isfinite(predicted) & (predicted > 0)
@@ -39,9 +42,9 @@ class Alignment:
 
 
 def align_depth(
-    predicted: np.ndarray,
-    reference_m: np.ndarray,
-    static: np.ndarray,
+    predicted: Num[np.ndarray, " ..."],
+    reference_m: Num[np.ndarray, " ..."],
+    static: Bool[np.ndarray, " ..."],
     rng: np.random.Generator,
     noisy: Literal["both", "predicted"] = "both",
 ) -> Alignment:

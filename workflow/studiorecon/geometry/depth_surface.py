@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarray, "H W"]:
-    """(H, W) bool: pixels beside a jump in depth, and pixels beside unknown depth.
+    """Which pixels lie beside a jump in depth or beside unknown depth.
 
     The measure is the second difference of 1/z times z: a plane, however slanted, has none of it, because 1/z is linear
     in pixels on a plane; a step from z to z(1 + ``jump``) has about ``jump``. Sampling must not interpolate across such
-    pixels (C12). Raises ValueError for a ``depth_m`` that is no map (H, W).
+    pixels (C12). Raises ValueError for a ``depth_m`` that is no map.
     """
     require("depth_m", depth_m, ("H", "W"))
     known = np.isfinite(depth_m) & (depth_m > 0)
@@ -40,9 +40,9 @@ def depth_breaks(depth_m: Num[np.ndarray, "H W"], jump: float) -> Bool[np.ndarra
 
 
 def points_and_normals(
-    depth_m: np.ndarray, camera: Camera, jump: float = np.inf
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """World points (H, W, 3), unit normals (H, W, 3) towards the camera, and (H, W) bool where both are measured.
+    depth_m: Num[np.ndarray, "H W"], camera: Camera, jump: float = np.inf
+) -> tuple[Num[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
+    """World points, unit normals towards the camera, and where both are measured.
 
     Normals come from central differences in 1/z, which are exact on planes. ``valid`` excludes unknown depth, its
     neighbours, and, when ``jump`` is given, the pixels ``depth_breaks`` finds. Invalid points are NaN-free: their depth

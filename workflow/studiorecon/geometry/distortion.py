@@ -16,15 +16,16 @@ import numpy as np
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 _RESIDUAL = 1e-9
 _COEFFICIENTS = {"opencv": 8, "fisheye": 4}
 
 
-def distort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.ndarray) -> np.ndarray:
-    """Distorted normalised coordinates (..., 2) of undistorted ones (..., 2). Says nothing about the fold: see
-    ``fold_radius``.
+def distort(
+    points: Num[np.ndarray, "... 2"], model: str, coefficients: Num[np.ndarray, " C"]
+) -> Num[np.ndarray, "... 2"]:
+    """Distorted normalised coordinates of undistorted ones. Says nothing about the fold: see ``fold_radius``.
 
     Raises ValueError for another model, too many coefficients or ones that are not finite, or points of another shape.
     """
@@ -47,8 +48,10 @@ def distort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.ndarr
     )
 
 
-def undistort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Undistorted normalised coordinates (..., 2), NaN where the lens has no such ray, and where they are valid (...,).
+def undistort(
+    points: Num[np.ndarray, "... 2"], model: str, coefficients: Num[np.ndarray, " C"]
+) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
+    """Undistorted normalised coordinates, NaN where the lens has no such ray, and where they are valid.
 
     Valid means: distorting the answer gives the question to 1e-9, and the answer lies inside the fold (C09, C10).
     Newton per radius inside a bracket, then in the plane for tangential terms. Raises ValueError as ``distort`` does.
@@ -73,7 +76,7 @@ def undistort(points: Num[np.ndarray, "... 2"], model: str, coefficients: np.nda
     return answers.reshape(points.shape), valid.reshape(points.shape[:-1])
 
 
-def fold_radius(model: str, coefficients: np.ndarray) -> float:
+def fold_radius(model: str, coefficients: Num[np.ndarray, " C"]) -> float:
     """Radius (fisheye: angle in radians) at which the radial distortion stops growing or has a pole; inf when it never
     does.
 

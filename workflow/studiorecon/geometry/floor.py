@@ -11,15 +11,16 @@ from studiorecon.arrays import require
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool
+    from jaxtyping import Bool, Num
 
 FLOOR_M = 0.06
 """What lies within this height of the floor is the floor."""
 
 
-def floor_points(camera: Camera, depth_m: np.ndarray, floor_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """World points (H, W, 3) that a depth map (H, W) shows, and which of them are floor (H, W): known depth, at the
-    floor's height.
+def floor_points(
+    camera: Camera, depth_m: Num[np.ndarray, "H W"], floor_m: float
+) -> tuple[Num[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
+    """World points that a depth map shows, and which of them are floor: known depth, at the floor's height.
 
     ``camera`` has the size of ``depth_m``. Raises ValueError for another size.
     """
@@ -31,8 +32,10 @@ def floor_points(camera: Camera, depth_m: np.ndarray, floor_m: float) -> tuple[n
     return points, known & (np.abs(points[..., 2] - floor_m) < FLOOR_M)
 
 
-def beside(points_m: np.ndarray, places_m: np.ndarray, reach_m: float) -> Bool[np.ndarray, " ..."]:
-    """(...,) bool: points (..., 3) within ``reach_m`` of any of the places (A, 2), by their horizontal distance."""
+def beside(
+    points_m: Num[np.ndarray, "... 3"], places_m: Num[np.ndarray, "A 2"], reach_m: float
+) -> Bool[np.ndarray, " ..."]:
+    """Which points lie within ``reach_m`` of any of the places, by their horizontal distance."""
     found = np.zeros(points_m.shape[:-1], bool)
     for x, y in places_m:
         found |= np.hypot(points_m[..., 0] - x, points_m[..., 1] - y) < reach_m

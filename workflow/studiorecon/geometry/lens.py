@@ -16,7 +16,7 @@ from studiorecon.geometry.distortion import distort, undistort
 from studiorecon.scene.camera import Lens
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Float, Num
 
 _BORDER_SAMPLES = 200
 _ASPECT_TOLERANCE = 0.005
@@ -36,10 +36,10 @@ class WorkingView:
     wh: tuple[int, int]
     intrinsics: Num[np.ndarray, "3 3"]
     oversampling: int
-    map_x: np.ndarray
-    map_y: np.ndarray
+    map_x: Float[np.ndarray, "nH nW"]
+    map_y: Float[np.ndarray, "nH nW"]
 
-    def picture(self, source: np.ndarray) -> np.ndarray:
+    def picture(self, source: Num[np.ndarray, "rows columns ..."]) -> Num[np.ndarray, "H W ..."]:
         """The working picture (H, W[, C]) of a source frame, same dtype: bilinear, then averaged over the
         oversampling."""
         # The maps stay inside the footage; replication only serves the half pixel beyond the outermost centres.
@@ -123,8 +123,10 @@ def mapped_lens(lens: Lens, pixel_map: Sequence[float] | None) -> Lens:
     return replace(lens, wh=(round(corner[0]), round(corner[1])), intrinsics=intrinsics, calibration_from_video=affine)
 
 
-def normalised_from_calibration(pixels: Num[np.ndarray, "... 2"], lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Undistorted normalised coordinates (..., 2) and validity (...,) of calibration pixels (..., 2).
+def normalised_from_calibration(
+    pixels: Num[np.ndarray, "... 2"], lens: Lens
+) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
+    """Undistorted normalised coordinates and validity of calibration pixels.
 
     Raises ValueError for another shape.
     """
@@ -136,10 +138,9 @@ def normalised_from_calibration(pixels: Num[np.ndarray, "... 2"], lens: Lens) ->
 
 
 def working_from_calibration(
-    pixels: np.ndarray, lens: Lens, intrinsics: Num[np.ndarray, "3 3"]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Working pixels (..., 2) and validity (...,) of calibration pixels (..., 2); ``intrinsics`` of the working
-    picture.
+    pixels: Num[np.ndarray, "... 2"], lens: Lens, intrinsics: Num[np.ndarray, "3 3"]
+) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
+    """Working pixels and validity of calibration pixels; ``intrinsics`` of the working picture.
 
     Raises ValueError for another shape.
     """
@@ -149,9 +150,9 @@ def working_from_calibration(
 
 
 def working_from_video(
-    pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Working pixels (..., 2) and validity (...,) of pixels of the video file (..., 2), centres at +0.5.
+    pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
+) -> tuple[Num[np.ndarray, "... 2"], Bool[np.ndarray, " ..."]]:
+    """Working pixels and validity of pixels of the video file, centres at +0.5.
 
     Raises ValueError for another shape.
     """
@@ -164,9 +165,8 @@ def working_from_video(
 
 def video_from_working(
     pixels: Num[np.ndarray, "... 2"], lens: Lens, source_wh: tuple[int, int], intrinsics: Num[np.ndarray, "3 3"]
-) -> np.ndarray:
-    """Pixels of the video file (..., 2) of working pixels (..., 2), centres at +0.5. Raises ValueError for another
-    shape."""
+) -> Num[np.ndarray, "... 2"]:
+    """Pixels of the video file of working pixels, centres at +0.5. Raises ValueError for another shape."""
     require("pixels", pixels, (..., 2))
     require("intrinsics", intrinsics, (3, 3), finite=True)
     normalised = (pixels - intrinsics[:2, 2]) / np.array([intrinsics[0, 0], intrinsics[1, 1]])

@@ -15,7 +15,7 @@ from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 # A depth map shows the skin; the pelvis joint lies this far behind it along the ray (C11, U26).
 SURFACE_TO_PELVIS_M = 0.13
@@ -23,8 +23,8 @@ SURFACE_TO_PELVIS_M = 0.13
 
 def sample_depth(
     depth_m: Num[np.ndarray, "H W"], pixels: Num[np.ndarray, "... 2"], jump: float, near_m: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (...,) of a map (H, W) at pixels (..., 2), NaN where there is none, and where there is one (...,) bool.
+) -> tuple[Num[np.ndarray, " ..."], Bool[np.ndarray, " ..."]]:
+    """Depth of a map at pixels, NaN where there is none, and where there is one.
 
     The nearest pixel is read: at the silhouette of a person at 2 m before a wall at 6 m a linear read says 4 (
     C12). Pixels outside the map, beside unknown depth or beside a step of the share ``jump`` (0.03 in Pi3's own
@@ -46,17 +46,16 @@ def sample_depth(
 
 def patch_depth(
     depth_m: Num[np.ndarray, "H W"],
-    valid_mask: Num[np.ndarray, "H W"],
+    valid_mask: Bool[np.ndarray, "... H W"],
     pixels: Num[np.ndarray, "D 2"],
     patch_px: int,
     near_m: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Median depth (D,) of the valid pixels of a square patch around each of ``pixels`` (D, 2), and whether there is
-    any (D,) bool.
+) -> tuple[Num[np.ndarray, " D"], Bool[np.ndarray, " D"]]:
+    """Median depth of the valid pixels of a square patch around each of ``pixels``, and whether there is any.
 
-    ``depth_m`` (H, W); ``valid_mask`` (H, W) or one per pixel (D, H, W): the person, where the depth is measured. The
-    lower of two middle values is taken, never their mean, which may lie on neither surface (C12). Depths that are not
-    finite or not past ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
+    ``valid_mask`` (H, W), or one per pixel (D, H, W): the person, where the depth is measured. The lower of two middle
+    values is taken, never their mean, which may lie on neither surface (C12). Depths that are not finite or not past
+    ``near_m`` do not vote (C04). Raises ValueError for other shapes or an even ``patch_px``.
     """
     sizes = require("depth_m", depth_m, ("H", "W"))
     sizes = require("pixels", pixels, ("D", 2), sizes)
@@ -83,15 +82,15 @@ def patch_depth(
 
 
 def lift_pelvis(
-    depth_m: np.ndarray,
-    valid_mask: np.ndarray,
-    pixels: np.ndarray,
+    depth_m: Num[np.ndarray, "H W"],
+    valid_mask: Bool[np.ndarray, "... H W"],
+    pixels: Num[np.ndarray, "... 2"],
     camera: Camera,
     *,
     surface_to_joint_m: float = SURFACE_TO_PELVIS_M,
     patch_px: int = 9,
     near_m: float = 0.1,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Num[np.ndarray, "... 3"], Bool[np.ndarray, " ..."]]:
     """World pelvises (D, 3), or (3,) for one pixel (2,), NaN where undetermined, and where they are determined (D,) or
     () bool.
 
@@ -108,10 +107,12 @@ def lift_pelvis(
 
 
 def lift_joint(
-    surface_depth_m: np.ndarray, pixels: Num[np.ndarray, "... 2"], camera: Camera, surface_to_joint_m: float
-) -> np.ndarray:
-    """World points (..., 3) that lie ``surface_to_joint_m`` behind the surface seen at ``pixels`` (..., 2) at z-depth
-    (...,).
+    surface_depth_m: Num[np.ndarray, " ..."],
+    pixels: Num[np.ndarray, "... 2"],
+    camera: Camera,
+    surface_to_joint_m: float,
+) -> Num[np.ndarray, "... 3"]:
+    """World points that lie ``surface_to_joint_m`` behind the surface seen at ``pixels`` at a z-depth.
 
     NaN where the depth is not finite and positive, or the pixel not finite (C04). Raises ValueError for other shapes.
     """

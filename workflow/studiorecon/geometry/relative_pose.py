@@ -12,7 +12,7 @@ from studiorecon.arrays import require
 from studiorecon.geometry.rotations import cross_matrix, exp
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 _LEAST_PAIRS = 12
 _CONFIDENCE = 0.9999
@@ -21,13 +21,13 @@ _ROUNDS = 3
 
 def relative_pose(
     first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"], unit: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Rotation (3, 3), unit translation (3,) and inliers (N,) with x_second = R x_first + t, or None.
+) -> tuple[Num[np.ndarray, "3 3"], Num[np.ndarray, " 3"], Bool[np.ndarray, " N"]] | None:
+    """Rotation, unit translation and inliers with x_second = R x_first + t, or None.
 
-    ``first`` and ``second`` are undistorted normalised coordinates (N, 2) of the same points, ``unit`` the Sampson
-    distance that still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least
-    squares of the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when
-    there is no answer. Raises ValueError for other shapes and coordinates that are not finite.
+    ``first`` and ``second`` are undistorted normalised coordinates of the same points, ``unit`` the Sampson distance
+    that still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least squares
+    of the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is
+    no answer. Raises ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _LEAST_PAIRS:
@@ -58,15 +58,15 @@ def relative_pose(
     return (rotation, translation, inliers) if inliers.sum() >= _LEAST_PAIRS else None
 
 
-def essential_of(rotation: np.ndarray, translation: np.ndarray) -> Num[np.ndarray, "3 3"]:
-    """(3, 3) E = [t]x R, with second^T E first = 0."""
+def essential_of(rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, " 3"]) -> Num[np.ndarray, "3 3"]:
+    """E = [t]x R, with second^T E first = 0."""
     return cross_matrix(translation) @ rotation
 
 
 def sampson(
-    essential: np.ndarray, first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"]
+    essential: Num[np.ndarray, "3 3"], first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"]
 ) -> Num[np.ndarray, " N"]:
-    """(N,) signed Sampson distance: to first order, how far the two points (N, 2) are from a consistent pair.
+    """Signed Sampson distance: to first order, how far the two points are from a consistent pair.
 
     Raises ValueError for other shapes.
     """
@@ -81,9 +81,12 @@ def sampson(
 
 
 def in_front(
-    rotation: np.ndarray, translation: np.ndarray, first: Num[np.ndarray, "N 2"], second: Num[np.ndarray, "N 2"]
-) -> Num[np.ndarray, " N"]:
-    """(N,) whether the rays of a pair (N, 2) come closest before both cameras. Raises ValueError for other shapes."""
+    rotation: Num[np.ndarray, "3 3"],
+    translation: Num[np.ndarray, " 3"],
+    first: Num[np.ndarray, "N 2"],
+    second: Num[np.ndarray, "N 2"],
+) -> Bool[np.ndarray, " N"]:
+    """Whether the rays of a pair come closest before both cameras. Raises ValueError for other shapes."""
     require("second", second, ("N", 2), require("first", first, ("N", 2)))
     one = np.pad(first, ((0, 0), (0, 1)), constant_values=1.0) @ rotation.T
     two = np.pad(second, ((0, 0), (0, 1)), constant_values=1.0)
@@ -120,9 +123,8 @@ def _refined(
 
 def resection(
     points_m: Num[np.ndarray, "N 3"], normalised: Num[np.ndarray, "N 2"], unit: float
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """``camera_from_world`` (4, 4) and inliers (N,) of a camera that sees world points (N, 3) at ``normalised`` (N, 2),
-    or None.
+) -> tuple[Num[np.ndarray, "4 4"], Bool[np.ndarray, " N"]] | None:
+    """``camera_from_world`` and inliers of a camera that sees world points at ``normalised``, or None.
 
     Three-point RANSAC, then Levenberg-Marquardt on the inliers; ``unit`` as above. Raises ValueError for other shapes
     and numbers that are not finite.
@@ -156,10 +158,9 @@ def resection(
 
 
 def misses(
-    camera_from_world: np.ndarray, points_m: np.ndarray, normalised: Num[np.ndarray, "N 2"]
+    camera_from_world: Num[np.ndarray, "4 4"], points_m: Num[np.ndarray, "N 3"], normalised: Num[np.ndarray, "N 2"]
 ) -> Num[np.ndarray, " N"]:
-    """(N,) distance between world points (N, 3) as a camera (4, 4) shows them and ``normalised`` (N, 2); inf behind the
-    camera."""
+    """Distance between world points as a camera shows them and ``normalised``; inf behind the camera."""
     in_camera = points_m @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
     ahead = in_camera[:, 2] > 1e-6
     error = np.linalg.norm(in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] - normalised, axis=-1)

@@ -47,8 +47,8 @@ def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:
     return np.eye(3) + np.sinc(turns) * cross + 0.5 * np.sinc(0.5 * turns) ** 2 * (cross @ cross)
 
 
-def log(rotations: np.ndarray) -> Num[np.ndarray, "... 3"]:
-    """(..., 3) axis-angles, angle in [0, π], of rotations (..., 3, 3); 1e-8 rad or better also at 0 and π (R11, R12).
+def log(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 3"]:
+    """Axis-angles, angle in [0, π], of rotations; 1e-8 rad or better also at 0 and π (R11, R12).
 
     Raises ValueError for other last axes.
     """
@@ -69,9 +69,8 @@ def angle(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Num[n
     return np.linalg.norm(log(relative), axis=-1)
 
 
-def to_quaternion(rotations: np.ndarray) -> Num[np.ndarray, "... 4"]:
-    """(..., 4) unit quaternions w, x, y, z with w ≥ 0 of rotations (..., 3, 3), by the largest of the four pivots
-    (R13).
+def to_quaternion(rotations: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "... 4"]:
+    """Unit quaternions w, x, y, z with w ≥ 0 of rotations, by the largest of the four pivots (R13).
 
     Raises ValueError for other last axes.
     """
@@ -143,10 +142,10 @@ def project_to_so3(matrices: Num[np.ndarray, "... 3 3"]) -> Num[np.ndarray, "...
 def slerp(
     a: Num[np.ndarray, "... 3 3"],
     b: Num[np.ndarray, "... 3 3"],
-    share: np.ndarray | float,
-    up: np.ndarray | None = None,
+    share: Num[np.ndarray, " ..."] | float,
+    up: Num[np.ndarray, " 3"] | None = None,
 ) -> Num[np.ndarray, "... 3 3"]:
-    """(..., 3, 3) the rotation ``share`` (...,) of the shortest way from a to b, both world_from_… rotations.
+    """The rotation ``share`` of the shortest way from a to b, both world_from_… rotations.
 
     Exactly half a turn apart the shortest way is ambiguous: the turn then goes counter-clockwise about ``up`` (the
     world's z when None), whatever the rounding (R01-R06); ``half_turn`` tells. Raises ValueError for other last axes.
@@ -164,14 +163,16 @@ def slerp(
     return exp(np.asarray(share, dtype=np.float64)[..., None] * turn) @ a
 
 
-def half_turn(a: np.ndarray, b: np.ndarray) -> Bool[np.ndarray, " ..."]:
-    """(...,) bool: a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises
-    ValueError as ``angle``."""
+def half_turn(a: Num[np.ndarray, "... 3 3"], b: Num[np.ndarray, "... 3 3"]) -> Bool[np.ndarray, " ..."]:
+    """Whether a and b are so nearly half a turn apart that ``slerp`` chose one of two ways (R05). Raises ValueError as
+    ``angle``."""
     return angle(a, b) > np.pi - _HALF_TURN_RAD
 
 
-def mean(rotations: Num[np.ndarray, "... N 3 3"], weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (..., 3, 3) over the axis of N in (..., N, 3, 3), and whether it is determined (...,).
+def mean(
+    rotations: Num[np.ndarray, "... N 3 3"], weights: Num[np.ndarray, "... N"] | None = None
+) -> tuple[Num[np.ndarray, "... 3 3"], Bool[np.ndarray, " ..."]]:
+    """Mean over the axis of N, and whether it is determined.
 
     Eigenvector of Σ w q qᵀ: signs of quaternions do not matter (R16). Undetermined where the two largest eigenvalues
     meet, as for thirds of a turn (R17); the rotation returned there is one of many. Raises ValueError for other last
@@ -192,13 +193,13 @@ def mean(rotations: Num[np.ndarray, "... N 3 3"], weights: np.ndarray | None = N
 
 
 def kabsch(
-    source_m: Num[np.ndarray, "... N 3"], target_m: Num[np.ndarray, "... N 3"], weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotation (..., 3, 3) and translation (..., 3) with target ≈ R source + t, and whether they are determined (...,).
+    source_m: Num[np.ndarray, "... N 3"], target_m: Num[np.ndarray, "... N 3"], weights: Num[np.ndarray, "... N"]
+) -> tuple[Num[np.ndarray, "... 3 3"], Num[np.ndarray, "... 3"], Bool[np.ndarray, " ..."]]:
+    """Rotation and translation with target ≈ R source + t, and whether they are determined.
 
-    Weighted least squares over N points (..., N, 3); determinant +1 also for planar sets (R19). Undetermined with fewer
-    than three points of positive weight or with points on a line. Points of weight 0 may be NaN. Raises ValueError for
-    other shapes, and for points of positive weight that are not finite.
+    Weighted least squares over N points; determinant +1 also for planar sets (R19). Undetermined with fewer than three
+    points of positive weight or with points on a line. Points of weight 0 may be NaN. Raises ValueError for other
+    shapes, and for points of positive weight that are not finite.
     """
     require("source_m", source_m, (..., "N", 3))
     require("target_m", target_m, (..., "N", 3))

@@ -55,17 +55,17 @@ def scene_scale(
     template_joints_m: Num[np.ndarray, "P J 3"],
     bones: Num[np.ndarray, "B 2"],
     valid: Bool[np.ndarray, "P T J"],
-    sigma: np.ndarray | float = 0.0,
+    sigma: Num[np.ndarray, "P T J"] | float = 0.0,
     least_bone_m: float = 0.2,
 ) -> SceneScale:
-    """Scale of triangulated ``joints`` (P, T, J, 3) in scene units against template joints (P, J, 3) in metres.
+    """Scale of triangulated ``joints`` in scene units against template joints in metres.
 
-    ``bones`` (B, 2) are pairs of joints, ``valid`` (P, T, J) says which joints were measured; joints that are not
-    finite count as not measured. ``sigma`` is their standard deviation per coordinate in scene units, a number or (P,
-    T, J): noise makes bones longer by (σᵢ² + σⱼ²)/b on average, which is taken off (S05). Bones shorter than
-    ``least_bone_m`` in the template are left out, where the noise would be most of the length (S04, S05). Undetermined
-    with fewer than 4 different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError that names the argument
-    when shapes do not fit or the template is not finite.
+    ``bones`` are pairs of joints, ``valid`` says which joints were measured; joints that are not finite count as not
+    measured. ``sigma`` is their standard deviation per coordinate in scene units, one number or each its own: noise
+    makes bones longer by (σᵢ² + σⱼ²)/b on average, which is taken off (S05). Bones shorter than ``least_bone_m`` in the
+    template are left out, where the noise would be most of the length (S04, S05). Undetermined with fewer than 4
+    different bones or a scale outside 1e-6 to 1e6 (S03). Raises ValueError that names the argument when shapes do not
+    fit or the template is not finite.
     """
     sizes = require("joints", joints, ("P", "T", "J", 3))
     sizes = require("template_joints_m", template_joints_m, ("P", "J", 3), sizes, finite=True)

@@ -22,7 +22,7 @@ from studiorecon.configuration.setting import setting
 from studiorecon.geometry import rotations
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Num
 
 # Where the kernel is cut, relative to its centre; and the Gaussian's reach in deviations (U41).
 _FADED = 1e-4
@@ -67,8 +67,8 @@ class Smoothing:
 
     def smooth_body(
         self, local: Num[np.ndarray, "T 24 3 3"], trans_m: Num[np.ndarray, "T 3"], fps: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Joints' rotations (T, 24, 3, 3), root first, and pelvis positions (T, 3), smoothed as these settings say.
+    ) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
+        """Joints' rotations, root first, and pelvis positions, smoothed as these settings say.
 
         Raises ValueError for other shapes, values that are not finite, and a frame rate that is not positive.
         """
@@ -96,7 +96,7 @@ def at_frame_rate(smoothing: Smoothing, fps: float) -> tuple[float, float]:
     return float(forgotten), smoothing.sigma_s * fps
 
 
-def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> np.ndarray:
+def kernel(alpha: float, sigma_frames: float, passes: str = "cascade") -> Num[np.ndarray, " W"]:
     """(2R + 1,) weights that sum to 1: exponential passes (U40), then Gaussian cut at four deviations (U41).
 
     The cascade's response is α/(2−α) (1−α)^|d|; the average's α/2 (1−α)^|d| and α at d = 0, which keeps more noise.
@@ -124,8 +124,8 @@ def gain(alpha: float, sigma_frames: float, period_frames: float, passes: str = 
     return float(weights @ np.cos(2 * np.pi * np.arange(-reach, reach + 1) / period_frames))
 
 
-def fill_vectors(values: np.ndarray, valid: np.ndarray) -> Num[np.ndarray, "T ..."]:
-    """(T, ...) with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the
+def fill_vectors(values: Num[np.ndarray, "T ..."], valid: Bool[np.ndarray, " T"]) -> Num[np.ndarray, "T ..."]:
+    """``values`` with invalid frames replaced by straight lines between valid ones, and by the nearest one beyond the
     ends.
 
     Raises ValueError when no frame is valid or the shapes do not fit.
@@ -136,9 +136,8 @@ def fill_vectors(values: np.ndarray, valid: np.ndarray) -> Num[np.ndarray, "T ..
     return (1 - share) * values[before] + share * values[after]
 
 
-def fill_rotations(values: Num[np.ndarray, "T ... 3 3"], valid: np.ndarray) -> Num[np.ndarray, "T ... 3 3"]:
-    """(T, ..., 3, 3) with invalid frames replaced by slerps between valid ones; raises as ``fill_vectors`` does
-    (F05)."""
+def fill_rotations(values: Num[np.ndarray, "T ... 3 3"], valid: Bool[np.ndarray, " T"]) -> Num[np.ndarray, "T ... 3 3"]:
+    """``values`` with invalid frames replaced by slerps between valid ones; raises as ``fill_vectors`` does (F05)."""
     require("values", values, ("T", ..., 3, 3))
     require("valid", valid, (len(values),))
     before, after, share = _neighbours(valid)

@@ -62,7 +62,9 @@ def mean(values: Num[np.ndarray, " N"], least: int) -> Estimate:
     return Estimate(middle, (middle - _ONE * error, middle + _ONE * error))
 
 
-def largest(values: Sequence[float] | np.ndarray, errors: Sequence[float] | np.ndarray) -> Estimate:
+def largest(
+    values: Sequence[float] | Num[np.ndarray, " N"], errors: Sequence[float] | Num[np.ndarray, " N"]
+) -> Estimate:
     """The largest magnitude of several estimates with their standard errors: which is surely large, and how large any
     may be.
 
