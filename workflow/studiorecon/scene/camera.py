@@ -43,7 +43,7 @@ class Camera:
         return float(self.intrinsics[0, 2]), float(self.intrinsics[1, 2])
 
     @property
-    def rotation_camera_from_world(self) -> np.ndarray:
+    def rotation_camera_from_world(self) -> Num[np.ndarray, "3 3"]:
         return self.camera_from_world[:3, :3]
 
     @property
@@ -64,8 +64,8 @@ class Camera:
         """(3,) unit viewing direction in the world."""
         return self.camera_from_world[2, :3].copy()
 
-    def project(self, points_m: Num[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (..., 2) and depth in metres (...,) of world points (..., 3).
+    def project(self, points_m: Num[np.ndarray, "... 3"]) -> tuple[Num[np.ndarray, "... 2"], Num[np.ndarray, " ..."]]:
+        """Pixels and depth in metres of world points.
 
         Points at or behind the camera plane get NaN pixels; their depth (≤ 0) says so (C05); a NaN point gives
         NaN. Raises ValueError when the last axis is not 3.
@@ -83,8 +83,8 @@ class Camera:
             np.add(across, self.principal_px[axis], out=pixels[:, axis])
         return pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
 
-    def unproject(self, pixels: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-        """World points (..., 3) of pixels (..., 2) at z-depth (...,); not along-ray range (C03).
+    def unproject(self, pixels: Num[np.ndarray, "... 2"], depth_m: Num[np.ndarray, " ..."]) -> Num[np.ndarray, "... 3"]:
+        """World points of pixels at z-depth; not along-ray range (C03).
 
         The caller says which depths are real: 0 gives the camera's centre, a negative depth a point behind it (C04; see
         ``geometry.lifting``). Raises ValueError when the shapes do not fit together.
@@ -108,9 +108,8 @@ class Camera:
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         return np.stack([columns, rows], axis=-1)
 
-    def rays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Origin (3,) and directions (H, W, 3) in the world, scaled so that one step along a ray is one metre of
-        z-depth."""
+    def rays(self) -> tuple[Num[np.ndarray, " 3"], Num[np.ndarray, "H W 3"]]:
+        """Origin and directions in the world, scaled so that one step along a ray is one metre of z-depth."""
         directions = self.unproject(self.pixel_centres(), np.ones(self.hw)) - self.centre_m
         return self.centre_m, directions
 
@@ -157,7 +156,7 @@ class Lens:
     wh: tuple[int, int]
     intrinsics: Float[np.ndarray, "3 3"]
     model: str
-    distortion: np.ndarray
+    distortion: Num[np.ndarray, " C"]
     camera_from_world: Float[np.ndarray, "4 4"]
     calibration_from_video: Num[np.ndarray, "2 3"]
 

@@ -13,7 +13,7 @@ from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written, read_content
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Integer, Num
 
 # Times closer than this share of a frame are one time: what rounding to a file's time base leaves.
 _SAME_FRAMES = 1e-4
@@ -42,13 +42,13 @@ class Clock:
     readout_s: float = 0.0
 
     @property
-    def own_s(self) -> np.ndarray:
-        """(frames,) seconds of every frame after the first, by the camera's own clock."""
+    def own_s(self) -> Num[np.ndarray, " N"]:
+        """Seconds of every frame after the first, by the camera's own clock."""
         return np.array(self.times_s) if self.times_s else np.arange(self.frames) / self.fps
 
     @property
-    def common_s(self) -> np.ndarray:
-        """(frames,) seconds on the common clock at which the middle rows of every frame were taken."""
+    def common_s(self) -> Num[np.ndarray, " N"]:
+        """Seconds on the common clock at which the middle rows of every frame were taken."""
         return self.offset_s + (1 + 1e-6 * self.drift_ppm) * self.own_s
 
 
@@ -74,15 +74,15 @@ class Clocks:
         raise KeyError(camera)
 
     def positions(self, camera: str) -> Num[np.ndarray, " N"]:
-        """(N,) where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working
+        """Where every frame of the camera's footage lies among the working frames: 3.4 is 0.4 frames after working
         frame 3."""
         exact = (self.of(camera).common_s - self.start_s) * self.fps
         whole = np.round(exact)
         return np.where(np.abs(exact - whole) < _SAME_FRAMES, whole, exact)
 
-    def source_frames(self, camera: str) -> np.ndarray:
-        """(frames,) the frame of the camera's footage that is nearest to every working frame; of two equally near ones
-        the earlier."""
+    def source_frames(self, camera: str) -> Integer[np.ndarray, " T"]:
+        """The frame of the camera's footage that is nearest to every working frame; of two equally near ones the
+        earlier."""
         position, wanted = self.positions(camera), np.arange(self.frames)
         after = np.clip(np.searchsorted(position, wanted), 1, max(len(position) - 1, 1))
         late = position[np.minimum(after, len(position) - 1)] - wanted
@@ -90,9 +90,9 @@ class Clocks:
             wanted - position[after - 1] <= late + _SAME_FRAMES, after - 1, np.minimum(after, len(position) - 1)
         )
 
-    def late_frames(self, camera: str) -> np.ndarray:
-        """(frames,) by how many working frames the picture of every working frame comes late; at most half a frame of
-        its camera."""
+    def late_frames(self, camera: str) -> Num[np.ndarray, " T"]:
+        """By how many working frames the picture of every working frame comes late; at most half a frame of its
+        camera."""
         return self.positions(camera)[self.source_frames(camera)] - np.arange(self.frames)
 
 

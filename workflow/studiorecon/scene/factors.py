@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -20,17 +21,20 @@ from studiorecon.errors import UserError
 from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written, read_content
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 
 @dataclass(frozen=True)
 class Factors:
     """``of``: camera → (1, 3) or (frames, 3) float64 factors; cameras that are not named have none, and keep their
     bytes."""
 
-    of: Mapping[str, np.ndarray] = field(default_factory=dict)
+    of: Mapping[str, Float[np.ndarray, "F 3"]] = field(default_factory=dict)
 
-    def even(self, camera: str, picture: np.ndarray, frame: int = 0) -> np.ndarray:
-        """A picture (H, W, 3), uint8 or float32 in [0, 1], with its factor divided out, clipped; the same array without
-        a factor."""
+    def even(self, camera: str, picture: Num[np.ndarray, "H W 3"], frame: int = 0) -> Num[np.ndarray, "H W 3"]:
+        """A picture, uint8 or float32 in [0, 1], with its factor divided out, clipped; the same array without a
+        factor."""
         if camera not in self.of:
             return picture
         own = self.of[camera]
@@ -40,7 +44,7 @@ class Factors:
         table = np.clip(np.rint(np.arange(256)[:, None] / factor), 0, 255).astype(np.uint8)
         return cv2.LUT(picture, np.ascontiguousarray(table[None]))
 
-    def even_all(self, camera: str, pictures: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    def even_all(self, camera: str, pictures: Iterable[Num[np.ndarray, "H W 3"]]) -> Iterator[Num[np.ndarray, "H W 3"]]:
         """``even`` of every picture of a film, from its first frame on."""
         return (self.even(camera, picture, frame) for frame, picture in enumerate(pictures))
 
@@ -48,7 +52,7 @@ class Factors:
 NONE = Factors()
 
 
-def write_factors(path: Path, factors: Mapping[str, np.ndarray]) -> None:
+def write_factors(path: Path, factors: Mapping[str, Num[np.ndarray, "F 3"]]) -> None:
     """Write camera → (1 or frames, 3) factors; an empty file of them says that there is nothing to divide out."""
     for camera, own in factors.items():
         require(f"factors of {camera}", own, ("F", 3), finite=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Num
+    from jaxtyping import Bool, Float, Integer, Num
 
 SH_C0 = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0] + higher bands."""
@@ -32,7 +32,7 @@ class Gaussians:
     quaternions: Float[np.ndarray, "N 4"]
     log_scales: Float[np.ndarray, "N 3"]
     logit_opacities: Float[np.ndarray, " N"]
-    sh: np.ndarray
+    sh: Float[np.ndarray, "N B 3"]
 
     def __post_init__(self) -> None:
         count = len(self.means_m)
@@ -60,7 +60,7 @@ class Gaussians:
     def sh_degree(self) -> int:
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.sh.shape[1]]
 
-    def take(self, index: np.ndarray) -> Gaussians:
+    def take(self, index: Integer[np.ndarray, " M"] | Bool[np.ndarray, " N"]) -> Gaussians:
         """The Gaussians at ``index`` (integers or a boolean mask), in that order."""
         return Gaussians(
             self.means_m[index],
@@ -79,8 +79,8 @@ class Gaussians:
         return Gaussians(self.means_m, self.quaternions, self.log_scales, self.logit_opacities, sh)
 
 
-def sh_from_rgb(rgb: Num[np.ndarray, "... 3"]) -> np.ndarray:
-    """The constant spherical harmonic (..., 3) that shows as ``rgb`` (..., 3)."""
+def sh_from_rgb(rgb: Num[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    """The constant spherical harmonic that shows as ``rgb``."""
     return ((np.asarray(rgb, np.float64) - 0.5) / SH_C0).astype(np.float32)
 
 

@@ -51,14 +51,14 @@ class Detections:
     frame: Integer[np.ndarray, " D"]
     track: Integer[np.ndarray, " D"]
     keypoints: Float[np.ndarray, "D K 3"]
-    body_pose: np.ndarray | None = None
-    pelvis: np.ndarray | None = None
-    body_root: np.ndarray | None = None
-    body_shape: np.ndarray | None = None
-    points_m: np.ndarray | None = None
-    row: np.ndarray | None = None
+    body_pose: Num[np.ndarray, "D 23 3"] | None = None
+    pelvis: Num[np.ndarray, "D 3"] | None = None
+    body_root: Num[np.ndarray, "D 3"] | None = None
+    body_shape: Num[np.ndarray, "D 10"] | None = None
+    points_m: Num[np.ndarray, "D K 3"] | None = None
+    row: Integer[np.ndarray, " D"] | None = None
 
-    def only(self, which: np.ndarray) -> Detections:
+    def only(self, which: Bool[np.ndarray, " D"] | Integer[np.ndarray, " M"]) -> Detections:
         """Those that ``which`` (bool mask or indices) chooses."""
         per_detection = [
             n for n in self.__dataclass_fields__ if n not in ("camera", "layout") and getattr(self, n) is not None

@@ -14,7 +14,7 @@ from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written, read_content
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Integer, Num
 
 FACES = ("u_low", "u_high", "v_low", "v_high", "floor", "ceiling")
 
@@ -76,7 +76,7 @@ class RoomBox:
     high_m: Num[np.ndarray, " 3"]
     fitted: Bool[np.ndarray, " 6"]
     score: Num[np.ndarray, " 6"]
-    gains: Mapping[str, np.ndarray] = field(default_factory=dict)
+    gains: Mapping[str, Num[np.ndarray, " 3"]] = field(default_factory=dict)
     planes: Num[np.ndarray, "K 4"] = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
@@ -104,14 +104,15 @@ class RoomBox:
             found.append(Face(name, corner @ self.axes, u, v))
         return found
 
-    def contains(self, points_m: np.ndarray, margin_m: float = 0.0) -> Bool[np.ndarray, " ..."]:
-        """(...,) bool: points (..., 3) inside the box grown by ``margin_m``."""
+    def contains(self, points_m: Num[np.ndarray, "... 3"], margin_m: float = 0.0) -> Bool[np.ndarray, " ..."]:
+        """Which points lie inside the box grown by ``margin_m``."""
         inside = points_m @ self.axes.T
         return ((inside >= self.low_m - margin_m) & (inside <= self.high_m + margin_m)).all(axis=-1)
 
-    def intersect(self, origins_m: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Length (...,) along the directions to the wall that a ray from inside meets, and the face's index (...,) in
-        ``FACES``.
+    def intersect(
+        self, origins_m: Num[np.ndarray, "... 3"], directions: Num[np.ndarray, "... 3"]
+    ) -> tuple[Num[np.ndarray, " ..."], Integer[np.ndarray, " ..."]]:
+        """Length along the directions to the wall that a ray from inside meets, and the face's index in ``FACES``.
 
         With ``Camera.rays`` the length is z-depth in metres. A ray that never meets the box, or whose origin has left
         it for good, gets length 0 and face -1; from outside looking in, the far wall is what is met.
