@@ -23,7 +23,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Integer, Num
 
 # Joints that a detector places within centimetres from every side; faces are seen from the front only.
 STABLE_KEYPOINTS = tuple(
@@ -64,7 +64,9 @@ def stable_indices(layout: str) -> list[int]:
     return [at.get(k, at.get(f"{k}_joint", -1)) for k in STABLE_KEYPOINTS]
 
 
-def stable_detections(detections: Sequence[Detections], frames: np.ndarray | None = None) -> list[Detections]:
+def stable_detections(
+    detections: Sequence[Detections], frames: Integer[np.ndarray, " F"] | None = None
+) -> list[Detections]:
     """The detections (of ``frames``, if given) with the stable keypoints only, in their order, whatever the layout of
     each camera was."""
     chosen = []
@@ -161,16 +163,17 @@ def groups_of(
     return groups_by_affinity(affinity, forbidden)
 
 
-def group_affinity(group: Sequence[int], distance_m: np.ndarray, gate_m: float) -> float:
+def group_affinity(group: Sequence[int], distance_m: Num[np.ndarray, "M M"], gate_m: float) -> float:
     """Mean of 1 - d / gate over the measured pairs of a group, 0 when there is none."""
     block = distance_m[np.ix_(group, group)][np.triu_indices(len(group), 1)]
     block = block[np.isfinite(block)]
     return float(np.clip(1 - block / gate_m, 0, 1).mean()) if len(block) else 0.0
 
 
-def ray_directions(keypoints: Num[np.ndarray, "D K 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """(D, K, 3) unit world directions of keypoints (D, K, 3), and (D, K) which are present. Raises ValueError for
-    another shape."""
+def ray_directions(
+    keypoints: Num[np.ndarray, "D K 3"], camera: Camera
+) -> tuple[Num[np.ndarray, "D K 3"], Bool[np.ndarray, "D K"]]:
+    """Unit world directions of keypoints, and which are present. Raises ValueError for another shape."""
     require("keypoints", keypoints, ("D", "K", 3))
     present = (keypoints[..., 2] > 0) & np.isfinite(keypoints[..., :2]).all(-1)
     pixels = np.where(present[..., None], keypoints[..., :2], 0.0)

@@ -13,6 +13,7 @@ import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.progress import say
 from studiorecon.scene.outside import read_text
 from studiorecon.scene.values import shown
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _COORDS = ("x", "y", "likelihood")
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
@@ -33,9 +37,11 @@ _WORDS = {
 _LEAST = 6
 
 
-def read_deeplabcut(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frames (D,), people (D,) and keypoints (D, K, 3) of everybody seen in a frame, in the order of the smallest
-    layout that has all parts that any has.
+def read_deeplabcut(
+    path: Path,
+) -> tuple[Integer[np.ndarray, " D"], Integer[np.ndarray, " D"], Float[np.ndarray, "D K 3"]]:
+    """Frames, people and keypoints of everybody seen in a frame, in the order of the smallest layout that has all parts
+    that any has.
 
     Raises UserError with the line for a table of another kind, a cell that is no number, and names of no person.
     """

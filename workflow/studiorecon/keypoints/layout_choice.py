@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 _LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
@@ -23,8 +28,8 @@ _LIMBS = tuple(
 _CLEAR = 1.25
 
 
-def choose_layout(keypoints: np.ndarray, given: str, where: str) -> tuple[str, str | None]:
-    """Name of the layout of detections (D, K, 3), and a sentence when it was decided by the limbs.
+def choose_layout(keypoints: Num[np.ndarray, "D K 3"], given: str, where: str) -> tuple[str, str | None]:
+    """Name of the layout of detections, and a sentence when it was decided by the limbs.
 
     Under the wrong order limbs run across the whole body, so the layout with the shorter limbs is right; the ratio of
     the two must be clear. Raises UserError for an unknown name, a count that does not fit, and an unclear choice.

@@ -20,7 +20,7 @@ from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Integer, Num
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,10 @@ class Settings(Detected):
     tracking: TrackingLimits = TrackingLimits()
 
 
-def to_arrays(entries: list[KeypointEntry], footage: Footage, first_frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """(D,) working frames and (D, K, 3) recorded keypoints of the detections that fall into the working frames."""
+def to_arrays(
+    entries: list[KeypointEntry], footage: Footage, first_frame: int
+) -> tuple[Integer[np.ndarray, " D"], Float[np.ndarray, "D K 3"]]:
+    """Working frames and recorded keypoints of the detections that fall into the working frames."""
     offset = first_frame + footage.first_source_frame
     inside = [e for e in entries if 0 <= e.frame - offset < footage.frames]
     inside.sort(key=lambda e: e.frame)
@@ -60,9 +62,9 @@ def to_arrays(entries: list[KeypointEntry], footage: Footage, first_frame: int) 
 
 
 def to_working_pixels(
-    keypoints: np.ndarray, lens: Lens, footage: Footage, settings: Settings
+    keypoints: Num[np.ndarray, "D K 3"], lens: Lens, footage: Footage, settings: Settings
 ) -> Num[np.ndarray, "D K 3"]:
-    """(D, K, 3) undistorted working pixels of recorded keypoints; NaN with confidence 0 where missing.
+    """Undistorted working pixels of recorded keypoints; NaN with confidence 0 where missing.
 
     Missing are keypoints at exactly (0, 0), of low or no confidence, and those beyond the lens's fold. Scores above 1
     (some detectors give up to 6) are clipped.
@@ -87,8 +89,8 @@ def to_working_pixels(
     )
 
 
-def unusable(keypoints: np.ndarray) -> int:
-    """How many of the recorded keypoints (D, K, 3) claim to be there and are no numbers."""
+def unusable(keypoints: Num[np.ndarray, "D K 3"]) -> int:
+    """How many of the recorded keypoints claim to be there and are no numbers."""
     broken = ~np.isfinite(keypoints[..., :2]).all(-1) & ~(keypoints[..., 2] <= 0)
     return int((broken | ~np.isfinite(keypoints[..., 2])).sum())
 

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Integer, Num
 
 _REFUSED = 1e6
 # How long a track's speed is told from, and carried on: an arm swings back after a quarter of a stride.
@@ -49,18 +49,17 @@ class TrackingLimits:
     clear_ratio: float = 2.0
 
 
-def distance_shares(first: np.ndarray, second: np.ndarray) -> Num[np.ndarray, "A B"]:
-    """(A, B) median distance over shared keypoints of detections (A, K, 3) and (B, K, 3), as a share of the smaller box
-    diagonal.
+def distance_shares(first: Num[np.ndarray, "A K 3"], second: Num[np.ndarray, "B K 3"]) -> Num[np.ndarray, "A B"]:
+    """Median distance over shared keypoints of any two detections, as a share of the smaller box diagonal.
 
     inf where fewer than three keypoints are shared. The median, because one misplaced wrist is not another person.
     """
     return _median_shares(first, second, aligned=False)
 
 
-def shape_shares(first: np.ndarray, second: np.ndarray) -> Num[np.ndarray, "A B"]:
-    """(A, B) the same after the median offset between the two is taken out: how differently they are shaped, wherever
-    they are."""
+def shape_shares(first: Num[np.ndarray, "A K 3"], second: Num[np.ndarray, "B K 3"]) -> Num[np.ndarray, "A B"]:
+    """The same after the median offset between the two is taken out: how differently they are shaped, wherever they
+    are."""
     return _median_shares(first, second, aligned=True)
 
 
@@ -84,16 +83,18 @@ def _medians(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(middle), middle, 0.0)
 
 
-def box_diagonals(keypoints: np.ndarray) -> Num[np.ndarray, " D"]:
-    """(D,) diagonal in pixels of the box of present keypoints (D, K, 3)."""
+def box_diagonals(keypoints: Num[np.ndarray, "D K 3"]) -> Num[np.ndarray, " D"]:
+    """Diagonal in pixels of the box of present keypoints."""
     present = keypoints[..., 2:3] > 0
     low = np.where(present, keypoints[..., :2], np.inf).min(1)
     high = np.where(present, keypoints[..., :2], -np.inf).max(1)
     return np.linalg.norm(np.where(np.isfinite(high - low), high - low, 0.0), axis=-1)
 
 
-def without_duplicates(frame: np.ndarray, keypoints: np.ndarray, limits: TrackingLimits) -> Bool[np.ndarray, " D"]:
-    """(D,) bool: detections to keep when the less confident of two that lie on each other in one frame is dropped."""
+def without_duplicates(
+    frame: Integer[np.ndarray, " D"], keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits
+) -> Bool[np.ndarray, " D"]:
+    """Which detections to keep when the less confident of two that lie on each other in one frame is dropped."""
     keep = np.ones(len(frame), dtype=bool)
     strength = keypoints[..., 2].sum(-1)
     for t in np.unique(frame):
@@ -106,7 +107,7 @@ def without_duplicates(frame: np.ndarray, keypoints: np.ndarray, limits: Trackin
     return keep
 
 
-def match(cost: np.ndarray, limit: float) -> list[tuple[int, int]]:
+def match(cost: Num[np.ndarray, "A B"], limit: float) -> list[tuple[int, int]]:
     """Pairs of the cheapest assignment whose cost is below ``limit``.
 
     Inadmissible and non-finite pairs are priced out before the assignment and dropped after it (A01, A02, A03, A13).
@@ -119,10 +120,9 @@ def match(cost: np.ndarray, limit: float) -> list[tuple[int, int]]:
 
 
 def tracks(
-    frame: np.ndarray, keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits, fps: float
+    frame: Integer[np.ndarray, " D"], keypoints: Num[np.ndarray, "D K 3"], limits: TrackingLimits, fps: float
 ) -> Num[np.ndarray, " D"]:
-    """(D,) track id of every detection, numbered by first appearance; ``keypoints`` (D, K, 3), NaN where confidence is
-    0.
+    """Track id of every detection, numbered by first appearance; ``keypoints``: NaN where confidence is 0.
 
     A track goes on where its keypoints were, or where they are by now at the speed they had, whichever is nearer:
     people walk on, and people stop. Ten pictures a second and a hundred and twenty so meet the same gates.
