@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What takes or gives arrays says their shapes where a reader and an editor look first: in the annotation."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
+# Folders all of whose public functions and fields say them.
+COMPLETE = ["geometry", "keypoints", "scene"]
+# Arrays of any shape and kind: what files and memory hold.
+ANY_SHAPED = {
+    "scene.intermediate.read_arrays",
+    "scene.outside.read_npz",
+    "scene.outside.read_npy",
+    "scene.spool.Spool.put",
+    "scene.spool.Spool.put_back",
+    "scene.spool.Spool.get",
+    "scene.values.numbers",
+}
+
+
+def bare(annotation: ast.expr) -> bool:
+    """Whether there is an array in it without a shape: ``np.ndarray`` outside ``Float[np.ndarray, "N 3"]``."""
+    if isinstance(annotation, ast.Subscript) and isinstance(annotation.slice, ast.Tuple):
+        array, *shape = annotation.slice.elts
+        if ast.unparse(array) == "np.ndarray" and [type(getattr(s, "value", None)) for s in shape] == [str]:
+            return False
+    if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
+        return bare(ast.parse(annotation.value, mode="eval").body)
+    if ast.unparse(annotation) in ("np.ndarray", "NDArray", "npt.NDArray", "ndarray"):
+        return True
+    return any(bare(part) for part in ast.iter_child_nodes(annotation) if isinstance(part, ast.expr))
+
+
+def annotations(body: list[ast.stmt], within: str) -> Iterator[tuple[str, ast.expr]]:
+    """Name and annotations of all that is public: functions, methods, and fields of classes."""
+    for node in body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield from annotations(node.body, f"{within}.{node.name}")
+        elif isinstance(node, ast.AnnAssign):
+            yield f"{within}.{ast.unparse(node.target)}", node.annotation
+        elif isinstance(node, ast.FunctionDef) and (not node.name.startswith("_") or node.name.endswith("__")):
+            taken = ast.walk(node.args)
+            given = [a.annotation for a in taken if isinstance(a, ast.arg)] + [node.returns]
+            yield from ((f"{within}.{node.name}", a) for a in given if a is not None)
+
+
+def of_any_shape(folder: str) -> set[str]:
+    """What a folder has that takes or gives an array without saying its shape."""
+    found = set()
+    for path in (PACKAGE / folder).rglob("*.py"):
+        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        found |= {name for name, a in annotations(ast.parse(path.read_text()).body, module) if bare(a)}
+    return found
+
+
+@pytest.mark.parametrize("folder", COMPLETE)
+def test_public_functions_and_fields_say_the_shapes_of_their_arrays(folder: str) -> None:
+    assert of_any_shape(folder) == {name for name in ANY_SHAPED if name.split(".")[0] == folder}
+
+
+@pytest.mark.parametrize(
+    ("annotation", "says_none"),
+    [
+        ("np.ndarray", True),
+        ('Float[np.ndarray, "N 3"]', False),
+        ('tuple[Float[np.ndarray, "N 3"], np.ndarray]', True),
+        ('Mapping[str, Float[np.ndarray, "N 3"]] | None', False),
+        ("Mapping[str, np.ndarray]", True),
+        ("tuple[np.ndarray, ...]", True),
+    ],
+)
+def test_an_array_without_a_shape_is_seen_wherever_it_stands(annotation: str, says_none: bool) -> None:
+    assert bare(ast.parse(annotation, mode="eval").body) == says_none
