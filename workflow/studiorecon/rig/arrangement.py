@@ -110,9 +110,8 @@ def arranged(
     )
 
 
-def apart(rival: Rig, cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """(V,) degrees and (V,) metres by which ``cameras`` differ from those of another arrangement that is laid on
-    them."""
+def apart(rival: Rig, cameras: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
+    """Degrees and metres by which ``cameras`` differ from those of another arrangement that is laid on them."""
     laid = without_drift([rival.cameras[v] for v in sorted(rival.cameras)], cameras)[0]
     return moves(laid, cameras)
 

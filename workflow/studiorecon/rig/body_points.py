@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 
 @dataclass(frozen=True)
@@ -24,8 +28,8 @@ class Tracks:
         names: J keypoint names.
     """
 
-    pixels: np.ndarray
-    confidence: np.ndarray
+    pixels: Num[np.ndarray, "V P T J 2"]
+    confidence: Num[np.ndarray, "V P T J"]
     names: tuple[str, ...]
 
 
@@ -56,9 +60,8 @@ def tracks(
 
 def in_world(
     found: Tracks, names: Sequence[str], cameras: Sequence[Camera], limits: Limits
-) -> tuple[np.ndarray, np.ndarray]:
-    """World points (P, T, K, 3) of those of ``names`` that the tracks have, NaN where undetermined, and their
-    confidence (V, P, T, K)."""
+) -> tuple[Num[np.ndarray, "P T K 3"], Num[np.ndarray, "V P T K"]]:
+    """World points of those of ``names`` that the tracks have, NaN where undetermined, and their confidence."""
     columns = [found.names.index(n) for n in names if n in found.names]
     pixels, confidence = found.pixels[:, :, :, columns], found.confidence[:, :, :, columns]
     if not pixels.size:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 _LOOSE = 3.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
@@ -61,9 +64,9 @@ class LensSettings:
 
 def error_medians(
     cameras: Sequence[Camera], seen: Observations, limits: Limits
-) -> tuple[float, list[float | None], np.ndarray]:
-    """Median reprojection error in pixels over all views and per camera (None: nothing seen), and the points (N, 3)
-    valid there.
+) -> tuple[float, list[float | None], Num[np.ndarray, "N 3"]]:
+    """Median reprojection error in pixels over all views and per camera (None: nothing seen), and the points valid
+    there.
 
     Points need three views where there are three cameras: the residual of a pair says nothing (T13).
     """
@@ -132,8 +135,8 @@ def fitted(
     return replace(result, cameras=without_drift(current, cameras)[0]) if result is not None else None
 
 
-def straightened(seen: Observations, cameras: Sequence[Camera], radial: np.ndarray) -> Observations:
-    """The observations without a radial term k1 (V,) beyond what was already removed; pixels that no ray explains are
+def straightened(seen: Observations, cameras: Sequence[Camera], radial: Num[np.ndarray, " V"]) -> Observations:
+    """The observations without a radial term k1 beyond what was already removed; pixels that no ray explains are
     dropped."""
     pixels, confidence = seen.pixels.copy(), seen.confidence.copy()
     for v in map(int, np.flatnonzero(radial)):

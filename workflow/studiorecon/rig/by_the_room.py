@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
 from studiorecon.rig.room_turns import RoomTurn, room_turns, straight_edges
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # How far the floors of cameras may lie beside one another, metres: at first, and once that was made use of.
 REACH_M = (0.25, 0.12)
@@ -60,8 +63,8 @@ class ByTheRoom:
     explained: bool
     believed: bool
 
-    def marks_m(self, limits: Limits) -> np.ndarray:
-        """(N, 3) the places on the floor by these cameras."""
+    def marks_m(self, limits: Limits) -> Num[np.ndarray, "N 3"]:
+        """The places on the floor by these cameras."""
         if self.marks is None:
             return np.zeros((0, 3))
         seen = np.isfinite(self.marks.pixels).all(-1).astype(float)
@@ -138,9 +141,11 @@ def _turns(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> di
     return room_turns(dict(enumerate(cameras)), edges)
 
 
-def where_people_stand(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> tuple[np.ndarray, float]:
-    """(2,) middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0,
-    where there is nobody."""
+def where_people_stand(
+    cameras: Sequence[Camera], seen: Observations, limits: Limits
+) -> tuple[Num[np.ndarray, " 2"], float]:
+    """Middle of where people are, metres, and the height of what they stand on; by where the cameras look, and 0, where
+    there is nobody."""
     if len(seen.frame):
         found = triangulate(seen.pixels, seen.confidence, cameras, limits)
         counted = found.verified if len(cameras) > 2 else found.valid

@@ -10,6 +10,7 @@ of the body other joints: what the cameras found from them differ by is an error
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from studiorecon.rig.from_tracks import Rig, adjusted, places_of_joints
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.rig.stale import HALF_OF_THE_JOINTS, Stale, moves
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # What stays when every half agrees: joints that are defined otherwise seen from the front than from behind.
 _FLOOR_DEG = 0.2
@@ -45,8 +49,8 @@ def sigma_of(
     turns: Mapping[int, RoomTurn] | None = None,
     marks: FloorMarks | None = None,
     principal_share: float = _PRINCIPAL_SHARE,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(V,) standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
+) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
+    """Standard deviations of turn (degrees), place (metres) and focal length (share) of cameras relative to one
     another.
 
     The largest of what the residuals say (``Adjusted.sigma``, with all places of a joint as one observation), and of
@@ -161,9 +165,9 @@ def _part(rig: Rig, chosen: np.ndarray) -> Rig:
     return Rig(rig.cameras, rig.seen.of(chosen), some, rig.support)
 
 
-def between_deg(turn_deg: np.ndarray) -> float:
+def between_deg(turn_deg: Num[np.ndarray, " V"]) -> float:
     """95 % interval (half width, degrees) of the rotation between the two least certain of cameras with ``sigma_of``'s
-    turns (V,), which the worst of all pairs of them keeps.
+    turns, which the worst of all pairs of them keeps.
 
     3 standard deviations: of six pairs, between 2.6 for errors about one axis and 3.4 for such about all three.
     """

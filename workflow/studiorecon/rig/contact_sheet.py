@@ -12,7 +12,7 @@ import numpy as np
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer
+    from jaxtyping import Integer, Num
 
 _TILE_H = 480
 _MARGIN = 28
@@ -26,14 +26,14 @@ _WIDEST = 1900
 def contact_sheet(
     training: Sequence[Camera],
     held_out: Sequence[Camera],
-    pictures: Sequence[np.ndarray | None],
-    points_m: np.ndarray,
+    pictures: Sequence[Integer[np.ndarray, "H W 3"] | None],
+    points_m: Num[np.ndarray, "N 3"],
     report: dict[str, Any],
-    keypoints: Sequence[np.ndarray] = (),
+    keypoints: Sequence[Num[np.ndarray, "M 2"]] = (),
 ) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 RGB: the pictures (H, W, 3 uint8 or None) in rows, then the view from above; a line of text each.
+    """RGB, uint8: the pictures in rows, then the view from above; a line of text each.
 
-    ``keypoints``: per camera (N, 2) pixels that were detected, drawn as rings around which the points' dots should lie.
+    ``keypoints``: per camera the pixels that were detected, drawn as rings around which the points' dots should lie.
     """
     before = report.get("before_px_per_camera") or [None] * len(training)
     after = report.get("after_px_per_camera") or [None] * len(training)

@@ -21,7 +21,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Integer, Num
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Observations:
     group: Num[np.ndarray, " N"]
     affinity: float
 
-    def of(self, which: np.ndarray) -> Observations:
-        """Those points only (N,) bool."""
+    def of(self, which: Bool[np.ndarray, " N"]) -> Observations:
+        """Those points only."""
         return Observations(
             self.pixels[:, which],
             self.confidence[:, which],
@@ -57,7 +57,7 @@ class Observations:
 
 
 def observe(
-    detections: Sequence[Detections], cameras: Sequence[Camera], frames: np.ndarray, gate_m: float
+    detections: Sequence[Detections], cameras: Sequence[Camera], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[Observations, TrackGraph]:
     """What the people in ``frames`` show the cameras, grouped by ray distance below ``gate_m``."""
     stable = stable_detections(detections, frames)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from studiorecon.errors import UserError
 from studiorecon.footage.exr import read_depth
 from studiorecon.images.sizes import nearest
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # Two cameras of one picture: the network's and the working one differ by rounding only.
 _FOCAL_TOLERANCE = 0.05
@@ -36,8 +40,8 @@ def metres_per_metre(found: Sequence[Camera], used: Sequence[Camera], instead: s
 
 def first_moment(
     first: Path, found: Path, cameras: Sequence[Camera], own: Camera, instead: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) depth of the first moment in working metres, 0 = unknown, and the network's confidence, at the size of the
+) -> tuple[Num[np.ndarray, "H W"], Num[np.ndarray, "H W"]]:
+    """Depth of the first moment in working metres, 0 = unknown, and the network's confidence, at the size of the
     camera ``own``.
 
     ``first`` is the depth (EXR) in the metres of the network's cameras ``found``, ``cameras`` are those in use. Raises

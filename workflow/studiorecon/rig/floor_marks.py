@@ -79,16 +79,20 @@ class FloorMarks:
     sigma_px: Num[np.ndarray, " V"]
     seen_by: dict[tuple[int, int], int]
 
-    def of(self, which: np.ndarray) -> FloorMarks:
-        """Those places only (N,) bool."""
+    def of(self, which: Bool[np.ndarray, " N"]) -> FloorMarks:
+        """Those places only."""
         return replace(self, pixels=self.pixels[:, which], points_m=self.points_m[which])
 
     def joined(
-        self, pixels: np.ndarray, weights: np.ndarray, points_m: np.ndarray, cameras: Sequence[Camera], limits: Limits
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What bundle adjustment of ``cameras``, in whatever world, takes: ``pixels`` (V, N, 2), ``weights`` (V, N) and
-        ``points_m`` (N, 3), where residuals are in error units; and behind them those places that the cameras agree
-        about at all."""
+        self,
+        pixels: Num[np.ndarray, "V N 2"],
+        weights: Num[np.ndarray, "V N"],
+        points_m: Num[np.ndarray, "N 3"],
+        cameras: Sequence[Camera],
+        limits: Limits,
+    ) -> tuple[Num[np.ndarray, "V M 2"], Num[np.ndarray, "V M"], Num[np.ndarray, "M 3"]]:
+        """What bundle adjustment of ``cameras``, in whatever world, takes: ``pixels``, ``weights`` and ``points_m``,
+        where residuals are in error units; and behind them those places that the cameras agree about at all."""
         seen = np.isfinite(self.pixels).all(-1).astype(float)
         found = triangulate(self.pixels, seen, cameras, replace(limits, outlier_units=limits.outlier_units * _LOOSE))
         weight = found.inliers * (_ALONE * (unit_px(cameras, limits) / self.sigma_px) ** 2)[:, None]

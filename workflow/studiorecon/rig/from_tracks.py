@@ -28,7 +28,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Integer, Num
 
 _BONES = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 BONES = np.array([[STABLE_KEYPOINTS.index(f"{s}_{e}") for e in bone] for s in ("left", "right") for bone in _BONES])
@@ -48,12 +48,12 @@ _UNSCALED_GATE = 0.1
 
 @dataclass(frozen=True)
 class Sightings:
-    """Tracks of every camera on common frames: ``pixels`` (V lists of) (F, 12, 2) of the stable keypoints, NaN where
+    """Tracks of every camera on common frames: ``pixels``, per camera and person, of the stable keypoints, NaN where
     unsure."""
 
     detections: Sequence[Detections]
-    frames: np.ndarray
-    pixels: tuple[tuple[np.ndarray, ...], ...]
+    frames: Integer[np.ndarray, " F"]
+    pixels: tuple[tuple[Num[np.ndarray, "F 12 2"], ...], ...]
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Rig:
     support: int
 
 
-def sightings(detections: Sequence[Detections], frames: np.ndarray, min_confidence: float) -> Sightings:
+def sightings(detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], min_confidence: float) -> Sightings:
     """Dense tracks of the detections in ``frames``."""
     stable = stable_detections(detections, frames)
     place = {int(f): i for i, f in enumerate(frames)}
@@ -117,8 +117,8 @@ def adjusted(
     known_px: Mapping[int, float] | None = None,
     turns: Mapping[int, RoomTurn] | None = None,
     marks: FloorMarks | None = None,
-) -> tuple[Adjusted, np.ndarray]:
-    """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points (N,) it used.
+) -> tuple[Adjusted, Bool[np.ndarray, " N"]]:
+    """The rig's cameras (ascending view) after bundle adjustment of poses and lenses, and which points it used.
 
     ``known_px``: view → the focal length that the lens's prior is about; where there is none it is the rig's own.
     ``turns``: view → how the room's edges say that it is turned; ``marks``: what its floor shows of the views.
@@ -161,12 +161,12 @@ def places_of_joints(rig: Rig, used: Num[np.ndarray, " N"]) -> int:
 
 
 def bone_factor(
-    points_m: np.ndarray, rig_points: Triangulated, seen: Observations, template_m: Num[np.ndarray, "12 3"]
+    points_m: Num[np.ndarray, "N 3"], rig_points: Triangulated, seen: Observations, template_m: Num[np.ndarray, "12 3"]
 ) -> float | None:
-    """By how much all lengths must be multiplied for people's bones (points (N, 3), NaN unknown) to be as long as the
+    """By how much all lengths must be multiplied for people's bones (points, NaN unknown) to be as long as the
     template's.
 
-    ``template_m`` (12, 3) are the stable keypoints of a body of mean shape. None when too few bones are seen.
+    ``template_m`` are the stable keypoints of a body of mean shape. None when too few bones are seen.
     """
     people, person = np.unique(seen.group, return_inverse=True)
     times, time = np.unique(seen.frame, return_inverse=True)
@@ -280,7 +280,7 @@ def _grown(
 def settled(
     seen: Sightings,
     placed: Mapping[int, Camera],
-    template_m: np.ndarray,
+    template_m: Num[np.ndarray, "12 3"],
     gate_m: float,
     limits: Limits,
     first_pair: bool = False,

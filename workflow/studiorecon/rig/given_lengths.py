@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from studiorecon.geometry.triangulation import Triangulated
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.from_tracks import bone_factor
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 # Limbs of people of one height differ by about this, as a share, and so does what a detector takes for joints.
 _OF_HEIGHT = 0.02
@@ -57,17 +61,17 @@ def stature_m(body: BodyModel) -> float:
 def by_given_lengths(
     given: GivenLengths,
     cameras: Sequence[Camera],
-    points: np.ndarray,
+    points: Num[np.ndarray, "N 3"],
     found: Triangulated,
     seen: Observations,
-    template_m: np.ndarray,
+    template_m: Num[np.ndarray, "12 3"],
     mean_stature_m: float,
 ) -> Scale | None:
     """The scale of what is given, of which a distance counts more than heights; None where nothing is.
 
-    ``points`` (N, 3), NaN unknown, are those of ``found`` and ``seen`` in the units of ``cameras``; ``template_m``
-    (12, 3) and ``mean_stature_m`` are the mean body's. Raises UserError for names that nobody has, and for heights that
-    contradict one another.
+    ``points``, NaN unknown, are those of ``found`` and ``seen`` in the units of ``cameras``; ``template_m`` and
+    ``mean_stature_m`` are the mean body's. Raises UserError for names that nobody has, and for heights that contradict
+    one another.
     """
     if given.between:
         return _by_distance(given, cameras)
@@ -102,7 +106,7 @@ def by_given_lengths(
     return Scale(factor, _OF_HEIGHT / np.sqrt(len(factors)), f"lengths by heights: {named} ({who})")
 
 
-def people_in_order(points: np.ndarray, seen: Observations) -> list[int]:
+def people_in_order(points: Num[np.ndarray, "N 3"], seen: Observations) -> list[int]:
     """Groups as association will name them p0, p1, …: by first frame, then by how long, then by x; pieces too short to
     be anybody are none."""
     told = []

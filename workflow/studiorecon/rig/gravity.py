@@ -79,13 +79,12 @@ def world_from_people(
     group: Num[np.ndarray, " N"],
     frame: Num[np.ndarray, " N"],
     keypoint: Num[np.ndarray, " N"],
-) -> tuple[np.ndarray, str] | None:
-    """(4, 4) rigid transform to z up with the floor at z = 0 below people's middle, and how it was found; None without
-    bodies.
+) -> tuple[Num[np.ndarray, "4 4"], str] | None:
+    """Rigid transform to z up with the floor at z = 0 below people's middle, and how it was found; None without bodies.
 
-    ``points_m`` (N, 3), NaN unknown, belong to ``group`` (N,), ``frame`` (N,) and ``keypoint`` (N,). The robust mean of
-    all directions from ankles to shoulders is up to a lean that people share; the plane of the lower ankles replaces it
-    where feet stood in an area, not in a line, and the two agree within 12°.
+    ``points_m``, NaN unknown, belong to ``group``, ``frame`` and ``keypoint``. The robust mean of all directions from
+    ankles to shoulders is up to a lean that people share; the plane of the lower ankles replaces it where feet stood in
+    an area, not in a line, and the two agree within 12°.
     """
     grid, upright = _upright(points_m, group, frame, keypoint)
     if not len(upright):

@@ -23,7 +23,7 @@ from studiorecon.rig.stale import moves as moves_of
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer, Num
+    from jaxtyping import Bool, Integer, Num
 
 _LEAST_POINTS = 60
 _LEAST_HALF = 20
@@ -51,8 +51,8 @@ class Sighted:
     group: Integer[np.ndarray, " N"]
     keypoint: Integer[np.ndarray, " N"]
 
-    def of(self, which: np.ndarray) -> Sighted:
-        """Those that ``which`` (N,) bool chooses."""
+    def of(self, which: Bool[np.ndarray, " N"]) -> Sighted:
+        """Those that ``which`` chooses."""
         return Sighted(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # Stature of a mean adult by the length of a bone between keypoints, metres (shoulder to hip, hip to knee, knee to
 # ankle): the same mean adult as in ``rig.stale``.
@@ -28,8 +32,8 @@ _LEAST_BONES = 30
 _TAKEN_FOR_METRES = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.3701, "feet": 3.28084}
 
 
-def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> np.ndarray:
-    """(N,) the stature of a mean adult with each of the N bones that the cameras see."""
+def statures_m(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> Num[np.ndarray, " N"]:
+    """The stature of a mean adult with each of the N bones that the cameras see."""
     if not len(seen.frame):
         return np.zeros(0)
     found = triangulate(seen.pixels, seen.confidence, cameras, limits)
@@ -59,7 +63,11 @@ def check_human_size(cameras: Sequence[Camera], seen: Observations, limits: Limi
 
 
 def check_units(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: Integer[np.ndarray, " F"],
+    gate_m: float,
+    limits: Limits,
 ) -> None:
     """Where nothing agrees: raises UserError if cameras whose lengths were of another unit see people of human size."""
     for factor in _TAKEN_FOR_METRES.values():

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from studiorecon.rig.correspondences import observe
 from studiorecon.rig.lens_model import LensReading
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 _CLEARLY = 1.5
 # How many times better people must fit cameras that were exchanged: than as they were read, than when they were moved,
@@ -51,7 +54,11 @@ LENS_READINGS: dict[str, LensReading] = {"the lenses are fisheyes": "fisheye", "
 
 
 def verdicts(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: Integer[np.ndarray, " F"],
+    gate_m: float,
+    limits: Limits,
 ) -> tuple[list[dict[str, Any]], list[float | None]]:
     """Every reading with its score, remedy and ``met`` (the share of people's joints at which its rays meet, of three
     cameras where there are three), and per camera how many times more it adds as read than under the best other
@@ -94,14 +101,18 @@ def verdicts(
 
 
 def lens_row(
-    name: str, cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+    name: str,
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: Integer[np.ndarray, " F"],
+    gate_m: float,
 ) -> dict[str, Any]:
     """The row of ``verdicts`` for cameras and detections as another lens model would have them."""
     return {"hypothesis": name, "score": _score(cameras, detections, frames, gate_m), "remedy": REMEDIES[name]}
 
 
 def best_swap(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> tuple[dict[str, Any], list[Camera]] | None:
     """The row of ``verdicts`` for the two cameras whose exchange people like best, and all cameras then; None with
     fewer than three."""
@@ -121,7 +132,7 @@ def best_swap(
 def refuse_swapped(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
-    frames: np.ndarray,
+    frames: Integer[np.ndarray, " F"],
     gate_m: float,
     limits: Limits,
     before_px: float,
@@ -193,7 +204,7 @@ def _rescaled(pose: np.ndarray, factor: float) -> np.ndarray:
 
 
 def check_conventions(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float
+    cameras: Sequence[Camera], detections: Sequence[Detections], frames: Integer[np.ndarray, " F"], gate_m: float
 ) -> list[dict[str, Any]]:
     """Every reading of the poses with its score: agreement of people's rays, per detection that could agree.
 

@@ -83,9 +83,8 @@ def _plane(points_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
 
 def under_feet(
     cameras: Sequence[Camera], seen: Observations, marks_m: Num[np.ndarray, "M 3"], limits: Limits
-) -> tuple[Floor, np.ndarray] | None:
-    """The floor that people stand on by ``cameras``, and the middle (2,) of where they do; None where too few feet show
-    it.
+) -> tuple[Floor, Num[np.ndarray, " 2"]] | None:
+    """The floor that people stand on by ``cameras``, and the middle of where they do; None where too few feet show it.
 
     Its slope is that of the plane through ``marks_m``, places on it, where there are enough; a detector's ankles are
     all too high, or too low, by some centimetres.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from studiorecon.rig.bundle import contradicted
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # A keypoint agrees when it lies this share of the longer image side from where the others see it: three times what a
 # calibration may be off (``Agreement.max_error_share``), since clocks and detectors are off too.
@@ -85,11 +89,15 @@ class _Reading:
 
 
 def odd_one_out(
-    cameras: Sequence[Camera], detections: Sequence[Detections], frames: np.ndarray, gate_m: float, limits: Limits
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    frames: Integer[np.ndarray, " F"],
+    gate_m: float,
+    limits: Limits,
 ) -> Odd | None:
     """The camera that the others, who agree with one another, contradict; None where there is none.
 
-    ``frames`` (F,) are looked at, 48 of them at most. Three cameras name one only together with what was mixed up: two
+    ``frames`` are looked at, 48 of them at most. Three cameras name one only together with what was mixed up: two
     rays always meet somewhere. Fewer than three name none.
     """
     if len(cameras) < 3:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.room_turns import RoomTurn
 
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 # How far floors may lie beside one another, metres: by what people leave uncertain, then by what is left of it.
 _REACH_M = (0.30, 0.12, 0.12)
 # What people may lose by it, and what the floor must be explained to, in its own standard deviations.
@@ -26,7 +30,7 @@ def on_one_floor(
     rig: Rig,
     result: Adjusted,
     seen: Sightings,
-    template_m: np.ndarray,
+    template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
     known_px: Mapping[int, float],
     rooms: Sequence[RoomPicture | None],

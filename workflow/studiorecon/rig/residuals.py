@@ -16,12 +16,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.geometry.rotations import cross_matrix
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # Antisymmetric derivative over five frames (Savitzky-Golay): a tenth of the noise variance per frame.
 _DERIVATIVE = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) / 10
@@ -51,12 +55,12 @@ class Causes:
         points, moments: how many body points, and independent moments, the answer rests on.
     """
 
-    lag_frames: np.ndarray
-    lag_sigma: np.ndarray
-    readout: np.ndarray
-    readout_sigma: np.ndarray
-    radial: np.ndarray
-    radial_sigma: np.ndarray
+    lag_frames: Num[np.ndarray, " V"]
+    lag_sigma: Num[np.ndarray, " V"]
+    readout: Num[np.ndarray, " V"]
+    readout_sigma: Num[np.ndarray, " V"]
+    radial: Num[np.ndarray, " V"]
+    radial_sigma: Num[np.ndarray, " V"]
     noise_px: float
     speed_px: tuple[float, float]
     rows: float
@@ -66,8 +70,10 @@ class Causes:
     reason: str = ""
 
 
-def causes(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, search_frames: int, limits: Limits) -> Causes:
-    """Lag, readout and lens of every camera from tracks ``pixels`` (V, P, T, J, 2) of P people, NaN where not seen.
+def causes(
+    pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, search_frames: int, limits: Limits
+) -> Causes:
+    """Lag, readout and lens of every camera from tracks ``pixels`` of P people, NaN where not seen.
 
     At most ``moments`` frames are used, evenly spaced. Lags of whole frames are looked for within ± ``search_frames``
     first, the rest is linear; good to 0.02 frame at 1 px of noise and 5 px/frame. 0.3 s for 4 cameras, 60 moments and
@@ -107,10 +113,10 @@ def causes(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, search_f
 
 @dataclass(frozen=True)
 class _System:
-    target: np.ndarray  # (N, 2V) residuals with the points projected out
-    columns: np.ndarray  # (N, 2V, K V)
-    seen: np.ndarray  # (N, V)
-    cluster: np.ndarray  # (N,) which moment of which person
+    target: Num[np.ndarray, "N 2*V"]  # residuals with the points projected out
+    columns: Num[np.ndarray, "N 2*V K*V"]
+    seen: Num[np.ndarray, "N V"]
+    cluster: Integer[np.ndarray, " N"]  # which moment of which person
     speed_px: tuple[float, float]
     rows: float
     moments: int

@@ -86,12 +86,12 @@ class RoomTurn:
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges of one camera as planes through its centre: unit normals (N, 3), weights (N,) that sum to 1, and in which
-    of two patterns of halves (2, N) bool each lies."""
+    """Edges of one camera as planes through its centre: unit normals, weights that sum to 1, and in which of two
+    patterns of halves each lies."""
 
-    normals: np.ndarray
-    weights: np.ndarray
-    halves: np.ndarray
+    normals: Num[np.ndarray, "N 3"]
+    weights: Num[np.ndarray, " N"]
+    halves: Bool[np.ndarray, "2 N"]
 
 
 def room_turns(cameras: Mapping[int, Camera], edges: Mapping[int, Num[np.ndarray, "N 4"]]) -> dict[int, RoomTurn]:
@@ -129,8 +129,8 @@ def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
     return _Edges(normals[told] / length[told, None], length[told] / length[told].sum(), halves[:, told])
 
 
-def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> np.ndarray:
-    """(...,) share of the edges' length that runs along one of the room's directions, to within about ``width_deg``."""
+def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> Num[np.ndarray, " ..."]:
+    """Share of the edges' length that runs along one of the room's directions, to within about ``width_deg``."""
     off = np.abs(np.einsum("ni,...ij->...nj", edges.normals, camera_from_room)).min(-1)
     return (edges.weights * np.exp(-0.5 * (off / np.radians(width_deg)) ** 2)).sum(-1)
 

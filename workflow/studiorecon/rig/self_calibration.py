@@ -5,6 +5,7 @@ between."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement
 from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
 from studiorecon.rig.room_turns import RoomTurn, room_turns
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 _ROUNDS = 6
 _SETTLED_SHARE = 0.002
@@ -24,7 +28,7 @@ _KEPT_SUPPORT, _EDGES_COST = 0.9, 1.2
 def self_calibrated(
     rig: Rig,
     seen: Sightings,
-    template_m: np.ndarray,
+    template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
     known_px: Mapping[int, float],
     agreement: Agreement,
@@ -49,10 +53,10 @@ def turned_by_edges(
     rig: Rig,
     result: Adjusted,
     seen: Sightings,
-    template_m: np.ndarray,
+    template_m: Num[np.ndarray, "12 3"],
     lens: LensPrior,
     known_px: Mapping[int, float],
-    edges: Mapping[int, np.ndarray],
+    edges: Mapping[int, Num[np.ndarray, "N 4"]],
     agreement: Agreement,
 ) -> tuple[Rig, Adjusted, dict[int, RoomTurn]]:
     """The rig with what the room's edges say about its turns, and that; as it is where they say nothing, or where

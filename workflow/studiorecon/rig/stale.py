@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from studiorecon.rig.from_tracks import rigs, sightings
 from studiorecon.rig.level import levelled, under_feet
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # The wide rung: several times what a knocked or replaced tripod is off, so that it only holds what people do not show
 # at all.
@@ -74,7 +77,7 @@ class Stale:
 def where_they_stand_now(
     given: Sequence[Camera],
     detections: Sequence[Detections],
-    frames: np.ndarray,
+    frames: Integer[np.ndarray, " F"],
     gate_m: float,
     gain: float,
     limits: Limits,
@@ -118,7 +121,7 @@ def tell(given: Sequence[Camera], found: Stale, between_deg: float) -> None:
 def moved_since(
     given: Sequence[Camera],
     detections: Sequence[Detections],
-    frames: np.ndarray,
+    frames: Integer[np.ndarray, " F"],
     gate_m: float,
     limits: Limits,
     bundle: BundleSettings,
@@ -181,8 +184,8 @@ def moved_since(
     return Stale(cameras, observe(detections, cameras, frames, gate_m)[0], report)
 
 
-def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """(V,) degrees and (V,) metres that the cameras were turned and moved by."""
+def moves(found: Sequence[Camera], given: Sequence[Camera]) -> tuple[Num[np.ndarray, " V"], Num[np.ndarray, " V"]]:
+    """Degrees and metres that the cameras were turned and moved by."""
     turned = np.stack([f.camera_from_world[:3, :3] @ g.camera_from_world[:3, :3].T for f, g in zip(found, given)])
     apart = np.array([f.centre_m - g.centre_m for f, g in zip(found, given)])
     return np.degrees(np.linalg.norm(log(turned), axis=-1)), np.linalg.norm(apart, axis=-1)
@@ -201,9 +204,9 @@ def _by_those_that_stand(found: Sequence[Camera], given: Sequence[Camera], bundl
 
 @dataclass(frozen=True)
 class _Used:
-    pixels: np.ndarray
-    weights: np.ndarray
-    points_m: np.ndarray
+    pixels: Num[np.ndarray, "V N 2"]
+    weights: Num[np.ndarray, "V N"]
+    points_m: Num[np.ndarray, "N 3"]
 
 
 def _agreeing(seen: Observations, cameras: Sequence[Camera], limits: Limits) -> _Used | None:
