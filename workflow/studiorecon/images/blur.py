@@ -11,11 +11,11 @@ import numpy as np
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Num
 
 
-def gaussian_blur(image: Num[np.ndarray, "H W ..."], size_px: int, sigma_px: float) -> np.ndarray:
-    """``image`` (H, W[, C]) float32 blurred with a ``size_px`` × ``size_px`` Gaussian.
+def gaussian_blur(image: Num[np.ndarray, "H W ..."], size_px: int, sigma_px: float) -> Float[np.ndarray, "H W ..."]:
+    """``image``, float32, blurred with a ``size_px`` × ``size_px`` Gaussian.
 
     Borders are replicated: with zeros outside a constant 1 would fall to 0.60 at edges and 0.36 in corners (
     E05). The paper names the kernel, 11, and no sigma; 2.0 is the reading U05. Raises ValueError for an even or

@@ -9,13 +9,14 @@ import numba
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Integer, Num
 
 
 @numba.njit(cache=True, nogil=True)
-def colour_sums(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(4, 4) and (4, 3) int64: Σ d dᵀ and Σ d sᵀ over the pixels of two (H, W, 3) uint8 pictures, d = (first's colour,
-    1). Exact."""
+def colour_sums(
+    first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+) -> tuple[Integer[np.ndarray, "4 4"], Integer[np.ndarray, "4 3"]]:
+    """Σ d dᵀ and Σ d sᵀ, int64, over the pixels of two uint8 pictures, d = (first's colour, 1). Exact."""
     height, width, _ = first.shape
     own, both = np.zeros((4, 4), np.int64), np.zeros((4, 3), np.int64)
     # A row of each channel by itself, and of ones: the compiler uses the processor's vector instructions for such sums
@@ -51,8 +52,10 @@ def _add_products(factor, red, green, blue, total):
 
 
 @numba.njit(cache=True, nogil=True)
-def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) -> np.int64:
-    """Σ over pixels and channels of the squared difference of levels once ``by`` (4, 3) has moved ``first``'s colours;
+def mapped_squared_error(
+    first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"], by: Num[np.ndarray, "4 3"]
+) -> np.int64:
+    """Σ over pixels and channels of the squared difference of levels once ``by`` has moved ``first``'s colours;
     clamped, rounded."""
     total = np.int64(0)
     for y in range(first.shape[0]):
@@ -65,9 +68,8 @@ def mapped_squared_error(first: np.ndarray, second: np.ndarray, by: np.ndarray) 
     return total
 
 
-def colour_map(first: np.ndarray, second: np.ndarray) -> Num[np.ndarray, "4 3"]:
-    """(4, 3) least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell
-    it."""
+def colour_map(first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]) -> Num[np.ndarray, "4 3"]:
+    """Least-squares affine map from ``first``'s levels to ``second``'s; minimum norm where too few colours tell it."""
     own, both = colour_sums(first, second)
     # In units of the range: sums of at most 1 over a million pixels are conditioned well enough in float64.
     unit = np.array([255.0, 255.0, 255.0, 1.0])

@@ -3,18 +3,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 
 def plate_difference(
-    rgb: np.ndarray, plate_rgb: np.ndarray, *, chroma_weight: float, shadow: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 squared difference of a picture from the plate, CIELAB units, and (H, W) the light that is left
-    there.
+    rgb: Float[np.ndarray, "H W 3"], plate_rgb: Float[np.ndarray, "H W 3"], *, chroma_weight: float, shadow: float
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """Squared difference, float32, of a picture from the plate, CIELAB units, and the light that is left there.
 
-    Both pictures are (H, W, 3) float32 in [0, 1]. A shadow darkens all channels by one factor: the best such factor,
-    between ``shadow`` and 1, is taken out first. Colour differences count ``chroma_weight`` times as much as lightness.
+    Both pictures are float32 in [0, 1]. A shadow darkens all channels by one factor: the best such factor, between
+    ``shadow`` and 1, is taken out first. Colour differences count ``chroma_weight`` times as much as lightness.
     """
     left = np.clip((rgb * plate_rgb).sum(axis=2) / np.maximum((plate_rgb * plate_rgb).sum(axis=2), 1e-4), shadow, 1.0)
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate_rgb * left[..., None], cv2.COLOR_RGB2Lab)

@@ -20,11 +20,11 @@ DARKEST, BRIGHTEST = 0.03, 0.97
 
 @dataclass(frozen=True)
 class Overlap:
-    """Median log colour ratio (3,) of camera ``first`` over camera ``second`` (indices) on ``pixels`` common pixels."""
+    """Median log colour ratio of camera ``first`` over camera ``second`` (indices) on ``pixels`` common pixels."""
 
     first: int
     second: int
-    log_ratio: np.ndarray
+    log_ratio: Num[np.ndarray, " 3"]
     pixels: int
 
 
@@ -47,8 +47,8 @@ def compare(
     return Overlap(first, second, np.median(ratio, axis=0), count)
 
 
-def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> np.ndarray:
-    """(cameras, 3) factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without
+def solve_gains(cameras: int, overlaps: Sequence[Overlap]) -> Num[np.ndarray, "V 3"]:
+    """Every camera's factors, geometric mean 1, whose ratios fit the overlaps in least squares; 1 for a camera without
     any.
 
     Divide a photo by its factors to make it agree with the others. Cameras joined by no chain of overlaps keep their

@@ -7,10 +7,15 @@ for every Python; where it does not load there is no number.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.images.metrics import levels
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 SMALLEST_PX = 11
 """Side of a picture below which its filters, which reach that far, see mostly what is not there."""
@@ -25,9 +30,9 @@ def available() -> bool:
     return True
 
 
-def flip(prediction: np.ndarray, truth: np.ndarray) -> float | None:
-    """Mean LDR-ꟻLIP of two (H, W, 3) sRGB pictures, uint8 or float in [0, 1], 0 = the same, at 67 pixels per degree,
-    the package's default: a 4K screen at 0.7 m.
+def flip(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"]) -> float | None:
+    """Mean LDR-ꟻLIP of two sRGB pictures, uint8 or float in [0, 1], 0 = the same, at 67 pixels per degree, the
+    package's default: a 4K screen at 0.7 m.
 
     None under 11 pixels a side. The mean is taken here, in float64: the package's own depends on its threads. 0.2 s at
     480×270. Raises ValueError for pictures of two sizes, ImportError where the package does not load.

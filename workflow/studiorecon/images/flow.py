@@ -54,8 +54,10 @@ def grey_levels(rgb: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
     return cv2.cvtColor(np.ascontiguousarray(levels), cv2.COLOR_RGB2GRAY)
 
 
-def dis_flow(first_grey: np.ndarray, second_grey: np.ndarray, preset: str) -> np.ndarray:
-    """Flow (H, W, 2) from the first to the second uint8 picture by dense inverse search (Kroeger et al. 2016).
+def dis_flow(
+    first_grey: Integer[np.ndarray, "H W"], second_grey: Integer[np.ndarray, "H W"], preset: str
+) -> Num[np.ndarray, "H W 2"]:
+    """Flow in pixels from the first to the second uint8 picture by dense inverse search (Kroeger et al. 2016).
 
     Deterministic inside ``one_thread``. Raises UserError for pictures that differ in size or are too small to search.
     """
@@ -74,10 +76,9 @@ def chained(
     flow: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
     further: Num[np.ndarray, "H W 2"],
-    further_valid: Num[np.ndarray, "H W"],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Flow (H, W, 2) from a first picture to a third and (H, W) bool where it holds, from first to second and second to
-    third.
+    further_valid: Bool[np.ndarray, "H W"],
+) -> tuple[Num[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
+    """Flow from a first picture to a third and where it holds, from first to second and second to third.
 
     F(p) = f(p) + g(p + f(p)); invalid where either part is, or where p + f(p) leaves the second picture. Raises
     ValueError for flows of two sizes.

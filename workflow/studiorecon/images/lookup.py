@@ -3,28 +3,32 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numba
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 
 @numba.njit(cache=True, nogil=True)
 def seen_from(
-    depth_m: np.ndarray,
-    ray_from_pixel: np.ndarray,
-    eye_m: np.ndarray,
-    source_depth_m: np.ndarray,
-    source_from_world: np.ndarray,
-    source_intrinsics: np.ndarray,
-    source_eye_m: np.ndarray,
+    depth_m: Num[np.ndarray, "H W"],
+    ray_from_pixel: Num[np.ndarray, "3 3"],
+    eye_m: Num[np.ndarray, " 3"],
+    source_depth_m: Num[np.ndarray, "h w"],
+    source_from_world: Num[np.ndarray, "3 4"],
+    source_intrinsics: Num[np.ndarray, "3 3"],
+    source_eye_m: Num[np.ndarray, " 3"],
     tolerance: float,
     power: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of every pixel of a view: (H, W) whether a source sees its surface, (H, W, 2) where, and (H, W) cos^power of the
-    angle, float32.
+) -> tuple[Bool[np.ndarray, "H W"], Float[np.ndarray, "H W 2"], Float[np.ndarray, "H W"]]:
+    """Of every pixel of a view: whether a source sees its surface, at which pixel, and cos^power of the angle, float32.
 
-    ``depth_m`` (H, W) is the view's z-depth with 0 (or what is no number) for unknown, ``ray_from_pixel`` (3, 3) takes
-    (x, y, 1) at pixel centres +0.5 to the world direction of one metre of depth; ``source_from_world`` (3, 4). Seen:
-    the source's depth at the nearest pixel differs by at most ``tolerance`` of the distance.
+    ``depth_m`` is the view's z-depth with 0 (or what is no number) for unknown, ``ray_from_pixel`` takes (x, y, 1) at
+    pixel centres +0.5 to the world direction of one metre of depth. Seen: the source's depth at the nearest pixel
+    differs by at most ``tolerance`` of the distance.
     """
     height, width = depth_m.shape
     rows, columns = source_depth_m.shape
@@ -68,15 +72,15 @@ def seen_from(
 
 @numba.njit(cache=True, nogil=True)
 def add_read(
-    picture: np.ndarray,
-    pixels: np.ndarray,
-    weight: np.ndarray,
-    total: np.ndarray,
-    weights: np.ndarray,
-    cover: np.ndarray,
+    picture: Num[np.ndarray, "h w 3"],
+    pixels: Num[np.ndarray, "H W 2"],
+    weight: Num[np.ndarray, "H W"],
+    total: Num[np.ndarray, "H W 3"],
+    weights: Num[np.ndarray, "H W"],
+    cover: Num[np.ndarray, "H W"],
 ) -> None:
-    """Adds weight × picture (h, w, 3), read bilinearly at ``pixels`` (H, W, 2), to ``total``; weight to ``weights``;
-    and keeps the largest weight in ``cover``. Pixels beyond the outermost centres read the border."""
+    """Adds weight × picture, read bilinearly at ``pixels``, to ``total``; weight to ``weights``; and keeps the largest
+    weight in ``cover``. Pixels beyond the outermost centres read the border."""
     rows, columns = picture.shape[:2]
     for i in range(weight.shape[0]):
         for j in range(weight.shape[1]):

@@ -32,8 +32,8 @@ SMALLEST_MASK_PX = 256
 _SQUARES = 3 * 255**2
 
 
-def levels(picture: np.ndarray) -> Integer[np.ndarray, "H W 3"]:
-    """(H, W, 3) uint8 of an 8-bit picture, or of a float one after clamping and rounding (I04)."""
+def levels(picture: Num[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W 3"]:
+    """Levels, uint8, of an 8-bit picture, or of a float one after clamping and rounding (I04)."""
     return picture if picture.dtype == np.uint8 else to_bytes(picture)
 
 
@@ -46,9 +46,8 @@ def error_map(prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 
     return squared_error(levels(prediction), levels(truth))
 
 
-def psnr_of(errors: Num[np.ndarray, "H W"], mask: np.ndarray | None = None) -> float | None:
-    """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` (H, W) bool when
-    given.
+def psnr_of(errors: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
+    """Peak signal-to-noise ratio in dB with range 1 of an ``error_map``, over the pixels of ``mask`` when given.
 
     10 log10(1/MSE), capped at 100 dB. The mean divides by the masked pixels, not by the picture: at 5 % coverage that
     is the difference between 18 and 31 dB. None below 256 masked pixels. Raises ValueError for a mask of another size.
@@ -67,7 +66,9 @@ def decibels(mean_square: float) -> float:
     return PSNR_CAP_DB if mean_square <= 10 ** (-PSNR_CAP_DB / 10) else -10 * float(np.log10(mean_square))
 
 
-def psnr(prediction: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+def psnr(
+    prediction: Num[np.ndarray, "H W 3"], truth: Num[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"] | None = None
+) -> float | None:
     """``psnr_of`` the ``error_map`` of two pictures. Raises ValueError for pictures or a mask of two sizes."""
     return psnr_of(error_map(prediction, truth), mask)
 
@@ -113,7 +114,7 @@ def whole_windows(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     return inside & cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)).astype(bool)
 
 
-def ssim(similarity: Num[np.ndarray, "H W"], mask: np.ndarray | None = None) -> float | None:
+def ssim(similarity: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"] | None = None) -> float | None:
     """Mean of an ``ssim_map`` over windows that lie inside the picture; with ``mask``, over windows wholly inside the
     mask.
 
@@ -145,12 +146,12 @@ def change_maps(
     previous: Num[np.ndarray, "H W 3"],
     backward: Num[np.ndarray, "H W 2"],
     valid: Bool[np.ndarray, "H W"],
-) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside
+) -> tuple[Num[np.ndarray, "H W"], Num[np.ndarray, "H W"]]:
+    """Absolute and squared change of ``current`` against ``previous`` moved by the backward flow; NaN outside
     ``valid``.
 
-    O_t − warp(O_{t−1}, F_{t→t−1}), mean over channels, range 1. The flow (H, W, 2) is that of the *true* video.
-    Raises ValueError for pictures, a flow or a mask of another size.
+    O_t − warp(O_{t−1}, F_{t→t−1}), mean over channels, range 1. The flow, pixels, is that of the *true* video. Raises
+    ValueError for pictures, a flow or a mask of another size.
     """
     sizes = require("current", current, ("H", "W", 3))
     require("previous", previous, ("H", "W", 3), sizes)

@@ -14,7 +14,7 @@ from studiorecon.arrays import require
 from studiorecon.images.encoded import write_png
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Float, Integer, Num
 
 # Rows that are turned to time-last order at once: bounds the copy of the clip.
 _BAND = 64
@@ -41,18 +41,18 @@ def noise_levels(frames: Num[np.ndarray, "T H W 3"]) -> float:
 
 def temporal_modes(
     frames: Num[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], agree_levels: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """The colour most pictures agree on at every pixel, among those in which the pixel is ``free``.
 
     Args:
-        frames: (T, H, W, 3) uint8; all of one static camera.
-        free: (T, H, W) bool: False where something is known to stand in front.
+        frames: uint8; all of one static camera.
+        free: False where something is known to stand in front.
         agree_levels: colours whose every channel differs by at most this are the same surface.
 
     Returns:
-        (H, W, 3) float32 mean of the agreeing colours, 0..255 (0 where never free); (H, W) int how many agree; (H, W)
-        int how many agree on the best colour that is clearly another one. Costs at most T² comparisons per pixel.
-        Raises ValueError for arrays that do not belong together, or frames that are not uint8.
+        Mean of the agreeing colours, float32, 0..255 (0 where never free); how many agree; how many agree on the best
+        colour that is clearly another one. Costs at most T² comparisons per pixel. Raises ValueError for arrays that do
+        not belong together, or frames that are not uint8.
     """
     require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
     if frames.dtype != np.uint8:

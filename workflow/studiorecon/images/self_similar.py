@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Integer
 
 # Patches that are compared are described by so many of their principal components.
 _COMPONENTS = 8
@@ -77,8 +77,10 @@ def filled(
     return np.where(known[..., None], rgb, np.clip(painted, 0, 1))
 
 
-def light_of(rgb: np.ndarray, known: np.ndarray, sigma: float) -> np.ndarray:
-    """(H, W, 3) what is left of a surface without its detail, everywhere; what stands out counts for nothing."""
+def light_of(
+    rgb: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], sigma: float
+) -> Float[np.ndarray, "H W 3"]:
+    """What is left of a surface without its detail, everywhere; what stands out counts for nothing."""
     weight = known.astype(np.float64)
     for _ in range(_LIGHT_ROUNDS):
         light = _smooth(rgb, weight, sigma)
@@ -107,8 +109,10 @@ def _smooth(rgb: np.ndarray, weight: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def repeats(detail: np.ndarray, known: np.ndarray, scale: Scale, rng: np.random.Generator) -> np.ndarray:
-    """(K, 2) rows and columns by which the surface repeats itself, the commonest first; none where too little of it is
+def repeats(
+    detail: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W"], scale: Scale, rng: np.random.Generator
+) -> Integer[np.ndarray, "K 2"]:
+    """Rows and columns by which the surface repeats itself, the commonest first; none where too little of it is
     known."""
     half = scale.patch // 2
     rows, columns = np.nonzero(minimum_filter(known, scale.patch, mode="constant", cval=False))

@@ -19,7 +19,7 @@ import numpy as np
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Float, Integer, Num
 
 WINDOW, SIGMA = 11, 1.5
 RADIUS = WINDOW // 2
@@ -28,8 +28,8 @@ K_1, K_2 = 0.01, 0.03
 _C1, _C2 = (K_1 * 255) ** 2, (K_2 * 255) ** 2
 
 
-def window() -> np.ndarray:
-    """(11,) float64 normalised Gaussian of sigma 1.5: the window of SSIM, as a measure and as a loss."""
+def window() -> Float[np.ndarray, " 11"]:
+    """Normalised Gaussian, float64, of sigma 1.5: the window of SSIM, as a measure and as a loss."""
     return cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)[:, 0]
 
 
@@ -51,8 +51,10 @@ def similarity_map(
 
 
 @numba.njit(cache=True, nogil=True)
-def squared_error(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(H, W) int32: Σ over channels of the squared difference of two (H, W, 3) uint8 pictures, exact."""
+def squared_error(
+    first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+) -> Integer[np.ndarray, "H W"]:
+    """Σ over channels of the squared difference of two uint8 pictures, int32, exact."""
     height, width, channels = first.shape
     found = np.empty((height, width), np.int32)
     for y in range(height):
@@ -66,8 +68,8 @@ def squared_error(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def masked_sum(values: np.ndarray, mask: np.ndarray) -> tuple[float, int]:
-    """Sum of ``values`` (H, W) where ``mask`` (H, W) is true, and how many there are; what lies outside may be NaN."""
+def masked_sum(values: Num[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"]) -> tuple[float, int]:
+    """Sum of ``values`` where ``mask`` is true, and how many there are; what lies outside may be NaN."""
     total, count = 0.0, 0
     for y in range(values.shape[0]):
         row = 0.0

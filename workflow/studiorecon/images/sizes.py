@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Num, Shaped
 
 
-def resampled(picture: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
-    """(h, w, ...) float32 picture from (H, W, ...): a triangle filter, as wide as an input pixel or an output pixel,
-    whichever is larger.
+def resampled(picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Float[np.ndarray, "h w ..."]:
+    """A picture at another size, float32: a triangle filter, as wide as an input pixel or an output pixel, whichever is
+    larger.
 
     Half-pixel centres: the picture's borders stay where they are. At its own size a picture comes back as it is.
     """
@@ -30,10 +30,9 @@ def resampled(picture: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
 
 
 def placed(
-    picture: np.ndarray, hw: tuple[int, int], start: tuple[float, float], step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w, ...) float32 part of a picture and (h, w) share of every pixel that lies inside it; what lies outside is
-    0.
+    picture: Num[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
+) -> tuple[Float[np.ndarray, "h w ..."], Float[np.ndarray, "h w"]]:
+    """A part of a picture, float32, and the share of every pixel that lies inside it; what lies outside is 0.
 
     Pixel (i, j) shows the picture around row ``start[0] + (i + 0.5) * step`` and column ``start[1] + (j + 0.5) *
     step``.
@@ -47,8 +46,10 @@ def placed(
     return np.ascontiguousarray(taken), np.minimum(share, 1)
 
 
-def placed_nearest(values: np.ndarray, hw: tuple[int, int], start: tuple[float, float], step: float) -> np.ndarray:
-    """(h, w, ...) as ``placed``, every pixel taking the one its centre falls into; 0 outside."""
+def placed_nearest(
+    values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int], start: tuple[float, float], step: float
+) -> Shaped[np.ndarray, "h w ..."]:
+    """As ``placed``, every pixel taking the one its centre falls into; 0 outside."""
     places = [np.floor(first + (np.arange(size) + 0.5) * step).astype(np.int64) for first, size in zip(start, hw)]
     inside = [(place >= 0) & (place < size) for place, size in zip(places, values.shape[:2])]
     rows, columns = (np.clip(place, 0, size - 1) for place, size in zip(places, values.shape[:2]))
@@ -72,23 +73,23 @@ def _shares(before: int, after: int, start: float, step: float) -> np.ndarray:
     return (share / whole[:, None]).astype(np.float32)
 
 
-def nearest(values: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
-    """(h, w, ...) from (H, W, ...): every pixel takes the one its centre falls into; for depth and labels, which have
-    no means."""
+def nearest(values: Shaped[np.ndarray, "H W ..."], hw: tuple[int, int]) -> Shaped[np.ndarray, "h w ..."]:
+    """A map at another size: every pixel takes the one its centre falls into; for depth and labels, which have no
+    means."""
     rows, columns = (
         ((np.arange(size) + 0.5) * before / size).astype(np.int64) for size, before in zip(hw, values.shape[:2])
     )
     return values[rows[:, None], columns]
 
 
-def grown(picture: np.ndarray, multiple: int) -> np.ndarray:
-    """(H', W', ...) picture with its last row and column repeated until both sides are multiples of ``multiple``."""
+def grown(picture: Shaped[np.ndarray, "H W ..."], multiple: int) -> Shaped[np.ndarray, "h w ..."]:
+    """The picture with its last row and column repeated until both sides are multiples of ``multiple``."""
     missing = [-side % multiple for side in picture.shape[:2]]
     return np.pad(picture, [(0, missing[0]), (0, missing[1])] + [(0, 0)] * (picture.ndim - 2), mode="edge")
 
 
-def as_float(picture: np.ndarray) -> Float[np.ndarray, "H W 3"]:
-    """(H, W, 3) float32 RGB in [0, 1] of a uint8 or float picture.
+def as_float(picture: Num[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
+    """RGB, float32 in [0, 1], of a uint8 or float picture.
 
     Raises:
         ValueError: it is no colour picture.

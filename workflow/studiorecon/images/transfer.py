@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ import numpy as np
 from studiorecon.images.blur import gaussian_blur
 from studiorecon.images.lookup import add_read, seen_from
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 
 @dataclass(frozen=True)
@@ -39,16 +43,20 @@ class Transfer:
 
 @dataclass(frozen=True)
 class ResidualSource:
-    """One training camera at one time: residual (H, W, 3) float32, depth (H, W) metres with 0 where it must not be
+    """One training camera at one time: residual in units of the range, depth in metres with 0 where it must not be
     used."""
 
     camera: Camera
-    residual: np.ndarray
-    depth_m: np.ndarray
+    residual: Float[np.ndarray, "H W 3"]
+    depth_m: Float[np.ndarray, "H W"]
 
 
 def source(
-    camera: Camera, photo: np.ndarray, render: np.ndarray, depth_m: np.ndarray, transfer: Transfer
+    camera: Camera,
+    photo: Num[np.ndarray, "H W 3"],
+    render: Num[np.ndarray, "h w 3"],
+    depth_m: Num[np.ndarray, "h w"],
+    transfer: Transfer,
 ) -> ResidualSource:
     """The residual of one training picture; pixels at depth edges are left out, since they mix two surfaces (
     C12).
@@ -68,10 +76,9 @@ def source(
 
 
 def carried_over(
-    camera: Camera, depth_m: np.ndarray, sources: Sequence[ResidualSource], transfer: Transfer
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (H, W, 3) that the sources predict for a view, and cover (H, W) in 0..1: how well a source sees each
-    pixel.
+    camera: Camera, depth_m: Num[np.ndarray, "H W"], sources: Sequence[ResidualSource], transfer: Transfer
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]]:
+    """Residual that the sources predict for a view, and cover in 0..1: how well a source sees each pixel.
 
     Cover is 0 where no source sees the pixel's surface; it falls with the angle between the viewing rays and towards
     the borders of the seen area. The residual is the cover-weighted mean over sources.
@@ -98,7 +105,8 @@ def carried_over(
 
 
 def best_strength(
-    predicted: Sequence[tuple[np.ndarray, np.ndarray]], actual: Sequence[np.ndarray]
+    predicted: Sequence[tuple[Num[np.ndarray, "H W 3"], Num[np.ndarray, "H W"]]],
+    actual: Sequence[Num[np.ndarray, "H W 3"]],
 ) -> tuple[float, float]:
     """Share of the carried-over residual that is worth adding (0..1), and the share of pixels it was judged on.
 

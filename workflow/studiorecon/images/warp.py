@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Bool, Integer, Num
 
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
@@ -26,9 +26,11 @@ _SLACK_PX = 1e-6
 
 
 def sample(
-    image: Num[np.ndarray, "H W ..."], pixels: np.ndarray, how: Literal["nearest", "linear", "cubic"] = "linear"
-) -> tuple[np.ndarray, np.ndarray]:
-    """Values (h, w[, C]) of an image (H, W[, C]) at pixel coordinates (h, w, 2), and (h, w) bool where they are real.
+    image: Num[np.ndarray, "H W ..."],
+    pixels: Num[np.ndarray, "h w 2"],
+    how: Literal["nearest", "linear", "cubic"] = "linear",
+) -> tuple[Num[np.ndarray, "h w ..."], Bool[np.ndarray, "h w"]]:
+    """Values of an image at pixel coordinates, and where they are real.
 
     A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).
     Elsewhere the value is that of the nearest border pixel, or of the corner for a coordinate that is not finite
@@ -46,9 +48,11 @@ def sample(
     return _remap(as_float, x, y, _FILTERS[how]), inside
 
 
-def nearest_pixels(pixels: np.ndarray, hw: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns (h, w) that ``sample(…, "nearest")`` reads at coordinates (h, w, 2) of a picture of size ``hw``,
-    and (h, w) bool where they are real: for many pictures that are read at the same places."""
+def nearest_pixels(
+    pixels: Num[np.ndarray, "h w 2"], hw: tuple[int, ...]
+) -> tuple[Integer[np.ndarray, "h w"], Integer[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
+    """Rows and columns that ``sample(…, "nearest")`` reads at coordinates of a picture of size ``hw``, and where they
+    are real: for many pictures that are read at the same places."""
     height, width = hw
     column, row, inside = _pulled_inside(pixels, hw, 0.0)
     columns = np.minimum(np.floor(column).astype(np.intp), width - 1)
@@ -85,12 +89,11 @@ def warp(
     image: Num[np.ndarray, "H W ..."],
     flow: Num[np.ndarray, "H W 2"],
     how: Literal["nearest", "linear", "cubic"] = "linear",
-) -> tuple[np.ndarray, np.ndarray]:
-    """Backward warp: the output at pixel p is the image at p + flow(p); also (H, W) bool where that lies inside the
-    image.
+) -> tuple[Num[np.ndarray, "H W ..."], Bool[np.ndarray, "H W"]]:
+    """Backward warp: the output at pixel p is the image at p + flow(p); also where that lies inside the image.
 
-    ``flow`` is (H, W, 2) in pixels, from the output to the image (E09: a forward flow moves things the wrong
-    way). A zero flow returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
+    ``flow`` is in pixels, from the output to the image (E09: a forward flow moves things the wrong way). A zero flow
+    returns the image itself, bit for bit (E07). Raises ValueError for other shapes.
     """
     require("flow", flow, ("H", "W", 2))
     if how == "nearest" or image.shape[:2] != flow.shape[:2] or max(flow.shape[:2]) >= _LONGEST_SIDE:
