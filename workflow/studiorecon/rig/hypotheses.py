@@ -21,7 +21,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer
+    from jaxtyping import Integer, Num
 
 _CLEARLY = 1.5
 # How many times better people must fit cameras that were exchanged: than as they were read, than when they were moved,
@@ -30,7 +30,7 @@ _MUCH_BETTER, _BETTER = 3.0, 1.5
 _TORSO_M = (0.25, 0.9)
 MOST_MARGIN = 20.0
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-_HYPOTHESES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+_HYPOTHESES: dict[str, Callable[[Num[np.ndarray, "4 4"]], Num[np.ndarray, "4 4"]]] = {
     "as read": lambda pose: pose,
     "poses are world-from-camera": np.linalg.inv,
     "axes are OpenGL's": lambda pose: _FLIP @ pose,

@@ -23,7 +23,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer
+    from jaxtyping import Integer, Num
 
 # A keypoint agrees when it lies this share of the longer image side from where the others see it: three times what a
 # calibration may be off (``Agreement.max_error_share``), since clocks and detectors are off too.
@@ -84,7 +84,7 @@ class _Reading:
     cause: str
     remedy: str
     camera: Camera
-    seen: np.ndarray
+    seen: Num[np.ndarray, "F M K 2"]
     turned: bool = False
 
 

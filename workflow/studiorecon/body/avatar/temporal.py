@@ -56,8 +56,8 @@ class TemporalNetwork:
     control: ControlPoints | None = None
     every_band: bool = False
     everywhere: bool = False
-    _kept: list[np.ndarray] = field(default_factory=list, repr=False)
-    _place: np.ndarray | None = field(default=None, repr=False)
+    _kept: list[Float[np.ndarray, "M inputs"]] = field(default_factory=list, repr=False)
+    _place: Float[np.ndarray, "M 63"] | None = field(default=None, repr=False)
 
     @classmethod
     def start(
