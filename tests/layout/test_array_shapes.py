@@ -11,9 +11,13 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
 # Folders all of whose public functions and fields say them.
-COMPLETE = ["geometry", "keypoints", "scene"]
+COMPLETE = ["body", "geometry", "images", "keypoints", "rig", "scene"]
 # Arrays of any shape and kind: what files and memory hold.
 ANY_SHAPED = {
+    "body.avatar.control_points.ControlPoints.from_arrays",
+    "body.avatar.control_points.ControlPoints.to_arrays",
+    "body.avatar.temporal.TemporalNetwork.from_arrays",
+    "body.avatar.temporal.TemporalNetwork.to_arrays",
     "scene.intermediate.read_arrays",
     "scene.outside.read_npz",
     "scene.outside.read_npy",
@@ -30,8 +34,6 @@ def bare(annotation: ast.expr) -> bool:
         array, *shape = annotation.slice.elts
         if ast.unparse(array) == "np.ndarray" and [type(getattr(s, "value", None)) for s in shape] == [str]:
             return False
-    if isinstance(annotation, ast.Constant) and isinstance(annotation.value, str):
-        return bare(ast.parse(annotation.value, mode="eval").body)
     if ast.unparse(annotation) in ("np.ndarray", "NDArray", "npt.NDArray", "ndarray"):
         return True
     return any(bare(part) for part in ast.iter_child_nodes(annotation) if isinstance(part, ast.expr))
@@ -42,7 +44,7 @@ def annotations(body: list[ast.stmt], within: str) -> Iterator[tuple[str, ast.ex
     for node in body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
             yield from annotations(node.body, f"{within}.{node.name}")
-        elif isinstance(node, ast.AnnAssign):
+        elif isinstance(node, ast.AnnAssign) and not ast.unparse(node.target).startswith("_"):
             yield f"{within}.{ast.unparse(node.target)}", node.annotation
         elif isinstance(node, ast.FunctionDef) and (not node.name.startswith("_") or node.name.endswith("__")):
             taken = ast.walk(node.args)
