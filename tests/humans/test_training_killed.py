@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from studiorecon.humans.training import Rates
 
 from tests.made.background import cameras, capture
 from tests.made.humans import Made, body, made
@@ -88,9 +89,9 @@ def test_a_killed_person_ends_with_the_same_bytes(
     default_settings: Callable, made: Made, tmp_path: Path, densify: str
 ) -> None:
     section = copy.deepcopy(default_settings("humans", iterations=ITERATIONS, gaussians=2000, pose_from=5))
+    assert Rates().pose_rad > 0, "poses are refined too"
     section["temporal"] |= {"use": "always", "start": 2, "width": 8, "points": 0 if densify == "gradient" else 512}
     section["densify"] |= {"use": densify, "every": 5, "until": 30, "gradient": 1e-6}
-    assert section["rates"]["pose_rad"] > 0, "poses are refined too"
     killed_and_taken_up("humans.train", section, made.options, {"gaussians": "p3.ply", "avatar": "p3.npz"}, tmp_path)
 
 

@@ -280,7 +280,7 @@ def test_run_writes_the_same_bytes_twice(
             manifest=tmp_path / "manifest.json",
             detections=paths,
             identities=[tmp_path / "identities.tsv"],
-            standing=[],
+            silhouettes=[],
             readouts=[],
             body=root / "resources/body.npz",
             fit=out,
