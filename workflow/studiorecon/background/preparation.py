@@ -104,11 +104,11 @@ def seeds(
     degree = settings.training.sh_degree
     sets, marks = [], []
     wanted = finest([p.camera for p in photos], [p.depth_m for p in photos], [p.known for p in photos])
-    for photo, alone in zip(photos, wanted):
+    for photo, finest_here in zip(photos, wanted):
         made, at = seeds_from_depth(
             photo.camera,
             photo.rgb,
-            alone,
+            finest_here,
             photo.depth_m,
             settings.stride,
             settings.seed_size,

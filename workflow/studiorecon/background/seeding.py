@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from studiorecon.geometry.depth_surface import points_and_normals
+from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
@@ -54,7 +55,8 @@ def finest(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], known: Seq
     """(H, W) bool of every camera: pixels ``known`` there whose surface no other camera shows finer.
 
     What several photos show is started once, from the photo that has most pixels on a square metre of it: another set
-    of discs a little before or behind it costs as much and shows nothing more. ``depths_m`` and ``known`` (H, W).
+    of discs a little before or behind it costs as much and shows next to nothing more. ``depths_m`` and ``known``
+    (H, W).
     """
     views = [points_and_normals(depth_m, camera, _EDGE_SHARE) for camera, depth_m in zip(cameras, depths_m)]
     fine = [
@@ -67,13 +69,11 @@ def finest(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], known: Seq
         for second, camera in enumerate(cameras):
             if second == first:
                 continue
-            pixels, depth_m = camera.project(points)
-            at = np.where(np.isfinite(pixels), pixels, -1).astype(int)
-            inside = (depth_m > 0) & (at >= 0).all(-1) & (at < camera.wh).all(-1)
-            there = np.where(inside, at[..., 1], 0), np.where(inside, at[..., 0], 0)
-            same = np.abs(depths_m[second][there] - depth_m) < _SAME_SURFACE * depth_m
-            finer = (fine[second][there] > 0) & (_pixels_per_m2(camera, points, normals) > fine[first])
-            best &= ~(inside & same & finer)
+            pixels, distance_m = camera.project(points)
+            depth_m, inside = sample(depths_m[second], pixels, "nearest")
+            started, _ = sample(fine[second] > 0, pixels, "nearest")
+            same = inside & (distance_m > 0) & (np.abs(depth_m - distance_m) < _SAME_SURFACE * distance_m)
+            best &= ~(same & started & (_pixels_per_m2(camera, points, normals) > fine[first]))
         wanted.append(best)
     return wanted
 

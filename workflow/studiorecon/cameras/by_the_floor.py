@@ -51,20 +51,19 @@ def by_the_floor(
         )
         return adjusted, {**report, "room": {"places": places, "off_sigmas_before": off_sigmas, "believed": False}}
     about = [replace(g, intrinsics=a.intrinsics) for g, a in zip(given, adjusted)]
-    found = by_the_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M)
+    found = by_the_room(adjusted, about, seen, rooms, limits, bundle, _ROOM_REACH_M, _PEOPLE_COST)
     if found is None:
         return adjusted, report
     report = {**report, "room": found.report}
     pairs = f"{found.report['places']} places on the floor that two cameras share"
     before, after = found.report["off_sigmas_before"], found.report["off_sigmas_after"]
-    worse = found.report["people_px_after"] / found.report["people_px_before"]
-    if not found.believed or worse > _PEOPLE_COST:
-        people = f", after which people's keypoints are {worse:.2f} times as far off" if worse > _PEOPLE_COST else ""
+    if not found.believed:
         say(
-            f"{pairs} move no camera: they are {before:.1f} of their own standard deviations off, {after:.1f} after"
-            f"{people}"
+            f"{pairs} move no camera: they are {before:.1f} of their own standard deviations off, {after:.1f} after, "
+            f"and people's keypoints {found.report['people_px_before']:.2f} px before, "
+            f"{found.report['people_px_after']:.2f} px after"
         )
-        return adjusted, {**report, "room": {**found.report, "believed": False}}
+        return adjusted, report
     changes = changes_of(given, found.cameras, np.array([c["radial_k1"] for c in report.get("changes", [])] or 0.0))
     say(
         f"the cameras were refined on {pairs}, {before:.1f} of their own standard deviations off before, {after:.1f} "

@@ -34,7 +34,7 @@ _ANKLE_HEIGHT_M = 0.08
 _LEAST_FEET = 20
 # The floor is believed where it explains itself to so many of its own standard deviations, called for at least so many,
 # and by so much more than afterwards; people may be off by so much more with it.
-_MOST_SIGMAS, CALLED_SIGMAS, _CLEARLY, _PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
+_MOST_SIGMAS, CALLED_SIGMAS, _CLEARLY, PEOPLE_COST = 3.0, 2.0, 1.3, 1.15
 # Edges tell more than a prior that is as wide as this.
 _WIDE_DEG = 1.0
 _POSES_ONLY = LensPrior(0.0, 0.0)
@@ -80,10 +80,12 @@ def by_the_room(
     limits: Limits,
     bundle: BundleSettings,
     reach_m: Sequence[float] = REACH_M,
+    people_cost: float = PEOPLE_COST,
 ) -> ByTheRoom | None:
     """``cameras`` moved by people and the room under a prior about ``given``; None where the room shows nothing.
 
-    ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none.
+    ``seen`` are people's joints, ``rooms`` the pictures of the room, None where there is none. The room is not believed
+    where people fit ``people_cost`` times as badly with it.
     """
     middle_m, floor_m = where_people_stand(cameras, seen, limits)
     turns = _turns(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
@@ -120,7 +122,7 @@ def by_the_room(
         "people_px_before": people_px[0],
         "people_px_after": people_px[1],
     }
-    explained = not people_px[1] > _PEOPLE_COST * people_px[0] and not floor[1] > _MOST_SIGMAS
+    explained = not people_px[1] > people_cost * people_px[0] and not floor[1] > _MOST_SIGMAS
     called = marks is None or (floor[0] >= CALLED_SIGMAS and floor[0] >= _CLEARLY * floor[1])
     believed = bool(explained and called)
     unsaid = np.zeros(result.sigma.shape[1])
