@@ -135,6 +135,20 @@ def test_what_several_photos_show_is_started_from_the_one_that_shows_it_finest()
     assert not finest([near, far], [near_m, far_m], [known, known])[0][:28].any()
 
 
+def test_beside_another_photo_nothing_counts_as_seen_in_it() -> None:
+    one, _ = ring([0, 0], "c", radius_m=1.9, wh=WH)
+    _, depth_m = look(one)
+    # The other one sees the same a little finer, half a pixel further right: its first column is not in it.
+    intrinsics = one.intrinsics.copy()
+    intrinsics[0, 0] *= 1.001
+    intrinsics[0, 2] = one.intrinsics[0, 2] - 0.6
+    other = replace(one, intrinsics=intrinsics)
+    known = np.ones(one.hw, bool)
+    own, _ = finest([one, other], [depth_m, depth_m], [known, known])
+    assert own[1:-1, 0].all(), "no photo but its own shows the first column"
+    assert own[1:-1, 2:-2].mean() < 0.1
+
+
 def test_plates_are_trained_on_with_the_depth_they_were_seeded_from(cameras: list[Camera]) -> None:
     rgb, depth_m = look(cameras[0])
     photo = preparation.Photo(cameras[0], rgb, np.ones(rgb.shape[:2], bool), depth_m, np.ones_like(depth_m))

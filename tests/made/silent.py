@@ -28,7 +28,7 @@ _TRACK_S = 4.0
 # The room that people walk about in, metres to either side, and how long they take to think of another place.
 _ROOM_M, _PLACE_S, _GESTURE_S = 1.2, 1.6, 0.45
 _STRIDE_M = 1.2
-_LIMBS = np.tile(np.repeat([0, 0.5, 1, 0, 0.5, 1], 2), (1, 1))[0]
+_LIMBS = np.repeat([0, 0.5, 1, 0, 0.5, 1], 2)
 _COCO = [LAYOUTS["coco17"].index(k) for k in STABLE_KEYPOINTS]
 
 

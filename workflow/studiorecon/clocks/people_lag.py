@@ -21,7 +21,7 @@ _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 # Where the six products of three coordinates stand in their 3 × 3 matrix.
 _SQUARE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.3
-# Seventeen tenths of a second of one body at 10 frames per second have 200, a second of it 120.
+# One body of twelve joints at 10 frames per second has 120 in a second.
 _LEAST_POINTS = 100
 # Another lag further off than this must fit worse by this factor (squared residual), and so must lags this far off
 # under the same F.
