@@ -73,7 +73,8 @@ rule all:
         ),
         collect("results/{scene}/people/{person}.npz", scene=PLAN.scene, person=files.people),
         collect("results/{scene}/people/overlay/{camera}.mp4", scene=PLAN.scene, camera=files.filmed_people),
-        # Depth of the room, what the survey decided, and what it measured.
+        # A first film of the room; its depth, what the survey decided, and what it measured.
+        collect("results/{scene}/depth/preview.mp4", scene=PLAN.scene),
         collect("results/{scene}/depth/{camera}.exr", scene=PLAN.scene, camera=files.training),
         collect(
             "results/{scene}/survey/{file}.json",

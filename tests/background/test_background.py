@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from studiorecon.background import hole_filling as room
 from studiorecon.background import preparation, train
-from studiorecon.background.seeding import finest, random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, draw_shares, view_weight
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
@@ -24,6 +23,7 @@ from studiorecon.scene.path import PathStep
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
 from studiorecon.scene.room import RoomBox
 from studiorecon.scene.support import support_weight
+from studiorecon.splatting.seeds import finest, random_volume, seeds_from_depth
 
 from tests.made.background import BOX, WH, cameras, capture, look, run, settings  # noqa: F401
 from tests.made.gaussians import rasterise

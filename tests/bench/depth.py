@@ -28,6 +28,7 @@ import numpy as np
 import yaml
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration.settings import load
+from studiorecon.depth import box as walls
 from studiorecon.depth import refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.primitives import read_primitives
@@ -158,11 +159,13 @@ def measure(room: Room, values: dict, pictures: Path | None) -> dict:
         for camera, path in zip(room.cameras, sweeps):
             sweep.run(load(sweep.Settings, values, "depth"), camera.name, model, plates, path)
         lap()
+        walls.run(load(walls.Settings, values, "depth"), model, plates, sweeps, folder / "box.json")
         room_box.run(
             load(room_box.Settings, values, "depth"),
             model,
             plates,
             sweeps,
+            folder / "box.json",
             [],
             [],
             [],

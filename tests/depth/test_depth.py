@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.configuration.settings import load
+from studiorecon.depth import box as walls
 from studiorecon.depth import given, refine, sweep
 from studiorecon.depth import room as room_box
 from studiorecon.depth.layout.box import strong_offsets
@@ -60,11 +61,13 @@ def estimate(folder: Path, cameras: list[Camera], plates: list[Path], section: d
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
     box, primitives, passes = folder / "room.json", folder / "primitives.json", folder / "passes.npz"
+    walls.run(load(walls.Settings, section, "depth"), model, plates, sweeps, folder / "box.json")
     room_box.run(
         load(room_box.Settings, section, "depth"),
         model,
         plates,
         sweeps,
+        folder / "box.json",
         [],
         [],
         [],

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from studiorecon.background import hole_filling as room
-from studiorecon.background.seeding import seeds_from_depth
 from studiorecon.body.person_boxes import people_regions
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.clocks import motion_clock
@@ -26,6 +25,7 @@ from studiorecon.images.transfer import Transfer, carried_over, source
 from studiorecon.masks import log_odds
 from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.room import RoomBox
+from studiorecon.splatting.seeds import seeds_from_depth
 from studiorecon.survey import coverage, exposures
 from studiorecon.views import forward
 

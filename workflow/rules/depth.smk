@@ -28,8 +28,8 @@ rule depth_sweep:
         "logs/{scene}/depth/sweep/{camera}.log",
     benchmark:
         "benchmarks/{scene}/depth/sweep/{camera}.tsv"
-    # Waited for by the fit of the room, as held-out cameras are not, which are looked at beside it.
-    priority: 5
+    # The first film that anybody can look at waits for it, and then the furniture.
+    priority: 7
     container:
         image("core")
     threads: 1
@@ -64,6 +64,72 @@ rule depth_kernels:
         command("depth.kernels")
 
 
+rule depth_box:
+    input:
+        model=MODEL,
+        plates=collect(
+            "results/{scene}/plates/{other}.png",
+            other=files.training,
+            allow_missing=True,
+        ),
+        sweeps=collect(
+            "results/{scene}/depth/{other}.sweep.npz",
+            other=files.training,
+            allow_missing=True,
+        ),
+    output:
+        box="results/{scene}/depth/box.json",
+    log:
+        "logs/{scene}/depth/box.log",
+    benchmark:
+        "benchmarks/{scene}/depth/box.tsv"
+    priority: 7
+    container:
+        image("core")
+    threads: 1  # people are found meanwhile
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("depth.box"),
+        code=code("depth.box"),
+    shell:
+        command("depth.box")
+
+
+# The first picture of the scene, while people are still being found: nothing is made from it.
+rule depth_preview:
+    input:
+        model=MODEL,
+        plates=collect(
+            "results/{scene}/plates/{other}.png",
+            other=files.training,
+            allow_missing=True,
+        ),
+        sweeps=collect(
+            "results/{scene}/depth/{other}.sweep.npz",
+            other=files.training,
+            allow_missing=True,
+        ),
+        box="results/{scene}/depth/box.json",
+    output:
+        film="results/{scene}/depth/preview.mp4",
+    log:
+        "logs/{scene}/depth/preview.log",
+    benchmark:
+        "benchmarks/{scene}/depth/preview.tsv"
+    priority: 7
+    container:
+        image("core")
+    threads: 1
+    resources:
+        mem_mb=1500,
+    params:
+        settings=settings("depth.preview"),
+        code=code("depth.preview"),
+    shell:
+        command("depth.preview")
+
+
 rule depth_room:
     input:
         model=MODEL,
@@ -77,6 +143,7 @@ rule depth_room:
             other=files.training,
             allow_missing=True,
         ),
+        box="results/{scene}/depth/box.json",
         fits=files.walkers,
         detections=files.sightings,
         identities=files.sighted,

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from studiorecon.background import hole_filling
-from studiorecon.background.seeding import finest, random_volume, seeds_from_depth
 from studiorecon.background.targets import angle_between_axes, cutoff_angle, view_weight
 from studiorecon.background.train_settings import Settings
 from studiorecon.errors import UserError
@@ -29,6 +28,7 @@ from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.scene.support import support_weight
 from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.splatting.discs import discs
+from studiorecon.splatting.seeds import finest, random_volume, seeds_from_depth
 from studiorecon.splatting.train.targets import Target
 
 _FLATNESS = 0.15  # of a wall's discs

@@ -84,6 +84,7 @@ SECTIONS: tuple[Section, ...] = (
             "depth.refine:Settings",
             "depth.sweep_settings:Matching",
             "depth.sweep:Settings",
+            "depth.box:Settings",
             "depth.room:Settings",
         ),
     ),

@@ -2,7 +2,8 @@
 """The room's shape and a depth map for every training camera.
 
 In come cameras, clean plates and people; out come the room box, its primitives and one depth map per plate. The
-embedded way: ``sweep`` (one camera's votes), ``room`` (all cameras together), ``refine`` (one camera's final depth),
-on ``stereo`` and ``layout``. Instead of it: ``network`` with ``aligned``, ``first``, or ``given``.
-``sweep_settings``: settings of several steps; ``kernels``: what the fit of the room runs on, compiled ahead.
+embedded way: ``sweep`` (one camera's votes), ``box`` (the walls, all cameras together), ``room`` (furniture, and depths
+that agree), ``refine`` (one camera's final depth), on ``stereo`` and ``layout``; ``preview`` films the box while the
+rest runs. Instead of it: ``network`` with ``aligned``, ``first``, or ``given``. ``sweep_settings``: settings of several
+steps; ``kernels``: what the fit of the room runs on, compiled ahead.
 """

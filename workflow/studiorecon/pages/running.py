@@ -14,6 +14,7 @@ RELOAD_S = 4
 _EARLY = (
     ("calibration/doctor.html", "the cameras"),
     ("plates/*.png", "the room without people"),
+    ("depth/preview.mp4", "a first look at the room, without people and untrained"),
     ("cameras/refinement.png", "joints projected back into the cameras"),
     ("people/review.html", "who is who"),
     ("depth/primitives.png", "furniture that was found"),

@@ -8,7 +8,8 @@ In come ``scene.gaussians.Gaussians`` and cameras; out come pictures, gradients,
 ``cpu``          the rasteriser in numba kernels, and the kernels of losses and Adam
 ``cuda``         gsplat behind the same calls, and sets in training as tensors
 ``device``       which of the two draws
-``discs``, ``rigid_object``  flat Gaussians on surfaces, and a set of Gaussians that moves as one
+``discs``, ``seeds``  flat Gaussians on surfaces: on given points, and a room's first ones on depth maps
+``rigid_object``  a set of Gaussians that moves as one
 ``train``        the one training loop, its terms, optimiser and density control
 ``reference``    the slow float64 truth that tests compare with
 

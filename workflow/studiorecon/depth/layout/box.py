@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
 
@@ -19,26 +20,6 @@ _LEAST_VOTERS = 30
 # width.
 _RIVAL_SHARE, _MOST_RIVALS = 0.2, 6
 _WIDE_SHARE = 20
-
-
-@dataclass(frozen=True)
-class Votes:
-    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
-
-    planes: np.ndarray
-    chosen: Sequence[np.ndarray]
-    confident: Sequence[np.ndarray]
-
-    def count(self) -> np.ndarray:
-        """(L,) confident pixels per plane, over all pictures."""
-        each = (np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
-        return sum(each, np.zeros(len(self.planes), np.int64))
-
-    def voters(self, normal: np.ndarray, offset: float, reach_m: float) -> list[np.ndarray]:
-        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of
-        ``offset``."""
-        near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
-        return [m & near[c] for c, m in zip(self.chosen, self.confident)]
 
 
 @dataclass(frozen=True)

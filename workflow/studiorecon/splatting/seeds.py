@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First Gaussians of the background: flat ones on measured depth, or, without depth, a floor and a random volume."""
+"""First Gaussians of a room: flat ones on measured depth, or, without depth, a floor and a random volume."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer, Num
 
 # Thickness of a flat Gaussian as a share of its width: thin enough for grazing views, thick enough to keep a gradient.
 _FLATNESS = 0.15
@@ -25,14 +29,14 @@ _FAINT = 0.1
 
 def seeds_from_depth(
     camera: Camera,
-    rgb: np.ndarray,
-    wanted: np.ndarray,
-    depth_m: np.ndarray,
+    rgb: Num[np.ndarray, "H W 3"],
+    wanted: Bool[np.ndarray, "H W"],
+    depth_m: Num[np.ndarray, "H W"],
     stride: int,
     size: float,
     opacity: float,
     sh_degree: int,
-) -> tuple[Gaussians, np.ndarray]:
+) -> tuple[Gaussians, Integer[np.ndarray, "N 2"]]:
     """One flat Gaussian per ``stride`` × ``stride`` pixels where ``wanted`` (H, W), and the (row, column) it came from
     (N, 2).
 
@@ -51,7 +55,9 @@ def seeds_from_depth(
     return made, np.stack(at, axis=1)
 
 
-def finest(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], known: Sequence[np.ndarray]) -> list[np.ndarray]:
+def finest(
+    cameras: Sequence[Camera], depths_m: Sequence[Num[np.ndarray, "H W"]], known: Sequence[Bool[np.ndarray, "H W"]]
+) -> list[Bool[np.ndarray, "H W"]]:
     """(H, W) bool of every camera: pixels ``known`` there whose surface no other camera shows finer.
 
     What several photos show is started once, from the photo that has most pixels on a square metre of it: another set
@@ -78,7 +84,9 @@ def finest(cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], known: Seq
     return wanted
 
 
-def _pixels_per_m2(camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _pixels_per_m2(
+    camera: Camera, points: Num[np.ndarray, "H W 3"], normals: Num[np.ndarray, "H W 3"]
+) -> Num[np.ndarray, "H W"]:
     """How many pixels a camera has on a square metre of surface at ``points`` (H, W, 3)."""
     rays = points - camera.centre_m
     distance_m = np.maximum(np.linalg.norm(rays, axis=-1), 1e-9)

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The room around all cameras, from every sweep's votes: where its walls, floor and ceiling are, and which planes
+inside are worth a closer look. People need not be known for it.
+
+Writes ``depth/box.json`` (``scene.room.RoomBox``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration.setting import setting
+from studiorecon.depth.layout import box as room
+from studiorecon.depth.layout.votes import Votes, read_sweeps
+from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
+from studiorecon.depth.sweep_settings import FirstLook, Matching
+from studiorecon.progress import progress, say
+from studiorecon.scene.room import FACES, RoomBox, write_room
+from studiorecon.signature import Written
+
+_PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
+_CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
+_VOTER_REACH_M = 0.15
+# A wall this far along on either side votes for offsets this much times sin(turn) apart when its yaw was off by the
+# turn.
+_HALF_WALL_M = 4.0
+# Span and step of the walls' turn: first what the sweep may be off by without lines, then to a tenth of a degree.
+_YAW_SEARCH_RAD = ((np.radians(2.5), np.radians(0.5)), (np.radians(0.4), np.radians(0.1)))
+
+
+@dataclass(frozen=True)
+class Settings(Matching, FirstLook):
+    """What makes a wall: so far outside the outermost camera, with so many of all pixels behind it; the height of a
+    ceiling that nobody sees."""
+
+    wall_clearance_m: float = 0.3
+    wall_votes: float = 0.004
+    ceiling_default_m: float = 3.2
+    candidates: int = setting(
+        60, "Planes inside the room that the second look tries, at most.", minimum=0, maximum=1000
+    )
+
+
+def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m: float, settings: Settings) -> RoomBox:
+    """The box of the most voted walls around all cameras; faces that too few pixels voted for are defaults.
+
+    A default wall stands ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
+    least a metre above the highest camera): an open place has no walls, and ``fitted`` says so.
+    """
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    count = votes.count()
+    least = settings.wall_votes * sum(c.size for c in votes.chosen)
+    centres = np.stack([p.camera.centre_m for p in pictures])
+    start = RoomBox(yaw_rad, np.full(3, -np.inf), np.full(3, np.inf), np.zeros(6, bool), np.full(6, np.nan))
+
+    def found(face: int, clearance_m: float) -> float | None:
+        axis, side = start.axes[face // 2], 2 * (face % 2) - 1
+        edge = side * (side * centres @ axis).max()
+        beyond = edge + side * clearance_m
+        offsets = room.strong_offsets(votes.planes, count, axis, beyond, side, least)
+        return room.decide_face(pictures, votes, axis, offsets, beyond, side, how) if offsets else None
+
+    walls = {face: offset for face in range(4) if (offset := found(face, settings.wall_clearance_m)) is not None}
+    turn, turned = 0.0, {face: np.array([*start.axes[face // 2], offset]) for face, offset in walls.items()}
+    # Every pixel that looks at a wall takes part, not only its voters: those were chosen by agreeing with the yaw that
+    # is in question.
+    looks = [p.textured(settings.window) & p.known for p in pictures]
+    for span_rad, step_rad in _YAW_SEARCH_RAD:
+        box = replace(
+            start, yaw_rad=yaw_rad + turn, low_m=centres.min(0) - settings.far_m, high_m=centres.max(0) + settings.far_m
+        )
+        for face, plane in turned.items():
+            (box.low_m, box.high_m)[face % 2][face // 2] = plane[3]
+        faces = [box.intersect(*p.camera.rays())[1] for p in pictures]
+        pixels = {face: [m & (at == face) for m, at in zip(looks, faces)] for face in turned}
+        turn += room.refine_yaw(pictures, [(turned[face], pixels[face]) for face in turned], span_rad, step_rad, how)
+        # A wall turns about what is seen of it: about the world's origin, which may be far off, it would leave its
+        # place.
+        for face, normal in ((face, replace(start, yaw_rad=yaw_rad + turn).axes[face // 2]) for face in turned):
+            offset = room.turned_offset(pictures, pixels[face], turned[face], normal, how)
+            turned[face] = np.array([*normal, offset])
+    axes = replace(start, yaw_rad=yaw_rad + turn).axes
+    low, high, fitted, score = np.zeros(3), np.zeros(3), np.zeros(6, bool), np.full(6, np.nan)
+    for face in range(4):
+        axis, side = face // 2, 2 * (face % 2) - 1
+        offset = side * ((side * centres @ axes[axis]).max() + settings.far_m)
+        if face in walls:
+            reach_m = _VOTER_REACH_M + _HALF_WALL_M * abs(np.sin(turn))
+            voters = votes.voters(start.axes[axis], walls[face], reach_m)
+            begin = room.turned_offset(pictures, voters, np.array([*start.axes[axis], walls[face]]), axes[axis], how)
+            offset, score[face] = room.place_plane(
+                pictures, voters, axes[axis], begin, _PLACING_SPAN_M, _PLACING_STEP_M, how
+            )
+            fitted[face] = True
+        (low, high)[face % 2][axis] = offset
+    voters = votes.voters(axes[2], floor_m, 0.06)
+    low[2], score[4] = room.place_plane(pictures, voters, axes[2], floor_m, 0.05, _PLACING_STEP_M, how)
+    fitted[4] = sum(int(v.sum()) for v in voters) >= least
+    high[2] = max(low[2] + settings.ceiling_default_m, centres[:, 2].max() + 1.0)
+    top = found(5, 0.2)
+    if top is not None:
+        voters = votes.voters(axes[2], top, _VOTER_REACH_M)
+        high[2], score[5] = room.place_plane(pictures, voters, axes[2], top, _PLACING_SPAN_M, _PLACING_STEP_M, how)
+        fitted[5] = True
+    return RoomBox(yaw_rad + turn, low, high, fitted, score)
+
+
+def refine_candidates(pictures: list[Picture], votes: Votes, planes: np.ndarray, settings: Settings) -> np.ndarray:
+    """The candidate planes with their offsets placed by their own voters; the six faces of the room box stay."""
+    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    placed = planes.copy()
+    for k in progress(range(6, len(planes)), "placing planes"):
+        voters = votes.voters(planes[k, :3], planes[k, 3], 0.07)
+        offset, score = room.place_plane(
+            pictures, voters, planes[k, :3], planes[k, 3], _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M, how
+        )
+        if np.isfinite(score):
+            placed[k, 3] = offset
+    return placed
+
+
+def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], box: Written) -> None:
+    """Fit the room box to all sweeps and place the planes inside it."""
+    cameras = read_model(model.parent)
+    swept = read_sweeps(sweeps, len(cameras))
+    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
+    for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
+        say(
+            f"{name} at {face[3]:.3f} m"
+            + (f" (correlation {score:.2f})" if ok else ": a default, no such surface was found")
+        )
+    votes = swept.votes.inside(pictures, fitted)
+    planes = room.candidates(
+        votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)
+    )
+    planes = refine_candidates(pictures, votes, planes, settings)
+    say(f"{len(planes) - 6} planes inside the room are worth trying")
+    write_room(box, replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
+
+
+def _least_voters(pictures: list[Picture]) -> int:
+    """A plane needs this many pixels: 40 at 320×176, the size the value was measured at."""
+    return max(8, round(40 * pictures[0].rgb.shape[0] * pictures[0].rgb.shape[1] / (320 * 176)))

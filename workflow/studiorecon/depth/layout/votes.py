@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sweeps of all cameras say together: per pixel a plane of the common catalogue, and where it is sure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.errors import UserError
+from studiorecon.scene.intermediate import read_arrays
+from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+_OUTSIDE_MARGIN_M = 0.05
+
+
+@dataclass(frozen=True)
+class Votes:
+    """What the sweeps said: planes (L, 4), and per picture the chosen plane (H, W), confident pixels (H, W) bool."""
+
+    planes: Num[np.ndarray, "L 4"]
+    chosen: Sequence[Integer[np.ndarray, "H W"]]
+    confident: Sequence[Bool[np.ndarray, "H W"]]
+
+    def count(self) -> Integer[np.ndarray, " L"]:
+        """(L,) confident pixels per plane, over all pictures."""
+        each = (np.bincount(c[m], minlength=len(self.planes)) for c, m in zip(self.chosen, self.confident))
+        return sum(each, np.zeros(len(self.planes), np.int64))
+
+    def voters(self, normal: Num[np.ndarray, " 3"], offset: float, reach_m: float) -> list[Bool[np.ndarray, "H W"]]:
+        """Per picture (H, W) bool: confident pixels whose plane is parallel to ``normal`` and within ``reach_m`` of
+        ``offset``."""
+        near = (self.planes[:, :3] @ normal > 0.999) & (np.abs(self.planes[:, 3] - offset) < reach_m)
+        return [m & near[c] for c, m in zip(self.chosen, self.confident)]
+
+    def inside(self, pictures: Sequence[Picture], room_box: RoomBox) -> Votes:
+        """The votes whose points lie inside the room box; nothing is seen through a wall."""
+        kept = []
+        for picture, chosen, confident in zip(pictures, self.chosen, self.confident):
+            depth_m = picture.depth_of(self.planes[chosen])
+            points = picture.camera.unproject(picture.camera.pixel_centres(), depth_m)
+            kept.append(confident & (depth_m > 0) & room_box.contains(points, _OUTSIDE_MARGIN_M))
+        return replace(self, confident=kept)
+
+    def depths_m(self, pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
+        """(H, W) float32 depth of every picture: its pixel's plane where that is sure, else the room box."""
+        return [
+            np.where(sure, p.depth_of(self.planes[at]), room_box.intersect(*p.camera.rays())[0]).astype(np.float32)
+            for p, at, sure in zip(pictures, self.chosen, self.confident)
+        ]
+
+
+@dataclass(frozen=True)
+class Swept:
+    """All sweeps of a scene.
+
+    Attributes:
+        votes: of all cameras. gains: (V, 3) exposure that makes them agree on the floor.
+        floor_m, yaw_rad: height of the floor, and direction of the walls, that the catalogue was made for.
+    """
+
+    votes: Votes
+    gains: Num[np.ndarray, "V 3"]
+    floor_m: float
+    yaw_rad: float
+
+
+def read_sweeps(sweeps: Sequence[Path], cameras: int) -> Swept:
+    """The sweeps of so many ``cameras``; raises UserError unless there is one of each, all of one catalogue."""
+    swept = [read_arrays(path) for path in sweeps]
+    if len(swept) != cameras or not all(np.array_equal(s["planes"], swept[0]["planes"]) for s in swept):
+        raise UserError(
+            f"{len(swept)} sweeps for {cameras} cameras, or sweeps of different settings: run depth.sweep again for all"
+        )
+    first = swept[0]
+    votes = Votes(first["planes"], [s["chosen"].astype(int) for s in swept], [s["confident"] for s in swept])
+    return Swept(votes, first["gains"], float(first["floor_m"]), float(first["yaw_rad"]))

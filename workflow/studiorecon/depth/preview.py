@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first film of the room while nothing is trained yet: the plates on the planes that the sweeps found.
+
+Writes ``depth/preview.mp4``: from camera to camera at the sweep's size, without people and furniture that no camera was
+sure of; what no camera sees is grey. It is there to be looked at early, and nothing is made from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.depth.layout.votes import read_sweeps
+from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
+from studiorecon.depth.sweep_settings import FirstLook
+from studiorecon.footage.video import to_bytes, write_watchable
+from studiorecon.geometry.camera_path import between, gaps_around, scene_centre
+from studiorecon.progress import progress, say
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.gaussians import Gaussians, concatenate
+from studiorecon.scene.room import read_room
+from studiorecon.signature import Written
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.seeds import finest, seeds_from_depth
+
+# Seconds from the first camera once around, and pictures a second: as slow as somebody walks.
+_AROUND_S, _FPS = 8.0, 12
+# What lies between cameras further apart than this was filmed by nobody (U18): the film turns back there.
+_LARGEST_GAP_RAD = np.radians(150)
+_SIZE, _OPACITY, _NEAR_M = 0.6, 0.95, 0.05
+_UNSEEN_RGB = (0.5, 0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class Settings(FirstLook):
+    """The size of the film."""
+
+
+def room_of(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray]) -> Gaussians:
+    """A disc for every pixel of the picture that shows its surface finest; ``depths_m`` (H, W) of each picture."""
+    known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
+    wanted = finest([p.camera for p in pictures], depths_m, known)
+    return concatenate(
+        [
+            seeds_from_depth(p.camera, p.rgb, own, depth_m, 1, _SIZE, _OPACITY, 0)[0]
+            for p, depth_m, own in zip(pictures, depths_m, wanted)
+        ]
+    )
+
+
+def path_of(cameras: Sequence[Camera]) -> list[Camera]:
+    """Once around through every camera; there and back where they stand in an arc. A single camera stays."""
+    centre_m, gaps = scene_centre(cameras), gaps_around(cameras)
+    widest = int(np.argmax([gap.rad for gap in gaps]))
+    is_open = gaps[widest].rad > _LARGEST_GAP_RAD
+    legs = [*gaps[widest + 1 :], *gaps[:widest]] if is_open else gaps
+    if not legs:
+        return [cameras[0]] * _FPS
+    count = max(2, round(_AROUND_S * _FPS / len(legs) / (2 if is_open else 1)))
+    way: list[Camera] = []
+    for leg in legs:
+        start, end = cameras[leg.first], cameras[leg.second]
+        way += between(start, end, count + 1, centre_m, rotations="slerp", clearance=1.0)[0][:-1]
+    return [*way, *way[::-1]] if is_open else way
+
+
+def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[np.ndarray]:
+    """(H, W, 3) uint8 of every camera."""
+    rasteriser = Rasteriser(near_m=_NEAR_M)
+    for camera in progress(cameras, "pictures"):
+        yield to_bytes(rasteriser.forward(room, camera, background_rgb=_UNSEEN_RGB).rgb)
+
+
+def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path], box: Path, film: Written) -> None:
+    """Film the room ``box`` with the plates on it, and before it what the ``sweeps`` are sure of."""
+    cameras = read_model(model.parent)
+    swept, fitted = read_sweeps(sweeps, len(cameras)), read_room(box)
+    pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
+    depths_m = swept.votes.inside(pictures, fitted).depths_m(pictures, fitted)
+    room, path = room_of(pictures, depths_m), path_of([p.camera for p in pictures])
+    write_watchable(film, drawn(room, path), _FPS)
+    say(f"a first look at the room without people: {film} ({len(path)} pictures of {room.count} Gaussians, untrained)")
