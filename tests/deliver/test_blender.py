@@ -11,14 +11,12 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.configuration import settings as settings_module
 from studiorecon.deliver import export, scene_glb
 from studiorecon.deliver.finished import read_finished
 from studiorecon.footage.video import write_lossless
@@ -49,11 +47,10 @@ print("TOLD" + json.dumps(told))
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("bpy") is None, reason="Blender as a package is not here (uv run --with bpy)")
-def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path, default_settings: Callable) -> None:
+def test_blender_opens_the_scene_as_it_is(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=2, filmed=False)
     chosen = options(tmp_path, 2)
-    settings = settings_module.load(export.Settings, default_settings("deliver", still_frame=2), "deliver")
-    export.run(settings, **chosen)
+    export.run(**chosen)
     folder = chosen["contents"].parent
     names = ("manifest", "model", "background", "provenance", "gaussians", "avatars", "body")
     render = render_options(tmp_path, "orbit", 2)

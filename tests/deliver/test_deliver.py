@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
-from studiorecon.configuration import settings as settings_module
 from studiorecon.deliver import camera_files, export, keypoint_files
 from studiorecon.errors import UserError
 from studiorecon.keypoints.readers import read_keypoints
@@ -21,19 +19,12 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.people import Detections, write_detections, write_identities
 
 from tests.made.delivered import options
-from tests.made.scene import FRAMES, ring, write_scene
+from tests.made.scene import ring, write_scene
 
 
-@pytest.fixture
-def settings(default_settings: Callable) -> export.Settings:
-    return settings_module.load(export.Settings, default_settings("deliver", still_frame=2), "deliver")
-
-
-def test_everything_delivered_can_be_read_and_matches_its_digest(
-    tmp_path: Path, root: Path, settings: export.Settings
-) -> None:
+def test_everything_delivered_can_be_read_and_matches_its_digest(tmp_path: Path, root: Path) -> None:
     cameras = write_scene(tmp_path, root, people=2, filmed=False)
-    export.run(settings, **options(tmp_path, 2))
+    export.run(**options(tmp_path, 2))
     folder = tmp_path / "deliver"
     files = read_json(folder / "manifest.json")["files"]
     on_disk = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {"manifest.json"}
@@ -96,14 +87,14 @@ def test_exported_keypoints_come_back_the_same(tmp_path: Path, form: str, place:
     assert len(list((tmp_path / place.format("cam00")).iterdir())) == 5, "frames without people have files too"
 
 
-def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path, settings: export.Settings) -> None:
+def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=1, filmed=False)
     chosen = options(tmp_path, 1)
-    export.run(settings, **chosen)
+    export.run(**chosen)
     others = ("player.html", "player.jpg", "room.glb", "scene.glb", "scene.usdc", ".partial-7-player.html")
     for name in (*others, "old.txt"):
         (tmp_path / "deliver" / name).touch()
-    export.run(settings, **{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})
+    export.run(**{**chosen, "gaussians": [], "avatars": [], "fits": [], "body": None})
     folder = tmp_path / "deliver"
     assert not list(folder.rglob("p0.*"))
     assert not (folder / "old.txt").exists()
@@ -114,32 +105,21 @@ def test_what_an_earlier_export_left_is_removed(tmp_path: Path, root: Path, sett
     assert "bodies/" not in text.split("What is not here")[0]
 
 
-def test_keypoints_of_the_capture_are_delivered_with_identities(
-    tmp_path: Path, root: Path, settings: export.Settings
-) -> None:
+def test_keypoints_of_the_capture_are_delivered_with_identities(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=1, filmed=False)
     chosen = options(tmp_path, 1)
     points = np.concatenate([np.full((1, 17, 2), 20.0), np.full((1, 17, 1), 0.9)], axis=-1)
     write_detections(tmp_path / "cam0.npz", Detections("cam0", "coco17", np.array([1]), np.array([4]), points))
     write_identities(tmp_path / "identities.tsv", {("cam0", 4): "p0"})
-    export.run(
-        settings, **{**chosen, "detections": [tmp_path / "cam0.npz"], "identities": [tmp_path / "identities.tsv"]}
-    )
+    export.run(**{**chosen, "detections": [tmp_path / "cam0.npz"], "identities": [tmp_path / "identities.tsv"]})
     entries, _ = read_keypoints(tmp_path / "deliver/keypoints/easymocap/annots/cam0")
     assert [(e.frame, e.identity) for e in entries] == [(1, 0)]
     assert "coco17" in (tmp_path / "deliver/README.txt").read_text()
 
 
-def test_a_still_beyond_the_end_shows_the_last_frame(tmp_path: Path, root: Path, default_settings: Callable) -> None:
-    write_scene(tmp_path, root, people=1, filmed=False)
-    late = settings_module.load(export.Settings, default_settings("deliver", still_frame=500), "deliver")
-    export.run(late, **options(tmp_path, 1))
-    assert read_json(tmp_path / "deliver/manifest.json")["still_frame"] == FRAMES - 1
-
-
-def test_a_missing_film_is_named(tmp_path: Path, root: Path, settings: export.Settings) -> None:
+def test_a_missing_film_is_named(tmp_path: Path, root: Path) -> None:
     write_scene(tmp_path, root, people=0, filmed=False)
     chosen = options(tmp_path, 0)
     chosen["films"][0].unlink()
     with pytest.raises(UserError, match=r"orbit\.mp4"):
-        export.run(settings, **chosen)
+        export.run(**chosen)

@@ -96,14 +96,13 @@ def test_films_that_compare_show_the_photo_where_there_is_one(
         "videos": [tmp_path / "cam0.mkv", tmp_path / "cam1.mkv"],
     }
     films = {"beside": tmp_path / "beside.mp4", "wipe": tmp_path / "wipe.mp4"}
-    settings = comparison.Settings(crf=8)
-    comparison.run(settings, shot="heldout", render_path=tmp_path / "heldout.json", **options, **films)
+    comparison.run(shot="heldout", render_path=tmp_path / "heldout.json", **options, **films)
     beside = read_stack(films["beside"]).astype(int)
     assert beside.shape == (6, 64 + 24, 3 * 96 + 8, 3)
     for index, (name, k) in enumerate((c.name, k) for c in cameras for k in range(3)):
         assert abs(beside[index, 30:80, 210:280].mean() - photos[name][k].mean()) < 4
     assert read_stack(films["wipe"]).shape == (6, 64, 96, 3)
-    comparison.run(settings, shot="orbit", render_path=folder / "orbit.json", **options, **films)
+    comparison.run(shot="orbit", render_path=folder / "orbit.json", **options, **films)
     assert read_stack(films["beside"]).shape == (6, 64 + 24, 2 * 96 + 4, 3), "nobody took photos from an orbit"
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 from studiorecon.calibration.formats import FORMATS
-from studiorecon.survey.effects import ARTEFACTS, EARLY, EFFECTS
+from studiorecon.survey.effects import EARLY, EFFECTS
 
 from tests.layout import registry_tables
 
@@ -84,4 +84,4 @@ def test_an_effect_comes_after_those_that_hide_it() -> None:
 
 def test_the_rule_makes_the_file_of_every_effect_that_writes_one() -> None:
     rule = (ROOT / "workflow/rules/survey.smk").read_text(encoding="utf-8")
-    assert [name for name in ARTEFACTS if f"survey/{name}" not in rule] == []
+    assert [e.artefact.file for e in EARLY if e.artefact and f"survey/{e.artefact.file}" not in rule] == []

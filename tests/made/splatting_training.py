@@ -41,7 +41,7 @@ SETTINGS = TrainingSettings(
     densify_scale=0.01,
     prune_opacity=0.01,
     checkpoint_every_s=0.0,
-    lpips=PerceptualSettings(weight=0.0, every=1, crop_px=0),
+    lpips=PerceptualSettings(weight=0.0, whole=True),
 )
 
 

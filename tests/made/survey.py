@@ -19,7 +19,7 @@ from studiorecon.scene.decisions import Decision
 from studiorecon.scene.people import write_identities, write_people
 from studiorecon.scene.room import RoomBox, write_room
 from studiorecon.survey import decide as step
-from studiorecon.survey.effects import ARTEFACTS
+from studiorecon.survey.effects import EARLY
 from studiorecon.survey.effects.surveyed import SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Material
 from studiorecon.survey.exposures import ExposureView
@@ -115,5 +115,5 @@ def files(tmp_path: Path) -> dict:
         "room_box": tmp_path / "room.json",
         "earlier": [],
         "decisions": tmp_path / "survey/decisions.json",
-        "artefacts": [tmp_path / "survey" / file for file in ARTEFACTS],
+        "artefacts": [tmp_path / "survey" / effect.artefact.file for effect in EARLY if effect.artefact],
     }

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,8 @@ from tests.made.cameras import look_at
 from tests.made.vgg import random_weights
 
 VGG = TRUNKS["vgg"]
-SETTINGS = PerceptualSettings(weight=0.1, every=4, crop_px=0)
+WHOLE = PerceptualSettings(weight=0.1, whole=True)
+CROPS = PerceptualSettings(weight=0.1, crop_px=24)
 
 
 def pictures(hw: tuple[int, int], seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -78,8 +78,8 @@ def test_masked_pixels_neither_count_nor_disturb() -> None:
     target[:, 30:] = np.nan
     other = rendered.copy()
     other[:, 20:] = 0.5
-    first = perceptual(network, SETTINGS, rendered, target, weight, np.random.default_rng(0))
-    second = perceptual(network, SETTINGS, other, target, weight, np.random.default_rng(0))
+    first = perceptual(network, WHOLE, rendered, target, weight, np.random.default_rng(0))
+    second = perceptual(network, WHOLE, other, target, weight, np.random.default_rng(0))
     assert first[0] == second[0] > 0
     np.testing.assert_array_equal(first[1], second[1])
     assert not first[1][:, 20:].any()
@@ -94,21 +94,21 @@ def test_where_the_paper_weighs_it_a_photo_counts_as_often_as_its_pixels_do() ->
     weight = np.full((32, 40), 3, np.float32)
     weight[:, 20:] = 0
     plain, weighed = (
-        perceptual(network, SETTINGS, rendered, target, weight, np.random.default_rng(0), weighed)
+        perceptual(network, WHOLE, rendered, target, weight, np.random.default_rng(0), weighed)
         for weighed in (False, True)
     )
     assert weighed[0] == pytest.approx(3 * plain[0], rel=1e-6)
     np.testing.assert_allclose(weighed[1], 3 * plain[1], rtol=1e-5)
-    nothing = perceptual(network, SETTINGS, rendered, target, 0 * weight, np.random.default_rng(0), True)
+    nothing = perceptual(network, WHOLE, rendered, target, 0 * weight, np.random.default_rng(0), True)
     assert nothing[0] == 0
 
 
 @pytest.mark.parametrize("weighed", [False, True])
-@pytest.mark.parametrize("crop_px", [0, 24])
-def test_tensors_on_a_device_give_what_pictures_on_the_cpu_do(crop_px: int, weighed: bool) -> None:
+@pytest.mark.parametrize("settings", [WHOLE, CROPS], ids=["whole", "crops"])
+def test_tensors_on_a_device_give_what_pictures_on_the_cpu_do(settings: PerceptualSettings, weighed: bool) -> None:
     import torch
 
-    network, settings = Lpips(*random_weights(torch.float32)), replace(SETTINGS, crop_px=crop_px)
+    network = Lpips(*random_weights(torch.float32))
     rendered, target = pictures((40, 48))
     weight = np.where(np.arange(48) < 30, np.float32(3), np.float32(0)) * np.ones((40, 1), np.float32)
     target[:, 36:] = np.nan
@@ -138,7 +138,7 @@ def test_a_device_that_trains_sends_nothing_to_the_cpu() -> None:
         None,
         "view",
     )
-    loss = LpipsTerm(replace(SETTINGS, every=1), Lpips(*weights), True).on_cuda(view)
+    loss = LpipsTerm(WHOLE, Lpips(*weights), True).on_cuda(view)
     loss.backward()
     assert view.rgb.grad.device.type == "meta"
 
@@ -148,9 +148,7 @@ def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:
 
     network = Lpips(*random_weights(torch.float32))
     rendered, target = pictures((48, 64))
-    loss, gradient = perceptual(
-        network, replace(SETTINGS, crop_px=24), rendered, target, None, np.random.default_rng(3)
-    )
+    loss, gradient = perceptual(network, CROPS, rendered, target, None, np.random.default_rng(3))
     rows, columns = (np.flatnonzero(gradient.any(axis=(2, axis))) for axis in (1, 0))
     assert np.ptp(rows) == np.ptp(columns) == 23
     alone, _ = network(
@@ -158,7 +156,7 @@ def test_a_crop_is_all_that_moves_and_rare_steps_weigh_more() -> None:
         target[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
     )
     assert loss == pytest.approx(0.1 * 4 * alone, rel=1e-5)
-    small = perceptual(network, SETTINGS, *pictures((12, 40)), None, np.random.default_rng(0))
+    small = perceptual(network, WHOLE, *pictures((12, 40)), None, np.random.default_rng(0))
     assert small[0] == 0
 
 

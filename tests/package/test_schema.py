@@ -48,7 +48,7 @@ def test_the_configuration_is_read_as_it_stands() -> None:
 @pytest.mark.parametrize(
     ("entry", "path", "value"),
     [
-        ("people={review: {height_px: 160}}", "people.review.height_px", 160),
+        ("people={fit: {iterations: 20}}", "people.fit.iterations", 20),
         ("people={association: {gate_m: 0.2}}", "people.association.gate_m", 0.2),
         ("people={smooth: {sigma_s: 1e-3}}", "people.smooth.sigma_s", 1e-3),
         ("render={background_rgb: [0.3, 1, 0]}", "render.background_rgb", [0.3, 1, 0]),
@@ -98,10 +98,10 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
     ("entry", "sentence"),
     [
         (
-            "people={review: {hight_px: 160}}",
-            "there is no setting people.review.hight_px; did you mean people.review.height_px?",
+            "people={fit: {iteratons: 20}}",
+            "there is no setting people.fit.iteratons; did you mean people.fit.iterations?",
         ),
-        ("people={height_px: 3}", "there is no setting people.height_px; did you mean people.review.height_px?"),
+        ("people={beta_weight: 3}", "there is no setting people.beta_weight; did you mean people.fit.beta_weight?"),
         ("people={gate_m: 1}", "there is no setting people.gate_m; did you mean people.association.gate_m?"),
         ("datset=x", "there is no setting datset; did you mean dataset?"),
         (
@@ -119,7 +119,7 @@ def test_whole_numbers_may_be_written_with_a_point_and_small_ones_without() -> N
             "there is no setting render.shots.a.targt; did you mean render.shots.a.target?",
         ),
         ("calibration={source: file}", "setting calibration.source is 'file'; it must be one of auto, files, "),
-        ("people={review: {height_px: tall}}", "setting people.review.height_px is 'tall'; it must be a whole number"),
+        ("people={fit: {iterations: few}}", "setting people.fit.iterations is 'few'; it must be a whole number"),
         ("capture={width: -1}", "setting capture.width is -1; it must be at least 0"),
         ("render={shots: {a: {frames: 3}}}", "setting render.shots.a lacks kind, which is one of orbit, heldout, "),
         ("render={shots: {a: {kind: path}}}", "setting render.shots.a lacks file"),
@@ -138,14 +138,14 @@ def test_a_mistake_is_one_sentence_that_says_what_was_meant(entry: str, sentence
 
 
 def test_several_mistakes_are_all_told_and_misspelt_names_first() -> None:
-    found = mistakes(said("capture={width: -1}", "people={review: {hight_px: 160, picturs: 2}}"), schema())
+    found = mistakes(said("capture={width: -1}", "people={fit: {iteratons: 20, vertics: 2}}"), schema())
     assert len(found) == 3
-    assert "hight_px" in found[0]
-    assert "picturs" in found[1]
+    assert "iteratons" in found[0]
+    assert "vertics" in found[1]
     assert "capture.width" in found[2]
 
 
 def test_every_setting_is_named_once() -> None:
     names = [name for name, _ in named(schema())]
     assert len(names) == len(set(names)) > 150
-    assert "people.review.height_px" in names
+    assert "people.fit.iterations" in names

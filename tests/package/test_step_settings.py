@@ -60,17 +60,18 @@ def test_a_step_says_once_what_it_reads(tmp_path: Path, monkeypatch: pytest.Monk
         shutil.copytree(code.PACKAGE, tmp_path / "studiorecon", ignore=shutil.ignore_patterns("__pycache__")),
     )
     step_settings._known.cache_clear()
-    assert step_settings.told(
-        "people.review", {"review": {"pictures": 1, "height_px": 2, "rejected": 3}, "fit": {}}
-    ) == {"review": {"pictures": 1, "height_px": 2}}, "the third is a constant"
+    smooth = {"memory_s": 1.0, "sigma_s": 2.0, "passes": "average"}
+    assert step_settings.told("people.fit", {"smooth": smooth, "review": {}}) == {
+        "smooth": {"memory_s": 1.0, "sigma_s": 2.0}
+    }, "the third is a constant"
     (memory,) = (tmp_path / "studiorecon/__pycache__").glob("settings.*.json")
     assert len(json.loads(memory.read_text())) == 1
     step_settings._known.cache_clear()
     monkeypatch.setattr(step_settings.importlib, "import_module", lambda name: pytest.fail("imported again"))
-    assert "review" in step_settings.read_by("people.review")
-    (tmp_path / "studiorecon/people/review.py").write_text("class Settings: ...\n")
+    assert "smooth" in step_settings.read_by("people.fit")
+    (tmp_path / "studiorecon/people/fit.py").write_text("class Settings: ...\n")
     with pytest.raises(pytest.fail.Exception):
-        step_settings.read_by("people.review")
+        step_settings.read_by("people.fit")
     step_settings._known.cache_clear()
 
 

@@ -56,7 +56,7 @@ def identity_page(name: str) -> str:
     }
     row = {"person": "p0", "frames": "10", "confidence": "1", "source": "keypoints", "cameras": name}
     doubtful, rejected = [{**track, "person": "p0"}], [{**track, "person": ""}]
-    return review._page(told, [row], doubtful, rejected, [name], shown, {(name, 1): "p0"}, review.Desk())
+    return review._page(told, [row], doubtful, rejected, [name], shown, {(name, 1): "p0"})
 
 
 def runs_page(name: str, folder: Path, on: bool = True) -> str:

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from studiorecon.configuration import settings as settings_module
 from studiorecon.footage.video import write_lossless
 from studiorecon.people import review
 from studiorecon.scene.files import write_json
@@ -27,7 +26,7 @@ def standing_at(x: float, y: float) -> np.ndarray:
 
 
 @pytest.fixture
-def page(tmp_path: Path, default_settings) -> str:
+def page(tmp_path: Path) -> str:
     found, videos = [], []
     for v, camera in enumerate(("left", "right & <far>")):
         frame = np.concatenate([np.arange(FRAMES), np.arange(FRAMES), [5]])
@@ -62,10 +61,9 @@ def page(tmp_path: Path, default_settings) -> str:
     rows = [("p0", 8, "left", 0.9, "keypoints"), ("p1", 8, "left", 0.8, "keypoints"), ("p2", 8, "left", 0.7, "hull")]
     write_people(tmp_path / "people.tsv", rows, [("r0", 1, "left", 0.5, "keypoints", "rejected", "a bystander")])
     write_identities(tmp_path / "identities.tsv", {(t["camera"], t["track"]): t["person"] for t in tracks})
-    options = settings_module.load(review.Settings, default_settings("people"), "people")
     tables = [tmp_path / n for n in ("association.json", "people.tsv", "identities.tsv")]
     for name in ("desk.html", "again.html"):
-        review.run(options, *tables, [tmp_path / "0.npz", tmp_path / "1.npz"], videos, tmp_path / name)
+        review.run(*tables, [tmp_path / "0.npz", tmp_path / "1.npz"], videos, tmp_path / name)
     assert (tmp_path / "desk.html").read_bytes() == (tmp_path / "again.html").read_bytes()
     return (tmp_path / "desk.html").read_text()
 
@@ -99,13 +97,11 @@ def test_the_page_needs_no_network_and_escapes_names(page: str) -> None:
     assert "left\t2\tp3" in page
 
 
-def test_nobody_is_a_page_too(tmp_path: Path, default_settings) -> None:
+def test_nobody_is_a_page_too(tmp_path: Path) -> None:
     write_json(tmp_path / "a.json", {"corrected": True, "tracks": [], "left_out": []})
     write_people(tmp_path / "people.tsv", [])
     write_identities(tmp_path / "identities.tsv", {})
-    options = settings_module.load(review.Settings, default_settings("people"), "people")
     review.run(
-        options,
         tmp_path / "a.json",
         tmp_path / "people.tsv",
         tmp_path / "identities.tsv",

@@ -95,8 +95,8 @@ def test_a_prediction_is_work_over_cores_and_the_chain_that_cannot_be_shared() -
 class Planned:
     """What of a plan a prediction asks for."""
 
-    def __init__(self, forced: dict[str, str] | None = None, closed: str = "auto", cameras: int = 4) -> None:
-        self.scene, self.people, self.forced, self.closed = "there", True, forced or {}, closed
+    def __init__(self, forced: dict[str, str] | None = None, cameras: int = 4) -> None:
+        self.scene, self.people, self.forced = "there", True, forced or {}
         self.training = [f"cam{k}" for k in range(cameras)]
         self.segments = [f"{k:02d}" for k in range(cameras)]
 
@@ -184,7 +184,7 @@ class TestForeseen:
         assert foreseen(Planned(cameras=16), DEFAULTS) == Gaps(0, 0, 16)
 
     def test_the_widest_gap_of_an_arc_is_not_filled(self) -> None:
-        assert foreseen(Planned(), DEFAULTS | {"views": DEFAULTS["views"] | {"closed": "never"}}) == Gaps(0, 3, 3)
+        assert foreseen(Planned({"closed_path": "off"}), DEFAULTS) == Gaps(0, 3, 3)
 
     def test_views_that_nothing_learns_from_are_not_made(self) -> None:
         assert foreseen(Planned(), DEFAULTS | {"background": {"views_share": 0.0}}) == Gaps(0, 0, 0)

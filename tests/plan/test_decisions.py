@@ -52,15 +52,6 @@ def test_held_out_cameras_are_not_trained_on(configured, capture, home):
     assert "heldout" in plan.films
 
 
-@pytest.mark.parametrize(
-    ("forced", "setting", "closed"),
-    [("", "auto", "auto"), ("", "never", "never"), ("on", "never", "always"), ("off", "always", "never")],
-)
-def test_a_forced_verdict_comes_before_the_setting(configured, home, forced, setting, closed):
-    force = {"closed_path": forced} if forced else {}
-    assert make_plan(configured(views={"closed": setting}, survey={"force": force}), home).closed == closed
-
-
 def test_the_detector_looks_where_no_keypoints_are_or_everywhere(configured, capture, home):
     (capture / "keypoints/back").rmdir()
     assert make_plan(configured(), home).sight.detected == ["back"]

@@ -183,22 +183,20 @@ def test_verdicts_call_for_files_and_what_is_forced_asks_nobody(configured, home
 
 
 @pytest.mark.parametrize(
-    ("force", "views", "segments"),
+    ("force", "segments"),
     [
-        ({"closed_path": "on"}, {}, ["00", "02"]),
-        ({"closed_path": "off", "view_synthesis": "on"}, {}, ["00", "01"]),
-        ({"view_synthesis": "on"}, {"closed": "always"}, ["00", "01", "02"]),
-        ({"view_synthesis": "on"}, {}, ["00", "01"]),
-        ({}, {"closed": "never"}, ["00"]),
-        ({"view_synthesis": "off"}, {}, []),
+        ({"closed_path": "on"}, ["00", "02"]),
+        ({"closed_path": "off", "view_synthesis": "on"}, ["00", "01"]),
+        ({"closed_path": "on", "view_synthesis": "on"}, ["00", "01", "02"]),
+        ({"view_synthesis": "on"}, ["00", "01"]),
+        ({"closed_path": "off"}, ["00"]),
+        ({"view_synthesis": "off"}, []),
     ],
 )
-def test_views_are_made_between_those_neighbours_that_need_them(
-    configured, home, tmp_path, found, force, views, segments
-):
-    config = configured(survey={"force": force}, views=views)
+def test_views_are_made_between_those_neighbours_that_need_them(configured, home, tmp_path, found, force, segments):
+    config = configured(survey={"force": force})
     assert files_of(config, home, Asked(tmp_path, **found)).segments(SCENE) == segments
-    unused = configured(survey={"force": force}, views=views, background={"views_share": 0.0})
+    unused = configured(survey={"force": force}, background={"views_share": 0.0})
     assert files_of(unused, home, Asked(tmp_path)).segments(SCENE) == [], "nothing is made that nobody learns from"
 
 
@@ -270,7 +268,7 @@ def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configure
     assert section("humans.train", config)["temporal"]["use"] == "always"
     assert section("enhance.shot", config)["enhancer"] == "none"
     assert section("enhance.shot", config)["injection"]["history"] == 0
-    assert "review" not in json.loads(settings("people.fit", config))
+    assert "association" not in json.loads(settings("people.fit", config))
     moved = configured(survey={"thresholds": {"temporal_appearance": 0.3, "exposure": 0.2}})
     assert json.loads(settings("humans.train", moved))["thresholds"] == {"temporal_appearance": 0.3}
 

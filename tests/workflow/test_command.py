@@ -74,7 +74,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         "--dry-run",
         "--config",
         "scene=x",
-        "people={review: {height_px: 160}}",
+        "people={fit: {iterations: 20}}",
         "-n",
         "--configfile",
         "mine.yaml",
@@ -89,7 +89,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         "--config",
         "dataset=DIR",
         "scene=x",
-        "people={review: {height_px: 160}}",
+        "people={fit: {iterations: 20}}",
     ]
     assert {"--dry-run", "-n", "--quiet"} <= set(made)
 
@@ -102,7 +102,7 @@ def test_what_is_said_for_snakemake_joins_what_the_command_says() -> None:
         (["run", ".", "--preset", "papper"], "there is no preset papper; did you mean paper?"),
         (["view"], "no finished scene of demo in results/ of this folder; make it with: studiorecon demo"),
         (["view", "takes/one"], "make it with: studiorecon run takes/one"),
-        (["settings", "people.reveiw"], "there is no setting people.reveiw; did you mean people.review?"),
+        (["settings", "people.smoth"], "there is no setting people.smoth; did you mean people.smooth?"),
     ],
 )
 def test_bad_input_is_a_sentence(
@@ -186,7 +186,7 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
     schema = yaml.safe_load(home.SCHEMA.read_text())
     config = yaml.safe_load(home.CONFIGURATION.read_text())
     found = {setting.name: setting for setting in settings_of(home.CONFIGURATION, schema)}
-    assert found["people.review.height_px"].default == "150"
+    assert found["people.fit.iterations"].default == "30"
     assert "paper: 1280×704" in found["capture.width"].meaning, "the comment above it"
     assert "commercial" in found["licences"].choices
     for name, setting in found.items():
@@ -202,9 +202,9 @@ def test_every_setting_has_a_meaning_and_its_default() -> None:
 
 
 def test_settings_are_printed_by_section(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["settings", "people.review"]) == 0
+    assert command.main(["settings", "people.fit"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "people.review.height_px = 150" in lines
+    assert "people.fit.iterations = 30" in lines
     assert not [line for line in lines if line.startswith("people.keypoint")]
 
 

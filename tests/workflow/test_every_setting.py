@@ -42,7 +42,6 @@ PLANNED: dict[str, set[str] | None] = {
     # Another source is another rule's work.
     "depth.source": {"depth_refine"},
     "views.synthesizer": {"views_synthesize"},
-    "views.closed": set(),  # other gaps, not other views
     # An effect forced on is another network in the training of people.
     "survey.force": {"humans_train"},
     "capture.picture_fps": {"detect_people", "people_second_look", "detect_keypoints"},
@@ -189,7 +188,7 @@ def wrong_of(house: House, values: Mapping[str, Any]) -> list[str]:
 
 
 SOME = (
-    "people.review.height_px",
+    "people.association.gate_m",
     "people.triangulation.solver",
     "survey.thresholds",
     "survey.force",

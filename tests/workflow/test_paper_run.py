@@ -138,10 +138,10 @@ def test_the_papers_presets_run_whole_with_a_stand_in_of_every_network_that_can_
         "views": {"synthesizer": "precomputed", "people": "bodies"} | SMALL["views"] | brought["views"],
         "people": {"fit": {"vertices": 200}},
         "background": {
-            "training": {"iterations": 40, "lpips": {"every": 10}},
+            "training": {"iterations": 40, "lpips": {"whole": False}},
             "refinement": {"views": 6},
         },
-        "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"every": 10}}},
+        "humans": {"iterations": 20, "temporal": {"start": 10, "width": 16}, "losses": {"lpips": {"whole": False}}},
     }
     settings = ("--configfile", PAPER, NETWORKS, house.overlay(**(SMALL | stand_ins)))
     planned = house.plan(*settings)

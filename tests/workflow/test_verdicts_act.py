@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import pytest
 from studiorecon.scene.people import write_people
-from studiorecon.survey.effects import ARTEFACTS, EFFECTS
+from studiorecon.survey.effects import EARLY, EFFECTS
 
 from tests.workflow.conftest import House, make_house
 
@@ -117,7 +117,7 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> House:
     write_people(house.folder / PEOPLE, [(p, 9, "cam1,cam2", 1.0, "keypoints") for p in ("p0", "p1")])
     made(house, [PEOPLE])
     made(house, outputs(house, DECISIONS, *force(house)))
-    made(house, [DECISIONS, *(f"results/tiny/survey/{name}" for name in ARTEFACTS)])
+    made(house, [DECISIONS, *(f"results/tiny/survey/{e.artefact.file}" for e in EARLY if e.artefact)])
     told = [{"effect": "closed_path", "verdict": "off", "detail": {"widest": "01"}}]
     (house.folder / DECISIONS).write_text(json.dumps({"decisions": told}))
     made(house, [DECISIONS])

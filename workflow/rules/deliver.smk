@@ -26,7 +26,6 @@ rule deliver_export:
     resources:
         mem_mb=1500,
     params:
-        settings=settings("deliver.export"),
         code=code("deliver.export"),
     shell:
         command("deliver.export")

@@ -90,7 +90,6 @@ rule enhance_comparison:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("enhance.comparison"),
         code=code("enhance.comparison"),
     shell:
         command("enhance.comparison")

@@ -209,7 +209,6 @@ rule people_review:
     resources:
         mem_mb=1000,
     params:
-        settings=settings("people.review"),
         code=code("people.review"),
     shell:
         command("people.review")

@@ -25,7 +25,7 @@ class Setting:
     """One setting or section.
 
     Attributes:
-        name: dotted, ``people.review.height_px``.
+        name: dotted, ``people.fit.iterations``.
         meaning: in words; may be empty for a section.
         default: as YAML, None for a section.
         choices: the values it may have, where they are words.

@@ -26,13 +26,11 @@ WITHOUT: Mapping[str, str] = {
     "people.association.gate_m": "bounds rays; the pelvises of the letter have their gate of 0.3 m beside the code",
     "depth.sweep_width": "planes say where floor, walls and ceiling are, which nothing of the letter reads but "
     "background.fill",
-    "survey.gap_deg": "survey.force decides whether there are views",
     "render.shots": "which cameras are held out is the dataset's to say (held_out in capture.yaml)",
 }
 """Why a setting of which the paper speaks has no value that is its word."""
 
 BUT: Mapping[str, str] = {
-    "views.closed": "for cameras all around; before an arc it is never, which the survey's closed_path tells",
     "humans.gaussians": "read where humans.placed is evenly: SMPL has as many vertices",
     "people.lift.surface_to_joint_m": "read where the position is scene",
     "people.triangulation.solver": "points stay undetermined whose rays cross under 2° or that lie within 0.1 m of a "
@@ -62,9 +60,12 @@ CONSTANTS: tuple[tuple[str, str, Any, str], ...] = (
     ("background.refinement:Refinement", "weight", 0.7, "reduced loss weight, appendix C"),
     ("humans.training:Losses", "l1", 0.8, "λ of L1, appendix D"),
     ("humans.training:Losses", "ssim", 0.2, "λ of SSIM, appendix D"),
+    ("humans.training:Growing", "until", 1500, "last step that densifies, appendix D"),
     ("humans.training:Growing", "every", 500, "densification, appendix C"),
     ("humans.training:Growing", "gradient", 2e-4, "gradient threshold, appendix C"),
     ("humans.train_settings:Settings", "grid_resolution", 64, "64³ voxels, appendix D"),
+    ("views.fitted:Settings", "dilation_px", 21, "of people in synthesized views, appendix on preprocessing; U24"),
+    ("recursive.injection:Injection", "decay", 0.5, "temporal decay, appendix Recursive Enhancement Module; U03"),
     ("humans.appearance:OverTime", "layers", 8, "8 layers, appendix D"),
     ("report.evaluate:Settings", "seen_tolerance", 0.05, "Seen/Unseen Fidelity; U57"),
 )

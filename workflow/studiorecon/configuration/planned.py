@@ -104,13 +104,6 @@ class Depth:
     """Where depth of a network lies, and what it waits for."""
 
     precomputed: str = setting("", "Folder with <camera>.exr, .npy, .npz or 16-bit .png (millimetres) of every camera.")
-    primitives_walked: bool = setting(
-        True,
-        "Nothing is put where somebody's joints were, nor between a camera and what it saw of them; depth then waits "
-        "for the bodies.",
-        paper="none",
-        letter=False,
-    )
 
 
 @dataclass(frozen=True)
@@ -134,17 +127,10 @@ class Masks:
 
 @dataclass(frozen=True)
 class Views:
-    """Where films of a network lie, and which gaps get views."""
+    """Where films of a network lie."""
 
     precomputed: str = setting(
         "", "Folder with <segment>.mkv or .mp4 (00, 01, …) of 1280×704 or the working size, one picture per view."
-    )
-    closed: Literal["auto", "always", "never"] = setting(
-        "auto",
-        "Views also in the widest gap between neighbours; auto = where the cameras surround the stage (effect "
-        "closed_path).",
-        paper="yes for 360°, an arc otherwise; U18, U55",
-        letter="auto",
     )
 
 

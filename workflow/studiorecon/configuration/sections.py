@@ -65,7 +65,6 @@ SECTIONS: tuple[Section, ...] = (
         "Who is who, and everybody's body over time.",
         (
             "configuration.planned:People",
-            "people.review:Settings",
             "people.fit_settings:Triangulated",
             "people.lift:Settings",
             "people.associate:Settings",
@@ -91,7 +90,7 @@ SECTIONS: tuple[Section, ...] = (
     Section(
         "survey",
         "Which effects the scene calls for.",
-        ("survey.effects:Decided", "survey.evidence:Sampling", "configuration.planned:Survey"),
+        ("survey.effects:Decided", "configuration.planned:Survey"),
     ),
     Section("objects", "Loose and held things.", ("objects.find:Settings",)),
     Section(
@@ -131,10 +130,8 @@ SECTIONS: tuple[Section, ...] = (
             "configuration.planned:Enhance",
             "enhance.injection_settings:Carrying",
             "enhance.injection_settings:Injecting",
-            "enhance.injection_settings:Film",
         ),
     ),
-    Section("deliver", "Files for other tools.", ("deliver.export:Settings",)),
     Section(
         "report",
         "What the page shows and measures.",

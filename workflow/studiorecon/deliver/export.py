@@ -7,14 +7,12 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model, read_points
-from studiorecon.configuration.setting import setting
 from studiorecon.deliver import camera_files, keypoint_files, motion_files
 from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
@@ -50,6 +48,8 @@ in bodies/.
 """
 # What other steps leave in the same folder, or are about to: a file that is being written bears a longer name.
 OF_OTHER_STEPS = ("room.glb", "scene.glb", "scene.usdc", "player.html", "player.jpg")
+# Of the merged scene of background and people: the first, which every capture has.
+_STILL_FRAME = 0
 _STILL = "still.ply         the room and everybody in it at frame {frame}, for viewers of static scenes\n"
 _KEYPOINTS = (
     "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "
@@ -64,13 +64,6 @@ _PERSONS = (
     "                  metres), .c3d (the same markers, z up, millimetres), .openpose3d.json (BODY_25, z up) and .glb "
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
-
-
-@dataclass(frozen=True)
-class Settings:
-    still_frame: int = setting(
-        0, "Frame of the merged scene of background and people, for static viewers.", minimum=0, maximum=1000000
-    )
 
 
 def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) -> dict[str, Gaussians]:
@@ -135,7 +128,6 @@ def motion(folder: Path, person: Person, body: BodyModel, colours: BodyColours |
 
 
 def run(
-    settings: Settings,
     scene: str,
     manifest: Path,
     model: Path,
@@ -166,13 +158,7 @@ def run(
             if colours.get(person.name) is None:
                 say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
             motions += motion(folder / "bodies", person, body_model, colours.get(person.name))
-    frame = min(settings.still_frame, capture.frames - 1)
-    if frame != settings.still_frame:
-        say(
-            f"the capture has {capture.frames} frames, so the still shows frame "
-            f"{frame} instead of {settings.still_frame}"
-        )
-    written = gaussian_files(read_ply(background), people, frame)
+    written = gaussian_files(read_ply(background), people, _STILL_FRAME)
     for name, one in written.items():
         write_ply(folder / name, one)
     cameras, seen = read_model(model.parent), [read_detections(p) for p in detections]
@@ -192,7 +178,7 @@ def run(
     copies[blender] = folder / blender.name
     copy_files(copies)
     layouts = sorted({d.layout for d in seen})
-    text = readme(scene, names, [f.stem for f in films], frame, capture.frames, capture.fps, layouts)
+    text = readme(scene, names, [f.stem for f in films], _STILL_FRAME, capture.frames, capture.fps, layouts)
     write_text(folder / "README.txt", text)
     delivered = sorted(
         ["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])]
@@ -213,7 +199,13 @@ def run(
         }
         for camera in cameras
     ]
-    told = {"scene": scene, "still_frame": frame, "fps": capture.fps, "frames": capture.frames, "cameras": filmed}
+    told = {
+        "scene": scene,
+        "still_frame": _STILL_FRAME,
+        "fps": capture.fps,
+        "frames": capture.frames,
+        "cameras": filmed,
+    }
     write_json(contents, told | {"files": {name: digest(folder / name) for name in delivered}})
     say(
         f"{len(delivered)} files are in {folder}, "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +17,16 @@ from studiorecon.models.choices import EnhancerName
 from studiorecon.models.loading import load
 from studiorecon.models.protocols import Enhancer, Moment
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 
 class Unchanged:
     """The enhancer ``none``: what comes in goes out; injection around it only steadies the picture."""
 
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+    def enhance(
+        self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
+    ) -> Float[np.ndarray, "H W 3"]:
         return image
 
 
@@ -32,7 +38,9 @@ class ResidualTransfer:
     ) -> None:
         self._sources_at, self._strength, self._transfer = sources_at, strength, transfer
 
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+    def enhance(
+        self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
+    ) -> Float[np.ndarray, "H W 3"]:
         """The corrected picture; history in it already carries corrections, so only the fresh share is corrected again.
 
         Without that factor the fixed point of the recursion would be 1 / (1 - w) times the residual.

@@ -5,13 +5,12 @@ first and the last."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from studiorecon.enhance.injection_settings import Film
 from studiorecon.errors import UserError
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import read_frames, write_watchable
@@ -19,18 +18,18 @@ from studiorecon.progress import progress, say
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 _BAR_PX = 24
 _GAP_PX = 4
 # The wipe goes from one side to the other and back in so many seconds.
 _WIPE_S = 4.0
 
 
-@dataclass(frozen=True)
-class Settings(Film):
-    """What the step is told."""
-
-
-def side_by_side(pictures: Sequence[np.ndarray], words: Sequence[str]) -> np.ndarray:
+def side_by_side(
+    pictures: Sequence[Integer[np.ndarray, "H W 3"]], words: Sequence[str]
+) -> Integer[np.ndarray, "h w 3"]:
     """(H + bar, W', 3) uint8: the pictures next to one another, each under its word."""
     height = pictures[0].shape[0] + _BAR_PX
     parts = []
@@ -42,7 +41,9 @@ def side_by_side(pictures: Sequence[np.ndarray], words: Sequence[str]) -> np.nda
     return np.concatenate(parts, axis=1)[:, :-_GAP_PX]
 
 
-def wiped(left: np.ndarray, right: np.ndarray, share: float, words: tuple[str, str]) -> np.ndarray:
+def wiped(
+    left: Integer[np.ndarray, "H W 3"], right: Integer[np.ndarray, "H W 3"], share: float, words: tuple[str, str]
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: ``left`` up to ``share`` of the width, ``right`` beyond, a white line between, a word on either
     side."""
     width = left.shape[1]
@@ -62,7 +63,7 @@ def wipe_share(picture: int, fps: float) -> float:
     return 0.5 + 0.45 * float(np.sin(2 * np.pi * picture / (fps * _WIPE_S)))
 
 
-def photos_of(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[np.ndarray | None]:
+def photos_of(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[Integer[np.ndarray, "H W 3"] | None]:
     """The photo of every step whose camera has footage and whose time is a whole frame, else None; videos are
     ``<camera>.mkv``."""
     by_camera = {video.stem: video for video in videos}
@@ -80,7 +81,6 @@ def photos_of(steps: Sequence[PathStep], videos: Sequence[Path]) -> Iterator[np.
 
 
 def run(
-    settings: Settings,
     shot: str,
     render: Path,
     render_path: Path,
@@ -97,7 +97,7 @@ def run(
     words = ("render", "enhanced", "photo") if with_photos else ("render", "enhanced")
     raws, made = read_frames(render, 0, len(steps)), read_frames(video, 0, len(steps))
     real = photos_of(steps, videos) if with_photos else iter([None] * len(steps))
-    writers = [lambda frames, p=p: write_watchable(p, frames, fps, settings.crf) for p in (beside, wipe)]
+    writers = [lambda frames, p=p: write_watchable(p, frames, fps) for p in (beside, wipe)]
     with writing(writers) as put:
         for number, (raw, output, photo) in enumerate(
             zip(progress(raws, f"comparison of {shot}", total=len(steps)), made, real)

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -33,6 +34,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.numbered import natural
 from studiorecon.scene.path import PathStep
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 _PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 _VIDEOS = {".mkv", ".mp4", ".mov", ".avi", ".webm"}
 
@@ -42,7 +46,7 @@ class Settings(Enhancing, Injecting):
     """What the step is told."""
 
 
-def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Iterator[np.ndarray]:
+def pictures_of(source: Path, first: int = 0, count: int | None = None) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 pictures ``first`` … of a folder, in the order of their names, or of a video.
 
     Raises UserError for a source that is missing, holds no pictures, or holds one that cannot be read.

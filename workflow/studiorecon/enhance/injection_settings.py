@@ -56,10 +56,3 @@ class Injecting:
         letter="raft",
     )
     flow_preset: Preset = setting("medium", "Effort of dis.")
-
-
-@dataclass(frozen=True)
-class Film:
-    """How films are written."""
-
-    crf: int = setting(16, "Quality of the mp4 films: 0 lossless … 51; 16 is visually lossless.", minimum=0, maximum=51)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from studiorecon.images.transfer import ResidualSource, Transfer, source
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import NONE, Factors
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Training:
     frames: int
     exposure: Factors = NONE
 
-    def photo(self, index: int, frame: int) -> np.ndarray:
+    def photo(self, index: int, frame: int) -> Integer[np.ndarray, "h w 3"]:
         """(h, w, 3) uint8 photo of one camera, as it were filmed with the common exposure in the plate's light."""
         return self.exposure.even(self.cameras[index].name, self.photos[index].at(frame), frame)
 
@@ -44,13 +48,13 @@ class Training:
             for k, (camera, render, depth) in enumerate(zip(self.cameras, self.renders, self.depths))
         ]
 
-    def residual(self, index: int, frame: int) -> np.ndarray:
+    def residual(self, index: int, frame: int) -> Float[np.ndarray, "h w 3"]:
         """(h, w, 3) float32 photo less render of one camera, colours in 0..1."""
         photo = self.photo(index, frame)
         render = self.renders[index].at(frame)[: photo.shape[0], : photo.shape[1]]
         return (photo.astype(np.float32) - render.astype(np.float32)) / 255
 
-    def reference(self, camera: Camera, frame: int) -> np.ndarray:
+    def reference(self, camera: Camera, frame: int) -> Integer[np.ndarray, "h w 3"]:
         """(h, w, 3) uint8 photo of the same time from the training camera with the smallest angle between axes
         (U09)."""
         cosines = [float(one.forward @ camera.forward) for one in self.cameras]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from studiorecon.recursive.alignment import backward_flow
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import ENHANCEMENT, INJECTION
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # Below this share of pixels seen by two training cameras at once, nothing can be said about the residual's worth.
 _LEAST_EVIDENCE = 0.01
@@ -91,7 +95,7 @@ def flicker(
     steps: Sequence[PathStep],
     render: Path,
     depth: Path,
-    reference: Callable[[PathStep], np.ndarray],
+    reference: Callable[[PathStep], Integer[np.ndarray, "h w 3"]],
     enhancer: Enhancer,
     search: Flow,
 ) -> Estimate:

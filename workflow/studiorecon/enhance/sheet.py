@@ -10,6 +10,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -27,6 +28,9 @@ from studiorecon.scene.effects import INJECTION
 from studiorecon.scene.path import read_path
 from studiorecon.signature import Place, Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 _BAR_PX = 22
 _INK, _PAPER = (30, 30, 30), (255, 255, 255)
 # Differences between output and render are shown this many times larger, about mid grey.
@@ -38,7 +42,9 @@ class Settings(Injecting):
     """What the step is told."""
 
 
-def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float]:
+def flow_picture(
+    flow: Float[np.ndarray, "H W 2"], valid: Bool[np.ndarray, "H W"]
+) -> tuple[Integer[np.ndarray, "H W 3"], float]:
     """(H, W, 3) uint8: direction as hue, length as strength, white = no motion, grey = not to be trusted; and the
     longest, pixels."""
     length = np.hypot(flow[..., 0], flow[..., 1])
@@ -49,7 +55,9 @@ def flow_picture(flow: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, float
     return np.where(valid[..., None], colours, 128).astype(np.uint8), longest
 
 
-def sheet(render: np.ndarray, mixed: Blend, output: np.ndarray) -> np.ndarray:
+def sheet(
+    render: Integer[np.ndarray, "H W 3"], mixed: Blend, output: Integer[np.ndarray, "H W 3"]
+) -> Integer[np.ndarray, "h w 3"]:
     """(H', W', 3) uint8 contact sheet: render, input, output and change; below, flow and confidence of each earlier
     output."""
     change = np.clip(128 + _GAIN * (output.astype(np.int16) - render), 0, 255).astype(np.uint8)

@@ -14,7 +14,7 @@ import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.enhance.backends import ResidualTransfer, Unchanged, network
-from studiorecon.enhance.injection_settings import Carrying, Enhancing, Film, Injecting
+from studiorecon.enhance.injection_settings import Carrying, Enhancing, Injecting
 from studiorecon.enhance.photos import Training, training_of
 from studiorecon.enhance.pilot import called_for, flicker, worth
 from studiorecon.errors import UserError
@@ -34,13 +34,15 @@ from studiorecon.scene.path import PathStep, read_path
 from studiorecon.signature import Place, Written
 
 if TYPE_CHECKING:
+    from jaxtyping import Integer
+
     Named = str
 else:
     Named = Literal[tuple(effect.name for effect in FILMED)]
 
 
 @dataclass(frozen=True)
-class Settings(Enhancing, Carrying, Injecting, Film):
+class Settings(Enhancing, Carrying, Injecting):
     """How a film is enhanced, and from where it is worth it, which ``survey.effects.Decided`` declares for all."""
 
     thresholds: Mapping[Named, float] = thresholds(FILMED)
@@ -87,7 +89,7 @@ def run(
     steps, fps = read_path(render_path)
     writers = (
         lambda frames: write_lossless(video, frames, fps),
-        lambda frames: write_watchable(film, frames, fps, settings.crf),
+        lambda frames: write_watchable(film, frames, fps),
     )
     if made:
         _write(writers, made_elsewhere(made[0], render, len(steps)), shot, len(steps))
@@ -142,11 +144,11 @@ class Drawn:
     depth: Path
     truth: Path | None = None
 
-    def pictures(self) -> Iterator[np.ndarray]:
+    def pictures(self) -> Iterator[Integer[np.ndarray, "h w 3"]]:
         """(h, w, 3) uint8, in order."""
         return read_frames(self.render, 0, len(self.steps))
 
-    def depths_mm(self) -> Iterator[np.ndarray]:
+    def depths_mm(self) -> Iterator[Integer[np.ndarray, "h w"]]:
         """(h, w) uint16 millimetres, in order; 0 where unknown."""
         depths = read_frames(self.depth, 0, len(self.steps))
         if self.truth is None:
@@ -194,7 +196,7 @@ def nothing_added(decision: Decision) -> Decision:
 def chosen_injection(
     settings: Settings,
     drawn: Drawn,
-    reference: Callable[[PathStep], np.ndarray],
+    reference: Callable[[PathStep], Integer[np.ndarray, "h w 3"]],
     enhancer: Enhancer,
     search: Flow,
     was_on: bool,
@@ -220,7 +222,7 @@ def _of(verdicts: Mapping[str, str], effect: str) -> dict[str, str]:
     return {effect: verdicts[effect]} if effect in verdicts else {}
 
 
-def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[np.ndarray]:
+def made_elsewhere(film: Path, render: Path, count: int) -> Iterator[Integer[np.ndarray, "h w 3"]]:
     """(h, w, 3) uint8 pictures of a film that was made from a shot's render; raises UserError when it is of another
     number or size."""
     (drawn,) = read_frames(render, 0, 1)

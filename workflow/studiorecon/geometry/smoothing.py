@@ -32,7 +32,10 @@ _MEAN_STEPS = 2
 
 @dataclass(frozen=True)
 class Smoothing:
-    """How strongly to smooth."""
+    """How strongly to smooth.
+
+    ``passes``: the second exponential pass runs over the first one's result, or the two are averaged (U40).
+    """
 
     memory_s: float = setting(
         0.0277,
@@ -50,13 +53,7 @@ class Smoothing:
         paper="0.0333, 1 frame at 30 fps, appendix; U41",
         letter=0.0333,
     )
-    passes: Literal["cascade", "average"] = setting(
-        "cascade",
-        "cascade = the second exponential pass runs over the first one's result; average = the average of the"
-        " two (U40).",
-        paper="bidirectional, appendix B; U40",
-        letter="cascade",
-    )
+    passes: Literal["cascade", "average"] = "cascade"
     root: bool = setting(True, "Smooth the pelvis's turn and position too.", paper="false; U42", letter=False)
     turns_on: Literal["rotations", "axis_angles"] = setting(
         "rotations",

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numba
 import numpy as np
@@ -34,8 +34,10 @@ from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import PlaneView
 from studiorecon.splatting.train.trainer import Preview
 
-_BETAS, _EPSILON = (0.9, 0.999), 1e-15
-_GREY = np.full(3, 0.5)
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num, Shaped
+
+_BETAS, _EPSILON, _GREY = (0.9, 0.999), 1e-15, np.full(3, 0.5)
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,8 @@ class Growing:
     """When Gaussians are added to a person.
 
     Attributes:
-        every: steps from one time to the next. ``gradient``: mean screen gradient, in half widths of the crop, above
-            which a Gaussian is cloned or split. ``prune_opacity``: fainter ones are removed.
+        until: last step that densifies; every: steps from one time to the next; prune_opacity: fainter are removed.
+        gradient: mean screen gradient, in half widths of the crop, above which a Gaussian is cloned or split.
         scale: share of the body's height above which one is split rather than cloned.
     """
 
@@ -119,7 +121,7 @@ class Growing:
         paper="densified, appendix D",
         letter="gradient",
     )
-    until: int = setting(1500, "Last step that densifies.", minimum=0, paper="1,500, appendix D", letter=1500)
+    until: int = 1500
     every: int = 500
     gradient: float = 0.0002
     prune_opacity: float = 0.005
@@ -133,7 +135,7 @@ class Growing:
         return self.use != "none" and done <= self.until and done < iterations
 
 
-def target_of(crop: Crop, behind_rgb: np.ndarray) -> Target:
+def target_of(crop: Crop, behind_rgb: Num[np.ndarray, " 3"]) -> Target:
     """The person as filmed, ``behind_rgb`` (3,) everywhere else; what belongs to nobody for certain is masked."""
     rgb, weight = np.empty(crop.rgb.shape, np.float32), np.empty(crop.verdict.shape, np.float32)
     _paint_target(crop.rgb, crop.verdict, behind_rgb.astype(np.float32), rgb, weight)
@@ -150,9 +152,10 @@ def _paint_target(photo, verdict, behind_rgb, rgb, weight):
                 rgb[y, x, channel] = own if verdict[y, x] == PERSON else behind_rgb[channel]
 
 
-def held_near_surface(means_m: np.ndarray, start_m: np.ndarray, reach_m: float) -> np.ndarray:
-    """(N, 3) gradient of mean(|Δ|²) / reach² for the way Δ from the surface each Gaussian started on: a person is where
-    the body is."""
+def held_near_surface(
+    means_m: Float[np.ndarray, "N 3"], start_m: Float[np.ndarray, "N 3"], reach_m: float
+) -> Float[np.ndarray, "N 3"]:
+    """Gradient of mean(|Δ|²) / reach² for the way Δ from where each started: a person is where the body is."""
     return (2 / (reach_m**2 * len(means_m)) * (means_m - start_m)).astype(np.float32)
 
 
@@ -218,12 +221,12 @@ class PersonInTraining:
         return Gaussians(own["means"], own["quaternions"], own["scales"], own["opacities"], sh)
 
     @property
-    def bones(self) -> np.ndarray:
+    def bones(self) -> Integer[np.ndarray, "N K"]:
         """(N, K) the joints that carry each Gaussian."""
         return self._posing.bones
 
     @property
-    def weights(self) -> np.ndarray:
+    def weights(self) -> Float[np.ndarray, "N K"]:
         """(N, K) with which shares, as the Gaussians are now."""
         return self._posing.weights if self._grid is None else self._grid.query(self._own["means"])
 
@@ -335,7 +338,7 @@ class PersonInTraining:
         name, target = f"frame {crop.frame} of {crop.camera.name}", target_of(crop, _GREY)
         return Preview(len(self._start_m), name, self._shown(crop), target.rgb, target.used)
 
-    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
         """Gaussians, motion, temporal network, and Adam's state of each."""
         arrays, facts = {**self.adam.arrays(), **self._motion.arrays()}, {}
         arrays |= {"growth.source": self.source, "growth.watched": self._watched}
@@ -344,7 +347,7 @@ class PersonInTraining:
             arrays |= appearance.arrays()
         return arrays, facts
 
-    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+    def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Puts a ``snapshot`` back, in place."""
         if len(arrays["growth.source"]) != len(self.source) or (arrays["growth.source"] != self.source).any():
             source = arrays["growth.source"]
@@ -358,8 +361,8 @@ class PersonInTraining:
             self._appearance.resume(arrays, from_entry(facts["decision"]) if facts["decision"] else None)
 
 
-def crop_psnr_db(planes: np.ndarray, crop: Crop) -> float:
-    """PSNR of a crop drawn as planes (5, h, w) on the person's own pixels; 0 when there are none."""
+def crop_psnr_db(planes: Float[np.ndarray, "5 h w"], crop: Crop) -> float:
+    """PSNR of a crop drawn as planes on the person's own pixels; 0 when there are none."""
     squares, pixels = _squared_error(planes, crop.rgb, crop.verdict)
     return float(-10 * np.log10(max(squares / (3 * pixels), 1e-12))) if pixels else 0.0
 

@@ -8,12 +8,11 @@ import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
-from studiorecon.configuration.setting import setting
 from studiorecon.footage.video import read_frames
 from studiorecon.images.encoded import jpeg
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -24,10 +23,18 @@ from studiorecon.scene.files import read_json, read_table, write_text
 from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, read_detections, read_identities
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
+
 # Colours that colour-blind readers tell apart; one per person, again from the start after eight.
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#4d4d4d")
 _NOBODY = "#999999"
 _MARGIN_SHARE = 0.18  # how much more than the keypoints' box is shown
+# Of every person and camera, large enough to know somebody by: a picture takes about 5 kB.
+_PICTURES = 6
+_HEIGHT_PX = 150
+# Tracks of nobody that are shown, the longest first.
+_MOST_REJECTED = 40
 _SOURCES = {
     "keypoints": "found by keypoints",
     "corrected": "corrected by hand",
@@ -88,26 +95,10 @@ confidence {{ row.confidence }}, {{ sources[row.source] }}; seen by {{ row.camer
 <h2>Rejected tracks</h2>
 {% for t in rejected[:most] %}{{ track(t) }}{% endfor %}
 {% if rejected | length > most %}
-<p class="soft">and {{ rejected | length - most }} shorter ones (people.review.rejected shows more)</p>
+<p class="soft">and {{ rejected | length - most }} shorter ones</p>
 {% endif %}
 <h2>identities.tsv</h2><pre>{{ listing }}</pre>
 """
-
-
-@dataclass(frozen=True)
-class Desk:
-    """``pictures`` per person and camera, ``height_px`` of each, and at most ``rejected`` tracks of nobody."""
-
-    pictures: int = setting(6, "Pictures per person and camera.", minimum=1)
-    height_px: int = setting(150, "Height of these pictures.", unit="px", minimum=32)
-    rejected: int = 40
-
-
-@dataclass(frozen=True)
-class Settings:
-    """The keys of the section ``people`` that this step uses."""
-
-    review: Desk = setting(Desk(), "The identity page.")
 
 
 @dataclass(frozen=True)
@@ -129,8 +120,12 @@ def wanted_of(found: Detections, view: int, tracks: Sequence[int], pictures: int
 
 
 def cut_out(
-    picture: np.ndarray, keypoints: np.ndarray, edges: Sequence[tuple[int, int]], colour: str, height_px: int
-) -> np.ndarray:
+    picture: Integer[np.ndarray, "H W 3"],
+    keypoints: Num[np.ndarray, "K 3"],
+    edges: Sequence[tuple[int, int]],
+    colour: str,
+    height_px: int,
+) -> Integer[np.ndarray, "height_px w 3"]:
     """(height_px, w, 3) uint8: the part of ``picture`` (H, W, 3) around the keypoints (K, 3), with limbs drawn in
     ``colour``."""
     present = (keypoints[:, 2] > 0) & np.isfinite(keypoints[:, :2]).all(1)
@@ -189,7 +184,6 @@ def ordered(tracks: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], lis
 
 
 def run(
-    settings: Settings,
     association: Path,
     people: Path,
     identities: Path,
@@ -205,29 +199,26 @@ def run(
     found = [read_detections(p) for p in detections]
     view = {d.camera: v for v, d in enumerate(found)}
     doubtful, rejected = ordered(told["tracks"])
-    keys = settings.review
     strips: list[tuple[str, str, list[Wanted]]] = []  # where it belongs, colour, pictures
     for row in rows:
         for v, d in enumerate(found):
             tracks = [t["track"] for t in told["tracks"] if t["camera"] == d.camera and t["person"] == row["person"]]
-            strips.append(
-                (f"{row['person']} {d.camera}", colour_of(row["person"]), wanted_of(d, v, tracks, keys.pictures))
-            )
+            strips.append((f"{row['person']} {d.camera}", colour_of(row["person"]), wanted_of(d, v, tracks, _PICTURES)))
     for one in told["left_out"]:
         for v, d in enumerate(found):
-            mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], keys.pictures)
+            mine = wanted_of(d, v, [t for camera, t in one["tracks"] if camera == d.camera], _PICTURES)
             strips.append((f"{one['name']} {d.camera}", _NOBODY, mine))
-    for t in [*doubtful, *rejected[: keys.rejected]]:
+    for t in [*doubtful, *rejected[:_MOST_REJECTED]]:
         v = view[t["camera"]]
         strips.append(
             (
                 f"{t['camera']}/{t['track']}",
                 colour_of(t["person"]),
-                wanted_of(found[v], v, [t["track"]], min(3, keys.pictures)),
+                wanted_of(found[v], v, [t["track"]], min(3, _PICTURES)),
             )
         )
     flat = [(one, colour) for _, colour, some in strips for one in some]
-    images = iter(pictures_of(flat, found, videos, keys.height_px))
+    images = iter(pictures_of(flat, found, videos, _HEIGHT_PX))
     shown = {}
     for where, colour, some in strips:
         figures = [
@@ -240,7 +231,7 @@ def run(
         ]
         shown[where] = skeleton.filled(_STRIP, where=where, colour=colour, figures=figures)
     write_text(
-        page, _page(told, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities), keys)
+        page, _page(told, rows, doubtful, rejected, [d.camera for d in found], shown, read_identities(identities))
     )
 
 
@@ -252,7 +243,6 @@ def _page(
     cameras: list[str],
     shown: Mapping[str, str],
     identities: dict[tuple[str, int], str],
-    keys: Desk,
 ) -> str:
     body = skeleton.filled(
         _BODY,
@@ -260,7 +250,7 @@ def _page(
         rows=rows,
         doubtful=doubtful,
         rejected=rejected,
-        most=keys.rejected,
+        most=_MOST_REJECTED,
         cameras=cameras,
         shown=shown,
         sources=_SOURCES,

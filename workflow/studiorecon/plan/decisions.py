@@ -27,7 +27,6 @@ class Plan:
         from_people: the cameras are found from the people in the pictures.
         calibration: files of the calibration: the user's, or those that a network writes.
         segments: the gaps between neighbouring training cameras that new views may fill, once around.
-        closed: whether the widest of them is filled too: always, never, or auto = as the survey says.
         films: names of the films.
         forced: effect → on or off, where ``survey.force`` has decided beforehand.
     """
@@ -45,7 +44,6 @@ class Plan:
     from_people: bool
     calibration: list[str]
     segments: list[str]
-    closed: str
     films: list[str]
     forced: Mapping[str, str]
 

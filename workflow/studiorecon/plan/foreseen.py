@@ -14,6 +14,7 @@ from typing import Any
 
 from studiorecon.plan.decisions import Plan
 from studiorecon.scene.decisions import Decision, read_decisions
+from studiorecon.scene.effects import COVERED_DEG
 
 _EFFECT = "view_synthesis"
 
@@ -33,7 +34,7 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
 
     What the scene's own run decides meanwhile does not count: a run planned again is planned alike.
     """
-    every = max(len(plan.segments) - (config["views"]["closed"] == "never"), 0)
+    every = max(len(plan.segments) - (plan.forced.get("closed_path") == "off"), 0)
     if not config["background"]["views_share"]:
         return Gaps(0, 0, 0)
     if _EFFECT in plan.forced:
@@ -43,7 +44,7 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
         parts = told.detail.get("parts", {})
         known = sum(part["verdict"] == "on" for part in parts.values()) if parts else every * told.called_for
         return Gaps(known, known, known)
-    apart = 360.0 / max(len(plan.training), 1) > config["survey"]["gap_deg"]
+    apart = 360.0 / max(len(plan.training), 1) > COVERED_DEG
     return Gaps(0, every if apart else 0, every)
 
 

@@ -14,9 +14,6 @@ from studiorecon.plan.refusals import refuse
 from studiorecon.plan.sight import sight_of
 from studiorecon.scene.names import checked_name, segment_name
 
-# What a verdict that was forced makes of views.closed.
-_CLOSED = {"on": "always", "off": "never"}
-
 
 def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
     """The plan of a whole, valid configuration; ``home`` is the workflow's folder.
@@ -47,7 +44,6 @@ def make_plan(config: Mapping[str, Any], home: Path) -> Plan:
         from_people=source == "people" or (source == "auto" and not dataset.calibration and bool(sight.watched)),
         calibration=written if networks.cameras else [str(file) for file in dataset.calibration],
         segments=[segment_name(number) for number in range(len(dataset.training))],
-        closed=_CLOSED.get(config["survey"]["force"].get("closed_path"), config["views"]["closed"]),
         films=[shot for shot in config["render"]["shots"] if shot != "heldout" or dataset.held_out],
         forced=config["survey"]["force"],
     )

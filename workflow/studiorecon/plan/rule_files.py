@@ -184,8 +184,8 @@ class Files(Brought):
         return [f"results/{wildcards.scene}/people/{person}.npz" for person in self.people(wildcards)]
 
     def walkers(self, wildcards: Any) -> list[str]:
-        """Bodies of the people whose ways are kept free of furniture; none unless ``depth.primitives_walked`` asks."""
-        return self.fits(wildcards) if self.config["depth"]["primitives_walked"] else []
+        """Bodies of the people whose ways are kept free of furniture; none where ``depth.primitives`` wants none."""
+        return self.fits(wildcards) if self.config["depth"]["primitives"] else []
 
     def sightings(self, wildcards: Any) -> list[str]:
         """What cameras saw of those people, which nothing can stand in front of."""
@@ -304,9 +304,10 @@ class Files(Brought):
         if not forced:
             parts = self._decided("view_synthesis", wildcards)["detail"].get("parts", {})
             chosen = [name for name in chosen if parts.get(name, {}).get("verdict") == "on"]
-        if chosen and self.plan.closed != "always":
+        closed = self.plan.forced.get("closed_path")
+        if chosen and closed != "on":
             path = self._decided("closed_path", wildcards)
-            if self.plan.closed == "never" or path["verdict"] != "on":
+            if closed == "off" or path["verdict"] != "on":
                 chosen = [name for name in chosen if name != path["detail"]["widest"]]
         return chosen
 

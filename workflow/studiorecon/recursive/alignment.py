@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.errors import UserError
 from studiorecon.images.flow import chained, consistent
 from studiorecon.models.protocols import Flow
 from studiorecon.recursive.injection import Injection
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 
 @dataclass(frozen=True)
@@ -27,13 +31,15 @@ class Past:
             segment.
     """
 
-    output: np.ndarray
-    render: np.ndarray
-    flow: np.ndarray | None
-    valid: np.ndarray | None
+    output: Float[np.ndarray, "H W 3"]
+    render: Integer[np.ndarray, "H W 3"]
+    flow: Float[np.ndarray, "H W 2"] | None
+    valid: Bool[np.ndarray, "H W"] | None
 
 
-def backward_flow(picture: np.ndarray, past: np.ndarray, search: Flow, check: bool) -> tuple[np.ndarray, np.ndarray]:
+def backward_flow(
+    picture: Integer[np.ndarray, "H W 3"], past: Integer[np.ndarray, "H W 3"], search: Flow, check: bool
+) -> tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]:
     """Flow (H, W, 2) from a picture to an earlier one, and (H, W) bool where it leads back; everywhere when not to be
     checked."""
     if picture.shape != past.shape:
@@ -45,8 +51,8 @@ def backward_flow(picture: np.ndarray, past: np.ndarray, search: Flow, check: bo
 
 
 def flows_back(
-    picture: np.ndarray, history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
-) -> list[tuple[np.ndarray, np.ndarray]]:
+    picture: Integer[np.ndarray, "H W 3"], history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
+) -> list[tuple[Float[np.ndarray, "H W 2"], Bool[np.ndarray, "H W"]]]:
     """Flow and validity from the current picture to every earlier one, latest first.
 
     ``chained`` costs one search per picture whatever the history and adds up the errors of its links; ``direct``

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from studiorecon.progress import say, warn
 from studiorecon.recursive.alignment import Past, backward_flow, flows_back
 from studiorecon.recursive.injection import Injection, confidence, inject
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
 
 # Pictures that differ by less than this from the ones before them, in levels of 255 on average, show a clip that stands
 # still.
@@ -49,14 +53,16 @@ class Blend:
             outputs.
     """
 
-    flows: Sequence[np.ndarray]
-    valid: Sequence[np.ndarray]
-    confidences: Sequence[np.ndarray]
-    blended: np.ndarray
-    injected: np.ndarray
+    flows: Sequence[Float[np.ndarray, "H W 2"]]
+    valid: Sequence[Bool[np.ndarray, "H W"]]
+    confidences: Sequence[Float[np.ndarray, "H W"]]
+    blended: Float[np.ndarray, "H W 3"]
+    injected: Float[np.ndarray, "H W"]
 
 
-def blend(picture: np.ndarray, history: Sequence[Past], injection: Injection, search: Flow, pool: Executor) -> Blend:
+def blend(
+    picture: Integer[np.ndarray, "H W 3"], history: Sequence[Past], injection: Injection, search: Flow, pool: Executor
+) -> Blend:
     """The enhancer's input for a picture (H, W, 3) uint8 with earlier pictures, latest first; the render itself after a
     cut.
 
@@ -73,14 +79,14 @@ def blend(picture: np.ndarray, history: Sequence[Past], injection: Injection, se
 
 def enhanced(
     steps: Sequence[PathStep],
-    pictures: Iterable[np.ndarray],
-    depths_mm: Iterable[np.ndarray],
-    reference: Callable[[PathStep], np.ndarray],
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
+    depths_mm: Iterable[Num[np.ndarray, "H W"]],
+    reference: Callable[[PathStep], Integer[np.ndarray, "H W 3"]],
     enhancer: Enhancer,
     injection: Injection,
     search: Flow,
-    before: Sequence[tuple[np.ndarray, np.ndarray]] = (),
-) -> Iterator[np.ndarray]:
+    before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]] = (),
+) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The enhanced (H, W, 3) uint8 pictures, in order; history starts anew with every segment of the path and at every
     cut.
 
@@ -123,7 +129,9 @@ def enhanced(
             yield output
 
 
-def history_of(before: Sequence[tuple[np.ndarray, np.ndarray]], injection: Injection, search: Flow) -> list[Past]:
+def history_of(
+    before: Sequence[tuple[Integer[np.ndarray, "H W 3"], Num[np.ndarray, "H W 3"]]], injection: Injection, search: Flow
+) -> list[Past]:
     """What a picture's injection starts from, latest first: the last K of the raw pictures and stored outputs
     ``before`` it.
 
@@ -152,7 +160,7 @@ def for_path(injection: Injection, steps: Sequence[PathStep]) -> Injection:
     return injection
 
 
-def stands_still(steps: Sequence[PathStep], pictures: Iterable[np.ndarray]) -> bool:
+def stands_still(steps: Sequence[PathStep], pictures: Iterable[Integer[np.ndarray, "H W 3"]]) -> bool:
     """Whether no picture of a clip differs from the one before it in its segment: there is nothing to steady then.
 
     Reads on only until two pictures differ. A clip of single pictures stands still.
@@ -189,7 +197,9 @@ def _finite(output: np.ndarray, picture: np.ndarray, step: PathStep) -> np.ndarr
     return np.where(bad[..., None], picture, to_bytes(np.where(bad[..., None], 0, output)))
 
 
-def loop_gain(enhancer: Enhancer, render: np.ndarray, reference: np.ndarray, moment: Moment) -> float:
+def loop_gain(
+    enhancer: Enhancer, render: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "H W 3"], moment: Moment
+) -> float:
     """How much the enhancer amplifies a change of a real render's (H, W, 3) brightness: its mean answer to a picture a
     little brighter and a little darker, as a multiple of what they differ by.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from studiorecon.images.flow import dis_flow, grey_levels
 from studiorecon.models.choices import FlowName
 from studiorecon.models.loading import load
 from studiorecon.models.protocols import Flow
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 Preset = Literal["ultrafast", "fast", "medium"]
 
@@ -23,7 +26,9 @@ class DisFlow:
 
     preset: Preset
 
-    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def flow(
+        self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+    ) -> Float[np.ndarray, "H W 2"]:
         """See ``models.protocols.Flow``."""
         return dis_flow(grey_levels(first), grey_levels(second), self.preset)
 

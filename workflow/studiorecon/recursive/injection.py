@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numba
 import numpy as np
@@ -21,6 +21,9 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.configuration.setting import setting
 from studiorecon.images.blur import gaussian_blur
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 MEAN, NORM, SUM = 0, 1, 2
 _ERRORS = {"mean": MEAN, "norm": NORM, "sum": SUM}
@@ -31,7 +34,11 @@ class Injection:
     """Settings of the injection.
 
     Attributes:
-        blur_px, blur_sigma_px: kernel of that blur.
+        decay: weight of each earlier frame relative to the one after it (U03).
+        error: how the RGB difference of a pixel becomes one number (paper: "RGB error"; U04).
+        blurred: the confidence, or the error before it becomes confidence (U05); ``blur_px``, ``blur_sigma_px``: the
+            kernel.
+        flow: of the raw renders, direct to each earlier picture, or chained over those between (U06).
         cut_share: with less of a picture than this found again in the one before it, injection starts anew; 0 = never.
             Needs ``check``.
     """
@@ -50,17 +57,8 @@ class Injection:
     moving_strength: float = setting(
         0.6, "The same in films whose camera moves.", minimum=0, below=1, paper="0.3", letter=0.3
     )
-    decay: float = setting(
-        0.5,
-        "Weight of each earlier frame relative to the one after it.",
-        above=0,
-        maximum=1,
-        paper="0.5; U03",
-        letter=0.5,
-    )
-    error: Literal["mean", "norm", "sum"] = setting(
-        "mean", "How the RGB difference of a pixel becomes one number.", paper='"RGB error"; U04', letter="mean"
-    )
+    decay: float = 0.5
+    error: Literal["mean", "norm", "sum"] = "mean"
     error_threshold: float = setting(
         60.0,
         "Difference at which confidence reaches zero, levels of 255.",
@@ -69,12 +67,7 @@ class Injection:
         paper="30; U04",
         letter=30.0,
     )
-    blurred: Literal["confidence", "error"] = setting(
-        "confidence",
-        "What is blurred: the confidence, or the error before it becomes confidence.",
-        paper="confidence; U05",
-        letter="confidence",
-    )
+    blurred: Literal["confidence", "error"] = "confidence"
     blur_px: int = 11
     blur_sigma_px: float = 2.0
     form: Literal["residual", "literal"] = setting(
@@ -89,24 +82,24 @@ class Injection:
         paper="false",
         letter=False,
     )
-    flow: Literal["direct", "chained"] = setting(
-        "direct",
-        "Flow of the raw renders, direct to each earlier picture, or chained over those between.",
-        paper="direct; U06",
-        letter="direct",
-    )
+    flow: Literal["direct", "chained"] = "direct"
     check: bool = setting(True, "Trust only flow that leads back.", paper="false; U06", letter=False)
     cut_share: float = 0.1
 
 
-def history_weights(existing: int, decay: float) -> np.ndarray:
+def history_weights(existing: int, decay: float) -> Float[np.ndarray, " K"]:
     """(existing,) weights of the earlier frames, latest first, summing to 1 over those that exist (U03;
     E03)."""
     weights = decay ** np.arange(existing, dtype=np.float64)
     return weights / weights.sum() if existing else weights
 
 
-def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, injection: Injection) -> np.ndarray:
+def confidence(
+    render: Float[np.ndarray, "H W 3"],
+    warped: Float[np.ndarray, "H W 3"],
+    valid: Bool[np.ndarray, "H W"],
+    injection: Injection,
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 confidence of one warped earlier output against the current render, both (H, W, 3) in [0, 1].
 
     Order: error → confidence → blur → zero where ``valid`` (H, W) is False or the error is not finite, so that the blur
@@ -131,8 +124,11 @@ def confidence(render: np.ndarray, warped: np.ndarray, valid: np.ndarray, inject
 
 
 def inject(
-    render: np.ndarray, warped: Sequence[np.ndarray], confidences: Sequence[np.ndarray], injection: Injection
-) -> tuple[np.ndarray, np.ndarray]:
+    render: Float[np.ndarray, "H W 3"],
+    warped: Sequence[Float[np.ndarray, "H W 3"]],
+    confidences: Sequence[Float[np.ndarray, "H W"]],
+    injection: Injection,
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"]]:
     """The blended input (H, W, 3) float32 and the share of it (H, W) that comes from earlier outputs; latest frame
     first.
 
@@ -156,7 +152,7 @@ def inject(
     return blended.astype(np.float32), shares
 
 
-def whole_levels(change: np.ndarray) -> np.ndarray:
+def whole_levels(change: Float[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """float32 ``change`` of values in [0, 1], cut towards 0 to whole levels of 255."""
     # A change of a whole level stays one, although its float32 may lie just below.
     levels = 255 * change
@@ -164,7 +160,9 @@ def whole_levels(change: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def difference_levels(first: np.ndarray, second: np.ndarray, kind: int) -> np.ndarray:
+def difference_levels(
+    first: Float[np.ndarray, "H W 3"], second: Float[np.ndarray, "H W 3"], kind: int
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference of two pictures (H, W, 3) in [0, 1], in levels of 255; NaN where either is NaN.
 
     E11: of a grey difference of 20 levels the MEAN over channels is 20, the NORM 34.6 and the SUM 60.
@@ -184,7 +182,13 @@ def difference_levels(first: np.ndarray, second: np.ndarray, kind: int) -> np.nd
 
 
 @numba.njit(cache=True, nogil=True)
-def add_share(added: np.ndarray, shares: np.ndarray, picture: np.ndarray, trust: np.ndarray, weight: float) -> None:
+def add_share(
+    added: Float[np.ndarray, "H W 3"],
+    shares: Float[np.ndarray, "H W"],
+    picture: Float[np.ndarray, "H W 3"],
+    trust: Float[np.ndarray, "H W"],
+    weight: float,
+) -> None:
     """Adds weight × trust (H, W) to ``shares`` and that times ``picture`` (H, W, 3) to ``added``; where trust is zero
     the picture may be anything, NaN included."""
     for i in range(shares.shape[0]):

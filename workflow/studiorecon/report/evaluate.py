@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import repeat
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -53,6 +53,9 @@ from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Place, Written
 from studiorecon.splatting.device import resolve
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
 _NOBODY = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "nobody was found in this scene"}
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
@@ -82,14 +85,9 @@ class Settings:
     lpips: Net = setting(
         "none", "Network of LPIPS: alex is what papers call LPIPS, vgg is in the lineage of 3DGS; both need weights."
     )
-    flip_every: int = setting(
-        12,
-        "Frames from one that ꟻLIP, a perceptual measure without weights, is taken of to the next; 0 = none.",
-        minimum=0,
-    )
 
 
-def missing_reasons(have_truth: bool, net: str, flip_every: int) -> dict[str, str]:
+def missing_reasons(have_truth: bool, net: str) -> dict[str, str]:
     """Why a measure of a region or of time may be null, or LPIPS, for which ``net`` was asked."""
     region = "no frame shows at least 256 pixels of it" if have_truth else _NO_TRUTH
     reasons = {f"{measure}_{name}": region for name in (*REGIONS, *SENSITIVITY) for measure in ("psnr", "ssim")}
@@ -101,7 +99,7 @@ def missing_reasons(have_truth: bool, net: str, flip_every: int) -> dict[str, st
         reasons |= {"share_people_seen": _NO_DEPTH}
     reasons |= dict.fromkeys(TEMPORAL, "needs at least two frames of 24 pixels a side")
     reasons |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), region)
-    reasons["flip"] = no_flip(flip_every)
+    reasons["flip"] = no_flip()
     reasons["lpips"] = NO_LPIPS if net == "none" else TOO_SMALL
     return reasons | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
 
@@ -111,10 +109,9 @@ def measure_camera(
     photos: Path,
     versions: Versions,
     frames: int,
-    regions_of_frames: Iterator[Mapping[str, np.ndarray]],
+    regions_of_frames: Iterator[Mapping[str, Bool[np.ndarray, "H W"]]],
     flow_preset: str,
     distance: PerceptualDistance | None,
-    flip_every: int,
 ) -> dict[str, list[dict[str, float | None]]]:
     """Measures per frame of each version of one camera, and the flicker of the photos themselves."""
     streams = {
@@ -131,7 +128,7 @@ def measure_camera(
                 masks,
             )
 
-    return measure_sequence(together(), flow_preset, distance, flip_every)
+    return measure_sequence(together(), flow_preset, distance)
 
 
 def score_pictures(
@@ -150,11 +147,11 @@ def score_pictures(
     measured: dict[str, dict[str, list]] = {}
     for camera in progress(cameras, "cameras"):
         masks = regions_of(camera) if regions_of is not None else repeat({})
-        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance, settings.flip_every
+        about = videos[camera.name], versions, frames, masks, settings.flow_preset, distance
         for name, values in measure_camera(camera.name, *about).items():
             measured.setdefault(name, {})[camera.name] = values
     reasons, bootstrap = (
-        missing_reasons(regions_of is not None, settings.lpips, settings.flip_every),
+        missing_reasons(regions_of is not None, settings.lpips),
         Bootstrap(settings.bootstrap_samples, settings.seed),
     )
     return {

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,8 +19,13 @@ from studiorecon.images.encoded import jpeg
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
-def overview(photos: list[np.ndarray], views: list[np.ndarray], gap_px: int = 6) -> np.ndarray:
+
+def overview(
+    photos: list[Integer[np.ndarray, "h w 3"]], views: list[Integer[np.ndarray, "h w 3"]], gap_px: int = 6
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: ``photos`` in a row, scaled to fill the width of the row of larger ``views`` below them."""
     below = _row(views, gap_px)
     above = _row(photos, gap_px)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from studiorecon.report.metrics.pck import TruePerson, score
 from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.files import read_json, write_json
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Moments of every camera, spread evenly: people move little from one picture to the next.
 _MOMENTS = 4
@@ -88,14 +91,16 @@ def with_reason(scored: dict[str, Any]) -> dict[str, Any]:
     return scored | {"reason": None if scored["people"] else "the detector finds nobody in the photos"}
 
 
-def found_in(network: BlazePose, picture: np.ndarray, worth: dict[str, list[float]]) -> list[np.ndarray]:
+def found_in(
+    network: BlazePose, picture: Integer[np.ndarray, "H W 3"], worth: dict[str, list[float]]
+) -> list[Float[np.ndarray, "33 3"]]:
     """Keypoints (33, 3) of everybody in a picture: x, y in pixels and confidence. Photos and films are searched alike,
     and all over: who is found only where one knows to look is not found."""
     wh = picture.shape[1], picture.shape[0]
     return [believed(one, wh, worth) for one in newcomers(network, picture, grid(wh), [])]
 
 
-def as_truth(keypoints: np.ndarray) -> TruePerson | None:
+def as_truth(keypoints: Float[np.ndarray, "33 3"]) -> TruePerson | None:
     """Somebody of a photo as whom to look for in the film; None for somebody of whom too little is seen."""
     visible = keypoints[:, 2] >= _SEEN
     if visible.sum() < _LEAST:

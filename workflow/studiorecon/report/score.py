@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from studiorecon.report.metrics.definitions import NO_PCK, PROTOCOL, definitions
 from studiorecon.report.metrics.distance import TOO_SMALL, no_flip, opened
 from studiorecon.report.metrics.folders import cameras_in, digest, frames_of, masks_of
 from studiorecon.report.metrics.measures import (
+    FLIP_EVERY,
     NAMES,
     REGIONS,
     SENSITIVITY,
@@ -40,18 +41,20 @@ from studiorecon.report.metrics.measures import (
 )
 from studiorecon.scene.files import write_json
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
 _NO_MASKS = "no masks of people were given: add --masks DIR"
 _NO_WEIGHTS = "no weights of its network were given: add --lpips DIR"
 _NO_DEPTH = "needs the depth of the true pictures and of the training cameras, which folders of pictures do not have"
 _NO_BODIES = "needs fitted and true bodies, which folders of pictures do not have"
 # As config/config.yaml has them for a whole run, so that both print the same numbers.
 _FLOW_PRESET = "fast"
-_FLIP_EVERY = 12
 _BOOTSTRAP = Bootstrap(samples=1000, seed=0)
 _WIDE_PX = 21
 
 
-def people_regions(mask: np.ndarray) -> dict[str, np.ndarray]:
+def people_regions(mask: Bool[np.ndarray, "H W"]) -> dict[str, Bool[np.ndarray, "H W"]]:
     """The regions that a mask (H, W) bool of people gives."""
     return {"people": mask, "people_wide": dilated(mask, _WIDE_PX), "background": ~mask}
 
@@ -88,7 +91,7 @@ def score_camera(
                 people_regions(pictures["masks"]) if "masks" in pictures else {},
             )
 
-    return measure_sequence(together(), _FLOW_PRESET, distance, _FLIP_EVERY)
+    return measure_sequence(together(), _FLOW_PRESET, distance)
 
 
 def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
@@ -101,7 +104,7 @@ def reasons(have_masks: bool, have_lpips: bool) -> dict[str, str]:
     found |= dict.fromkeys(
         TEMPORAL, "needs at least two frames of 24 pixels a side and 256 pixels whose flow leads back"
     )
-    found["flip"] = no_flip(_FLIP_EVERY)
+    found["flip"] = no_flip()
     found["lpips"] = TOO_SMALL if have_lpips else _NO_WEIGHTS
     found |= dict.fromkeys(("temporal_l1_seen", "temporal_l1_unseen"), _NO_DEPTH)
     return found | dict.fromkeys(("ssim", "ssim_3dgs"), "pictures are under 11 pixels a side")
@@ -132,7 +135,7 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
         versions[version] = summaries({c: found[version] for c, found in measured.items()}, names, why, _BOOTSTRAP)
     used = {
         "lpips": net,
-        "flip_every": _FLIP_EVERY,
+        "flip_every": FLIP_EVERY,
         "flow_preset": _FLOW_PRESET,
         "bootstrap_samples": _BOOTSTRAP.samples,
         "seed": _BOOTSTRAP.seed,

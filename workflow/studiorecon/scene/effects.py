@@ -13,6 +13,9 @@ import numpy as np
 from studiorecon.configuration.setting import setting
 from studiorecon.scene.decisions import HYSTERESIS, Decision, Verdict
 
+COVERED_DEG = 30.0
+"""Neighbouring cameras that are at most this far apart need no views in between; measured, not assumed (U55)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
@@ -48,11 +51,6 @@ class Effect:
     def acts(self) -> bool:
         """Whether anything is done or left out by this verdict; else it is a finding."""
         return bool(self.obeyed_by)
-
-    @property
-    def asks(self) -> str:
-        """What is measured, in words that hold for every scene: settings by their names."""
-        return self.statistic.replace("{gap_deg:.0f}", "`gap_deg`")
 
     def decide(
         self,
@@ -123,7 +121,7 @@ PAPERS: Mapping[str, str] = {
 def thresholds(effects: Iterable[Effect]) -> Any:
     """The setting of a dataclass that holds other thresholds than the effects' own, of those that have one to set."""
     known = {
-        effect.name: {"description": effect.asks, "type": "number", "exclusiveMinimum": 0}
+        effect.name: {"description": effect.statistic, "type": "number", "exclusiveMinimum": 0}
         for effect in effects
         if effect.tunable
     }

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.configuration.setting import setting
 from studiorecon.footage.stills import shrink
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.exposure import Overlap
@@ -23,6 +23,9 @@ from studiorecon.survey import scene_change, stillness
 from studiorecon.survey.clips import Film, halved
 from studiorecon.survey.exposures import LEAST_PIXELS, ExposureView, disagreement, overlaps
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
 # What counts as agreement of rays (U34, T01, T06).
 LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
 
@@ -31,14 +34,6 @@ LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_an
 class Sampling:
     """How much is looked at."""
 
-    gap_deg: float = setting(
-        30.0,
-        "Neighbouring cameras that are at most this far apart need no views in between; measured, not assumed.",
-        unit="degrees",
-        minimum=0,
-        maximum=360,
-        paper="U55",
-    )
     # Pictures of every camera that are looked at, and frames of keypoints that lens, clocks and readout are judged by.
     pictures: int = 60
     moments: int = 60
@@ -110,10 +105,10 @@ class SmallFilm:
 
     film: Film
     camera: Camera
-    plate: np.ndarray
-    depth_m: np.ndarray
-    free: np.ndarray
-    ratio: np.ndarray
+    plate: Float[np.ndarray, "h w 3"]
+    depth_m: Float[np.ndarray, "h w"]
+    free: Bool[np.ndarray, "T h w"]
+    ratio: Float[np.ndarray, "T h w 3"]
     noise: float
 
 
@@ -135,7 +130,7 @@ class Evidence:
         return [halved(film) for film in self.material.films]
 
     @cached_property
-    def light(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def light(self) -> list[tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]]:
         """Per camera the light's course (T,), log, and its standard error (T,)."""
         return [stillness.light(film.pictures, film.free) for film in self.halves]
 
@@ -145,7 +140,7 @@ class Evidence:
         return overlaps(self.material.views, self.sampling.depth_tolerance, LEAST_PIXELS)
 
     @cached_property
-    def gains(self) -> tuple[float, float, np.ndarray]:
+    def gains(self) -> tuple[float, float, Float[np.ndarray, "V 3"]]:
         """Largest difference of a camera's gain from 1, its standard error, and the gains (V, 3), 1 where unknown."""
         found, errors = self.overlaps
         if not found:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from studiorecon.scene.decisions import Decision, part_of
@@ -63,10 +63,9 @@ def judge(
 def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float, was_on: Collection[str]) -> Decision:
     """The decision on one effect by itself, and in its detail those on the parts of the scene that it has."""
     found = effect.measure(evidence, threshold)
-    worded = replace(effect, statistic=effect.statistic.format(**asdict(evidence.sampling)))
     on, parts = effect.name in was_on, {}
     for name, own in found.parts.items():
         part = effect.decide(*own, "", threshold=threshold, was_on=part_of(effect.name, name) in was_on)
         parts[name] = {"value": part.value, "verdict": part.verdict}
     detail = {**found.detail, **({"parts": parts} if parts else {})}
-    return worded.decide(found.value, found.interval, found.reason, threshold=threshold, was_on=on, detail=detail)
+    return effect.decide(found.value, found.interval, found.reason, threshold=threshold, was_on=on, detail=detail)

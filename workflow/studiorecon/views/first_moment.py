@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.ndimage
@@ -26,6 +27,9 @@ from studiorecon.scene.factors import Factors
 from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Person
 from studiorecon.views.forward import WarpSource, source
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _FIRST = 0
 
@@ -42,7 +46,7 @@ class Standing:
         """From body files; UserError names one that is broken."""
         return Standing([read_person(path) for path in fits], BodyModel.load(body) if fits and body else None)
 
-    def depth_m(self, camera: Camera) -> np.ndarray:
+    def depth_m(self, camera: Camera) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""
         nearest = np.full(camera.hw, np.inf)
         for person in self.people:
@@ -89,7 +93,7 @@ def first_pictures(
     return [replace(s, usable=s.usable & (s.depth_m > 0)) for s in seen]
 
 
-def nearest_known(depth_m: np.ndarray) -> np.ndarray:
+def nearest_known(depth_m: Float[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
     """(H, W) depth whose unknown pixels (0) take the value of the nearest known one; all 0 when none is known."""
     if not (depth_m > 0).any():
         return depth_m

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frames, to_bytes, to_float, write_lossless
 from studiorecon.images.regions import dilated
@@ -27,22 +27,21 @@ from studiorecon.signature import Written
 from studiorecon.views.first_moment import Standing
 from studiorecon.views.forward import WarpSource, blend
 from studiorecon.views.frame import frame_of
-from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
+from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
 from studiorecon.views.warp_settings import Made, Shown, Warping
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer
 
 
 @dataclass(frozen=True)
 class Settings(Made, Shown, Warping):
-    """Whose film it is, and how support is measured."""
+    """Whose film it is, and how support is measured.
 
-    dilation_px: int = setting(
-        21,
-        "With first_frames: side of the square by which people in the views are dilated; 1 = not at all.",
-        minimum=1,
-        paper="21, appendix on preprocessing; U24",
-        letter=21,
-        odd=True,
-    )
+    ``dilation_px``, with first_frames: side of the square by which people in the views are dilated (U24).
+    """
+
+    dilation_px: int = 21
 
 
 def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
@@ -52,8 +51,8 @@ def networks_sizes(synthesizer: Synthesizer) -> list[tuple[int, int]]:
 
 
 def fitted(
-    picture: np.ndarray, camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
-) -> tuple[np.ndarray, np.ndarray]:
+    picture: Integer[np.ndarray, "h w 3"], camera: Camera, sizes: Sequence[tuple[int, int]], radius: int
+) -> tuple[Integer[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) uint8 working picture of a film's, and (H, W) bool: the film shows it; what it does not is painted from
     its rim.
 
@@ -72,10 +71,10 @@ def fitted(
 
 
 def views_of(
-    film: Iterator[np.ndarray],
+    film: Iterator[Integer[np.ndarray, "h w 3"]],
     cameras: list[Camera],
     photos: list[WarpSource],
-    people: Callable[[Camera, tuple[int, int]], np.ndarray] | None,
+    people: Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]] | None,
     settings: Settings,
 ) -> Iterator[tuple]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera of the segment; ``people`` (H, W) bool: who is
@@ -83,15 +82,14 @@ def views_of(
     sizes = networks_sizes(settings.synthesizer)
     for camera, picture in zip(progress(cameras, "views"), film):
         own, inside = fitted(picture, camera, sizes, settings.inpaint_radius)
-        chosen = nearest_sources(camera, photos, settings.sources)
         _, support, _ = blend(
-            camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
+            camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
         somebody = dilated(people(camera, picture.shape[:2]), settings.dilation_px) if people else None
         yield own, support_levels(np.where(inside, support, 0), somebody)
 
 
-def seen_by_network(film: Path) -> Callable[[Camera, tuple[int, int]], np.ndarray]:
+def seen_by_network(film: Path) -> Callable[[Camera, tuple[int, int]], Bool[np.ndarray, "H W"]]:
     """Who is in each view by a network's ``film`` of masks (``views.people``), asked for view after view."""
     masks = read_frames(film)
 

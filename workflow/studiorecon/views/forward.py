@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +13,9 @@ from numba import njit
 
 from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Nothing nearer than this is drawn: a view inside a surface would be covered by one pixel.
 _NEAR_M = 0.1
@@ -26,12 +30,18 @@ class WarpSource:
     carried."""
 
     camera: Camera
-    rgb: np.ndarray
-    depth_m: np.ndarray
-    usable: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    depth_m: Float[np.ndarray, "H W"]
+    usable: Bool[np.ndarray, "H W"]
 
 
-def source(camera: Camera, rgb: np.ndarray, measured: np.ndarray, depth_m: np.ndarray, jump: float) -> WarpSource:
+def source(
+    camera: Camera,
+    rgb: Float[np.ndarray, "H W 3"],
+    measured: Bool[np.ndarray, "H W"],
+    depth_m: Float[np.ndarray, "H W"],
+    jump: float,
+) -> WarpSource:
     """A source without the pixels whose colour is not measured or whose depth is unknown or beside a jump."""
     return WarpSource(
         camera, rgb.astype(np.float32), depth_m.astype(np.float64), measured & ~depth_breaks(depth_m, jump)
@@ -40,7 +50,7 @@ def source(camera: Camera, rgb: np.ndarray, measured: np.ndarray, depth_m: np.nd
 
 def carry(
     photo: WarpSource, camera: Camera, oversampling: int, z_tolerance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W, 3) colour, (H, W) depth (inf in holes) and (H, W) samples per pixel of a photo in another camera.
 
     Every usable pixel becomes ``oversampling``² samples, with colour and 1/z interpolated to the neighbours that
@@ -70,8 +80,8 @@ def carry(
 
 
 def close_pinholes(
-    rgb: np.ndarray, depth_m: np.ndarray, count: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rgb: Float[np.ndarray, "H W 3"], depth_m: Float[np.ndarray, "H W"], count: Float[np.ndarray, "H W"]
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Fill pixels that fell between the samples of one surface; they count half a sample, so their support stays low.
 
     A pixel is such a pinhole when at least five of its eight neighbours are covered and lie at one depth; the edge of a
@@ -143,7 +153,9 @@ def _splat(rgb, depth, usable, pixel_map, shift, oversampling, tolerance, gather
                         count[row, column] += 1
 
 
-def ray_angles_rad(camera: Camera, depth_m: np.ndarray, other_centre_m: np.ndarray) -> np.ndarray:
+def ray_angles_rad(
+    camera: Camera, depth_m: Float[np.ndarray, "H W"], other_centre_m: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "H W"]:
     """(H, W) angle at the seen point between the ways to this camera and to another; NaN where there is no point."""
     points = camera.unproject(camera.pixel_centres(), np.where(np.isfinite(depth_m), depth_m, np.nan))
     here, there = camera.centre_m - points, other_centre_m - points
@@ -152,7 +164,7 @@ def ray_angles_rad(camera: Camera, depth_m: np.ndarray, other_centre_m: np.ndarr
 
 def blend(
     camera: Camera, sources: Sequence[WarpSource], oversampling: int, z_tolerance: float, fade_rad: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W 3"], Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one
     camera.
 

@@ -5,12 +5,16 @@ is cut."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.images.sizes import placed, placed_nearest
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 # 16:9 footage loses 2 % of its rows in 1280×704; what loses more than this needs another crop, not this one.
 _MOST_CUT = 0.15
@@ -31,15 +35,15 @@ class Frame:
         move = np.array([[1, 0, -self.start[1]], [0, 1, -self.start[0]], [0, 0, self.step]]) / self.step
         return replace(camera, wh=self.network_hw[::-1], intrinsics=move @ camera.intrinsics)
 
-    def colours(self, picture: np.ndarray) -> np.ndarray:
+    def colours(self, picture: Num[np.ndarray, "H W 3"]) -> Float[np.ndarray, "704 1280 3"]:
         """(704, 1280, 3) float32 of a working picture (H, W, 3)."""
         return placed(picture, self.network_hw, self.start, self.step)[0]
 
-    def values(self, values: np.ndarray) -> np.ndarray:
+    def values(self, values: Num[np.ndarray, "H W"]) -> Num[np.ndarray, "704 1280"]:
         """(704, 1280) of a working map (H, W), without averages across edges."""
         return placed_nearest(values, self.network_hw, self.start, self.step)
 
-    def back(self, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def back(self, picture: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
         """(H, W, 3) float32 working picture of a network's, and (H, W) bool: all of the pixel lies inside it."""
         start = (-self.start[0] / self.step, -self.start[1] / self.step)
         made, share = placed(picture, self.working_hw, start, 1 / self.step)

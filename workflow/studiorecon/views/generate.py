@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from studiorecon.progress import say
 from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Place, Written
 from studiorecon.views.warp_settings import Made
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Shaped
 
 _FPS = 24.0
 
@@ -46,12 +50,14 @@ class Settings(Made):
     gen3c: Gen3cSettings = setting(Gen3cSettings(), "How GEN3C runs.")
 
 
-def read_request(path: Path) -> dict[str, np.ndarray]:
+def read_request(path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of a request (npz); UserError when it cannot be read."""
     return read_arrays(path)
 
 
-def frames_of(network: ViewSynthesizer, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
+def frames_of(
+    network: ViewSynthesizer, request: dict[str, Shaped[np.ndarray, " ..."]]
+) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 pictures of one request; UserError when there are more or fewer than were asked for."""
     wanted, made = len(request["w2cs_all"]), 0
     for part in network.views(request):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,14 @@ from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.signature import Place, Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 _FPS = 24.0
 _SOMEBODY = 255
 
 
-def anybody(maps: Iterable[np.ndarray], shares: list[float]) -> Iterator[np.ndarray]:
+def anybody(maps: Iterable[Integer[np.ndarray, "H W"]], shares: list[float]) -> Iterator[Integer[np.ndarray, "H W"]]:
     """(H, W) uint8, 255 where a label map (H, W) calls somebody; ``shares`` receives how much of each that is."""
     for labels in maps:
         people = labels > 0

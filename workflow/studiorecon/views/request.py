@@ -25,7 +25,7 @@ from studiorecon.signature import Written
 from studiorecon.views.first_moment import Standing, first_pictures
 from studiorecon.views.forward import WarpSource
 from studiorecon.views.frame import Frame, frame_of
-from studiorecon.views.synthesize import nearest_sources, paint_holes, read_photos, read_segment
+from studiorecon.views.synthesize import paint_holes, read_photos, read_segment
 from studiorecon.views.warp_settings import Made, Warping
 
 
@@ -52,9 +52,11 @@ def key_frame(photo: WarpSource, frame: Frame, radius: int) -> KeyFrame:
 
 
 def chosen(path: list[Camera], photos: list[WarpSource], count: int) -> list[WarpSource]:
-    """The ``count`` photos nearest to the middle of the path (all when 0), always with the one that the path starts
-    at."""
-    picked = nearest_sources(path[len(path) // 2], photos, count)
+    """The ``count`` photos nearest to the middle of the path, in the order given, always with the one that the path
+    starts at."""
+    middle_m = path[len(path) // 2].centre_m
+    distance = [np.linalg.norm(photo.camera.centre_m - middle_m) for photo in photos]
+    picked = [photos[i] for i in sorted(np.argsort(distance, kind="stable")[:count])]
     start = min(photos, key=lambda p: float(np.abs(p.camera.camera_from_world - path[0].camera_from_world).max()))
     return picked if any(p is start for p in picked) else [start, *picked[: len(picked) - 1]]
 
@@ -84,12 +86,11 @@ def run(
     way, _ = read_segment(path, segment)
     network = adapter("view synthesizer", settings.synthesizer)
     frame = frame_of(way[0].hw, network.hw)
-    wanted = settings.sources or len(photos)
-    count = min(wanted, network.most_key_frames)
-    if count < wanted:
+    count = min(len(photos), network.most_key_frames)
+    if count < len(photos):
         warn(
-            f"segment {segment}: of {wanted} photos the {count} nearest are its key frames, which is what the network "
-            "bears at once"
+            f"segment {segment}: of {len(photos)} photos the {count} nearest are its key frames, which is what the "
+            "network bears at once"
         )
     key_frames = [key_frame(photo, frame, settings.inpaint_radius) for photo in chosen(way, photos, count)]
     try:

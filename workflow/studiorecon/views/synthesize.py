@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -29,33 +30,29 @@ from studiorecon.signature import Written
 from studiorecon.views.forward import WarpSource, blend, source
 from studiorecon.views.warp_settings import Warping
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 
 @dataclass(frozen=True)
 class Settings(Warping):
     """How photos are warped and blended."""
 
 
-def nearest_sources(camera: Camera, photos: list[WarpSource], count: int) -> list[WarpSource]:
-    """The ``count`` photos whose camera centres are nearest to a view's (all when 0), in the order given."""
-    if count == 0 or count >= len(photos):
-        return photos
-    distance = [np.linalg.norm(photo.camera.centre_m - camera.centre_m) for photo in photos]
-    return [photos[i] for i in sorted(np.argsort(distance, kind="stable")[:count])]
-
-
-def paint_holes(rgb: np.ndarray, support: np.ndarray, radius: int) -> np.ndarray:
+def paint_holes(
+    rgb: Float[np.ndarray, "H W 3"], support: Float[np.ndarray, "H W"], radius: int
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8 picture whose pixels without support are painted from the rim of their hole (Telea)."""
     return cv2.inpaint(to_bytes(rgb), (support <= 0).astype(np.uint8), radius, cv2.INPAINT_TELEA)
 
 
 def views_of(
     cameras: list[Camera], photos: list[WarpSource], settings: Settings
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+) -> Iterator[tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"]]]:
     """(H, W, 3) uint8 picture and (H, W) uint8 support of every camera."""
     for camera in progress(cameras, "views"):
-        chosen = nearest_sources(camera, photos, settings.sources)
         rgb, support, _ = blend(
-            camera, chosen, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
+            camera, photos, settings.oversampling, settings.z_tolerance, np.radians(settings.fade_deg)
         )
         yield paint_holes(rgb, support, settings.inpaint_radius), support_levels(support)
 

@@ -44,7 +44,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Warping:
-    """How photos are carried through their depth.
+    """How photos are carried through their depth: all of them into each view (paper: all N, section on view synthesis).
 
     Attributes:
         oversampling: samples per pixel side when a photo is splatted.
@@ -54,13 +54,6 @@ class Warping:
         inpaint_radius: holes are painted over from their rim within so many pixels; the mask still calls them holes.
     """
 
-    sources: int = setting(
-        0,
-        "Photos that are warped into each view; 0 = all.",
-        minimum=0,
-        paper="all N, section on view synthesis",
-        letter=0,
-    )
     oversampling: int = 3
     z_tolerance: float = 0.02
     depth_jump: float = 0.04

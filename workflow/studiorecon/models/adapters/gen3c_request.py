@@ -10,10 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num, Shaped
 
 HW = (704, 1280)
 CHUNK = 121
@@ -48,13 +52,17 @@ class Evidence:
     own_error_levels: float
     depth_agreement: float
     shared: float
-    coverage: np.ndarray
-    frames: np.ndarray
+    coverage: Float[np.ndarray, " T"]
+    frames: Integer[np.ndarray, " T"]
 
 
 def splat(
-    colour: np.ndarray, depth: np.ndarray, mask: np.ndarray, source: tuple, target: tuple
-) -> tuple[np.ndarray, np.ndarray]:
+    colour: Float[np.ndarray, "3 H W"],
+    depth: Float[np.ndarray, "H W"],
+    mask: Num[np.ndarray, "H W"],
+    source: tuple,
+    target: tuple,
+) -> tuple[Float[np.ndarray, "3 H W"], Float[np.ndarray, "H W"]]:
     """(3, H, W) colours in [−1, 1] (−1 in holes) and (H, W) depth (0 in holes) of one key frame in another camera.
 
     ``source`` and ``target`` are (K, w2c) with pixel centres at whole numbers. Every sample falls on its four nearest
@@ -91,7 +99,9 @@ def splat(
     return mean[:3].reshape(3, height, width), mean[3].reshape(height, width)
 
 
-def coverage(request: dict[str, np.ndarray], frames: np.ndarray) -> Iterator[np.ndarray]:
+def coverage(
+    request: dict[str, Shaped[np.ndarray, " ..."]], frames: Integer[np.ndarray, " T"]
+) -> Iterator[Bool[np.ndarray, "H W"]]:
     """(H, W) bool per frame of the path: what some key frame shows. Costs about a second per key frame and frame at
     full size."""
     for frame in frames:
@@ -104,7 +114,7 @@ def _carried(request: dict[str, np.ndarray], index: int, target: tuple) -> tuple
     return splat(colour, depth[0], mask[0], (request["K_key_frames"][index], request["w2cs_key_frames"][index]), target)
 
 
-def check_form(request: dict[str, np.ndarray]) -> None:
+def check_form(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
     """Raises UserError for a request that GEN3C would misread: missing arrays, sizes, ranges, lengths, a start
     elsewhere, no rotations."""
     missing = [name for name in _FIELDS if name not in request]
@@ -144,7 +154,7 @@ def check_form(request: dict[str, np.ndarray]) -> None:
         )
 
 
-def evidence(request: dict[str, np.ndarray], samples: int = 5) -> Evidence:
+def evidence(request: dict[str, Shaped[np.ndarray, " ..."]], samples: int = 5) -> Evidence:
     """Renders the cache of a well-formed request into its key frames, and into ``samples`` frames of the path."""
     images, depth, mask = (request[f"{n}_key_frames"] for n in ("images", "depth", "mask"))
     targets = list(zip(request["K_key_frames"], request["w2cs_key_frames"]))
@@ -189,5 +199,6 @@ def check_evidence(found: Evidence, most_error: float = 2.0, most_gap: float = 0
         raise UserError(
             f"at frame {found.frames[worst]} of the path the key frames show "
             f"{100 * found.coverage[worst]:.0f} % of the picture: GEN3C "
-            "would invent it; bring cameras nearer to one another or leave this segment out (views.closed: never)"
+            "would invent it; bring cameras nearer to one another or leave the widest gap out "
+            '(survey.force: {closed_path: "off"})'
         )

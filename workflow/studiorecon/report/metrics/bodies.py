@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # A fitted person further than this from every true one is nobody: a ghost, not a bad fit.
 _SAME_PERSON_M = 0.5
 
 
-def similarity_aligned(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+def similarity_aligned(points: Float[np.ndarray, "J 3"], onto: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
     """``points`` (J, 3) under the similarity that brings them closest to ``onto``, never mirrored (R19)."""
     mean, target = points.mean(axis=0), onto.mean(axis=0)
     centred, wanted = points - mean, onto - target
@@ -24,7 +27,7 @@ def similarity_aligned(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return target + scale * centred @ ((left * signs) @ right).T
 
 
-def joint_errors_mm(fitted: np.ndarray, true: np.ndarray) -> dict[str, float]:
+def joint_errors_mm(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> dict[str, float]:
     """Mean joint errors in millimetres of (T, 24, 3) against (T, 24, 3): in the world, pelvis on pelvis, and after a
     similarity.
 
@@ -36,7 +39,7 @@ def joint_errors_mm(fitted: np.ndarray, true: np.ndarray) -> dict[str, float]:
     return {name: float(1000 * np.linalg.norm(error, axis=-1).mean()) for name, error in errors.items()}
 
 
-def size_error_percent(fitted: np.ndarray, true: np.ndarray) -> float | None:
+def size_error_percent(fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"]) -> float | None:
     """How much too large the fit is, in percent, by the median ratio of the joints' spread about their mean; None
     without frames."""
     spread = [np.linalg.norm(joints - joints.mean(axis=1, keepdims=True), axis=(1, 2)) for joints in (fitted, true)]
@@ -44,7 +47,9 @@ def size_error_percent(fitted: np.ndarray, true: np.ndarray) -> float | None:
     return 100 * float(np.median(spread[0][usable] / spread[1][usable]) - 1) if usable.any() else None
 
 
-def inside_sigma_share(fitted: np.ndarray, true: np.ndarray, sigma_m: np.ndarray) -> float | None:
+def inside_sigma_share(
+    fitted: Float[np.ndarray, "T 24 3"], true: Float[np.ndarray, "T 24 3"], sigma_m: Float[np.ndarray, "T 24"]
+) -> float | None:
     """Share of joints (T, 24) whose error lies inside the 95 % ball of its predicted standard deviation; 0.95 is
     honest.
 
@@ -58,7 +63,10 @@ def inside_sigma_share(fitted: np.ndarray, true: np.ndarray, sigma_m: np.ndarray
     return float((np.linalg.norm((fitted - true)[known], axis=-1) <= radius).mean())
 
 
-def match(fitted: Mapping[str, tuple[np.ndarray, np.ndarray]], true: Mapping[str, np.ndarray]) -> dict[str, str]:
+def match(
+    fitted: Mapping[str, tuple[Float[np.ndarray, "T 24 3"], Bool[np.ndarray, " T"]]],
+    true: Mapping[str, Float[np.ndarray, "T 24 3"]],
+) -> dict[str, str]:
     """fitted name → true name, by the smallest mean joint distance over measured frames; pairs more than 0.5 m apart
     are dropped.
 
@@ -82,9 +90,9 @@ def match(fitted: Mapping[str, tuple[np.ndarray, np.ndarray]], true: Mapping[str
 
 
 def compare_bodies(
-    fitted: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    true: Mapping[str, np.ndarray],
-    sigma_m: Mapping[str, np.ndarray] | None = None,
+    fitted: Mapping[str, tuple[Float[np.ndarray, "T 24 3"], Bool[np.ndarray, " T"]]],
+    true: Mapping[str, Float[np.ndarray, "T 24 3"]],
+    sigma_m: Mapping[str, Float[np.ndarray, "T 24"]] | None = None,
 ) -> dict[str, Any]:
     """Joint errors per matched person and their mean, size error, honesty of sigma (T, 24), and who was missed or
     invented.

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from studiorecon import code
+from studiorecon.report.metrics.measures import FLIP_EVERY
 
 PROTOCOL = (
     "held-out cameras; 8-bit pictures; mean over frames, then over cameras, "
@@ -88,7 +89,7 @@ def definitions(net: str) -> dict[str, dict[str, str]]:
             "share of seen among seen and unseen pixels", "", "up", _REGIONS[region], ours
         )
     found["flip"] = _entry(
-        "mean LDR-ꟻLIP, 67 pixels per degree; of every report.flip_every-th frame", "", "down", "none", "flip-evaluator"
+        f"mean LDR-ꟻLIP, 67 pixels per degree; of one frame in {FLIP_EVERY}", "", "down", "none", "flip-evaluator"
     )
     found["lpips"] = _entry(f"LPIPS 0.1, {_NETS[net]}, inputs in [−1, 1], float32", "", "down", "none", _library(net))
     return found

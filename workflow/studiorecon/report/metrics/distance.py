@@ -14,10 +14,8 @@ TOO_SMALL = f"pictures are under {SMALLEST_MEASURED_PX} pixels a side"
 Net = Literal["none", "alex", "vgg"]
 
 
-def no_flip(every: int) -> str:
-    """Why ꟻLIP is null where it was to be measured at every so many frames."""
-    if every == 0:
-        return "report.flip_every is 0"
+def no_flip() -> str:
+    """Why ꟻLIP is null."""
     return f"pictures are under {SMALLEST_PX} pixels a side" if available() else NO_PACKAGE
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.scene.dataset import VIDEO_SUFFIXES
 from studiorecon.scene.numbered import pictures_in
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer
 
 # The camera's name when a single film or a bare folder of pictures is given.
 ONLY = "camera"
@@ -48,13 +52,13 @@ def cameras_in(place: Path) -> dict[str, Path]:
     return found
 
 
-def frames_of(source: Path) -> Iterator[np.ndarray]:
+def frames_of(source: Path) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 frames of a video or a folder of pictures, in name order."""
     for frame in _stored(source):
         yield np.repeat(frame[..., None], 3, axis=-1) if frame.ndim == 2 else frame
 
 
-def masks_of(source: Path) -> Iterator[np.ndarray]:
+def masks_of(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
     """(H, W) bool: where a mask video or picture is not black."""
     for frame in _stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from studiorecon.report.metrics.truth import TrueView, true_pixels
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
 # A detection whose limbs are off from a true person's by more than this share of the person's height is nobody's.
 _SAME = 0.25
 _LIMBS = [
@@ -28,7 +31,7 @@ _LIMBS = [
 NOBODY = -1
 
 
-def true_person_of(points: np.ndarray, people: np.ndarray) -> int:
+def true_person_of(points: Float[np.ndarray, "K 2"], people: Float[np.ndarray, "P K 2"]) -> int:
     """Index of the true person (P, K, 2) whose points lie closest to ``points`` (K, 2) in the median; -1 when all are
     far or unknown.
 
@@ -50,7 +53,7 @@ def score_identities(
     detections: Sequence[Detections],
     identities: Mapping[tuple[str, int], str],
     cameras: Mapping[str, Camera],
-    joints_m: Mapping[str, np.ndarray],
+    joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]],
 ) -> dict[str, Any]:
     """Accuracy, precision, IDF1 and switches of the identities that the detections were given; ``joints_m`` are true
     (T, 24, 3).
@@ -110,7 +113,7 @@ def _told(rows: Sequence[tuple[int, int, int, int]], detections: Sequence[Detect
 
 
 def true_people(
-    view: TrueView, camera: Camera, joints_m: Mapping[str, np.ndarray], first_frame: int, frames: int
+    view: TrueView, camera: Camera, joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]], first_frame: int, frames: int
 ) -> list[list[TruePerson]]:
     """Per working frame the true people in one picture, with joints where they can be seen and the box of their mask.
 
@@ -138,8 +141,8 @@ def true_people(
 def score_bodies_in_pictures(
     views: Mapping[str, TrueView],
     cameras: Sequence[Camera],
-    fitted: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    joints_m: Mapping[str, np.ndarray],
+    fitted: Mapping[str, tuple[Float[np.ndarray, "T 24 3"], Bool[np.ndarray, " T"]]],
+    joints_m: Mapping[str, Float[np.ndarray, "T 24 3"]],
     first_frame: int,
     frames: int,
 ) -> dict[str, Any]:

@@ -10,9 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,12 @@ class IdentityScores:
     detections: int
 
 
-def identity_scores(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, given: np.ndarray) -> IdentityScores:
+def identity_scores(
+    frame: Integer[np.ndarray, " D"],
+    view: Integer[np.ndarray, " D"],
+    truth: Integer[np.ndarray, " D"],
+    given: Integer[np.ndarray, " D"],
+) -> IdentityScores:
     """All scores of detections (D,) each; raises ValueError, naming the shapes, when the four arrays differ in
     shape."""
     frame, view, truth, given = _checked(frame, view, truth, given)
@@ -58,14 +67,24 @@ def identity_scores(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, give
     )
 
 
-def association_accuracy(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, given: np.ndarray) -> float:
+def association_accuracy(
+    frame: Integer[np.ndarray, " D"],
+    view: Integer[np.ndarray, " D"],
+    truth: Integer[np.ndarray, " D"],
+    given: Integer[np.ndarray, " D"],
+) -> float:
     """Pair recall (evaluation.md §1.2): people seen once in a frame are not counted; NaN without a pair."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     hits = [_same(given, i, j)[_same(truth, i, j)] for i, j in _pairs(frame, view)]
     return _mean(hits)
 
 
-def association_precision(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, given: np.ndarray) -> float:
+def association_precision(
+    frame: Integer[np.ndarray, " D"],
+    view: Integer[np.ndarray, " D"],
+    truth: Integer[np.ndarray, " D"],
+    given: Integer[np.ndarray, " D"],
+) -> float:
     """Of the pairs given the same identity, the share truly the same person (§1.2); two false detections are not. NaN
     without a pair."""
     frame, view, truth, given = _checked(frame, view, truth, given)
@@ -73,7 +92,7 @@ def association_precision(frame: np.ndarray, view: np.ndarray, truth: np.ndarray
     return _mean(hits)
 
 
-def best_naming(truth: np.ndarray, given: np.ndarray) -> dict[int, int]:
+def best_naming(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> dict[int, int]:
     """{given identity: true person}, one to one, with the most detections in common; pairs that share none are left
     out."""
     people, names = np.unique(truth[truth >= 0]), np.unique(given[given >= 0])
@@ -86,7 +105,7 @@ def best_naming(truth: np.ndarray, given: np.ndarray) -> dict[int, int]:
     return {int(names[c]): int(people[r]) for r, c in zip(rows, columns) if common[r, c]}
 
 
-def idf1(truth: np.ndarray, given: np.ndarray) -> float:
+def idf1(truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]) -> float:
     """IDF1 of detections (D,) that are already matched to their truth: a rejected true one is a miss, a named false one
     an excess."""
     truth, given = np.asarray(truth), np.asarray(given)
@@ -96,7 +115,12 @@ def idf1(truth: np.ndarray, given: np.ndarray) -> float:
     return 2 * right / total if total else float("nan")
 
 
-def identity_switches(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, given: np.ndarray) -> int:
+def identity_switches(
+    frame: Integer[np.ndarray, " D"],
+    view: Integer[np.ndarray, " D"],
+    truth: Integer[np.ndarray, " D"],
+    given: Integer[np.ndarray, " D"],
+) -> int:
     """Over views and true people: how often the identity differs from the one at the last identified detection."""
     frame, view, truth, given = _checked(frame, view, truth, given)
     count = 0
@@ -108,7 +132,9 @@ def identity_switches(frame: np.ndarray, view: np.ndarray, truth: np.ndarray, gi
     return count
 
 
-def wrong_identity_frames(frame: np.ndarray, truth: np.ndarray, given: np.ndarray) -> int:
+def wrong_identity_frames(
+    frame: Integer[np.ndarray, " D"], truth: Integer[np.ndarray, " D"], given: Integer[np.ndarray, " D"]
+) -> int:
     """Frames in which at least one detection carries somebody else's identity (rejected detections carry none)."""
     naming = best_naming(truth, given)
     person = np.array([naming.get(int(g), -2) for g in given], dtype=int)

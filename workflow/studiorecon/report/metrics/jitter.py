@@ -4,21 +4,26 @@ only."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.geometry import rotations
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
 _JOINTS = 24
 
 
-def runs_of_three(valid: np.ndarray) -> np.ndarray:
+def runs_of_three(valid: Bool[np.ndarray, " T"]) -> Bool[np.ndarray, " T-2"]:
     """(T - 2,) bool: frames t whose neighbours t - 1 and t + 1 were measured too (V04: a gap is no motion)."""
     return valid[:-2] & valid[1:-1] & valid[2:] if len(valid) >= 3 else np.zeros(0, bool)
 
 
-def translation_jitter(positions_m: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def translation_jitter(
+    positions_m: Float[np.ndarray, "T ... 3"], valid: Bool[np.ndarray, " T"]
+) -> Float[np.ndarray, "n ..."]:
     """(n, ...) mm/frame²: ‖x(t+1) − 2 x(t) + x(t−1)‖ of positions (T, ..., 3) in metres at the n frames inside measured
     runs."""
     inside = runs_of_three(valid)
@@ -26,7 +31,9 @@ def translation_jitter(positions_m: np.ndarray, valid: np.ndarray) -> np.ndarray
     return 1000 * np.linalg.norm(after - 2 * now + before, axis=-1)
 
 
-def rotation_jitter(world_or_local: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def rotation_jitter(
+    world_or_local: Float[np.ndarray, "T ... 3 3"], valid: Bool[np.ndarray, " T"]
+) -> Float[np.ndarray, "n ..."]:
     """(n, ...) °/frame²: ‖log(R(t)ᵀ R(t+1)) − log(R(t−1)ᵀ R(t))‖ of rotations (T, ..., 3, 3) at the n frames inside
     measured runs.
 
@@ -40,7 +47,9 @@ def rotation_jitter(world_or_local: np.ndarray, valid: np.ndarray) -> np.ndarray
     return np.degrees(np.linalg.norm(second - first, axis=-1))
 
 
-def jitter(joints_m: np.ndarray, poses: np.ndarray, valid: np.ndarray, fps: float) -> dict[str, Any]:
+def jitter(
+    joints_m: Float[np.ndarray, "T 24 3"], poses: Float[np.ndarray, "T 72"], valid: Bool[np.ndarray, " T"], fps: float
+) -> dict[str, Any]:
     """Mean jitter of one person: root and joints in mm/f² and m/s², pose in °/f² and °/s² (mean over 24 joints), frames
     used.
 

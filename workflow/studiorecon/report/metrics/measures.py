@@ -8,7 +8,7 @@ frames. What was not measured is None with a reason, never 0.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from studiorecon.images.temporal import leads_back
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.report.metrics.bootstrap import Bootstrap, mean_interval
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer, Num
+
 FULL = ("psnr", "ssim", "ssim_3dgs", "psnr_colour_corrected")
 TEMPORAL = ("temporal_l1", "warp_rms", "warp_square", "flicker_excess", "temporal_l1_seen", "temporal_l1_unseen")
 REGIONS = ("people", "people_wide", "background", "seen", "unseen", "people_seen", "people_unseen")
@@ -49,12 +52,14 @@ NAMES = (
 )
 # Below this a flow has no pyramid to search; the temporal measures are then not taken.
 _SMALLEST_FLOW_PX = 24
+# ꟻLIP takes ten times the others' time: it is measured in the first of so many frames, and in every one after as many.
+FLIP_EVERY = 12
 
 
 def measure_picture(
-    prediction: np.ndarray,
-    photo: np.ndarray,
-    regions: Mapping[str, np.ndarray],
+    prediction: Num[np.ndarray, "H W 3"],
+    photo: Integer[np.ndarray, "H W 3"],
+    regions: Mapping[str, Bool[np.ndarray, "H W"]],
     distance: PerceptualDistance | None = None,
     flipped: bool = False,
 ) -> dict[str, float | None]:
@@ -98,7 +103,10 @@ class Flicker:
         self._alike: dict[str, str] = {}
 
     def measure(
-        self, photo: np.ndarray, pictures: Mapping[str, np.ndarray], regions: Mapping[str, np.ndarray]
+        self,
+        photo: Integer[np.ndarray, "H W 3"],
+        pictures: Mapping[str, Num[np.ndarray, "H W 3"]],
+        regions: Mapping[str, Bool[np.ndarray, "H W"]],
     ) -> dict[str, dict[str, float | None]]:
         """The ``TEMPORAL`` measures of every named picture and, as ``"photo"``, of the photos; None for the first
         frame.
@@ -148,7 +156,7 @@ class Flicker:
         }
 
 
-def first_alike(pictures: Mapping[str, np.ndarray]) -> dict[str, str]:
+def first_alike(pictures: Mapping[str, Num[np.ndarray, "H W 3"]]) -> dict[str, str]:
     """The first name whose picture is the same, for every name: what was not enhanced is not measured twice."""
     alike: dict[str, str] = {}
     for name, picture in pictures.items():
@@ -162,21 +170,24 @@ def _same(one: np.ndarray, two: np.ndarray) -> bool:
 
 
 def measure_sequence(
-    frames: Iterable[tuple[np.ndarray, Mapping[str, np.ndarray], Mapping[str, np.ndarray]]],
+    frames: Iterable[
+        tuple[
+            Integer[np.ndarray, "H W 3"], Mapping[str, Num[np.ndarray, "H W 3"]], Mapping[str, Bool[np.ndarray, "H W"]]
+        ]
+    ],
     flow_preset: str,
     distance: PerceptualDistance | None = None,
-    flip_every: int = 0,
 ) -> dict[str, list[dict[str, float | None]]]:
     """version → measures per frame of one camera; ``frames`` are (photo, pictures of every version, regions of the
     photo).
 
-    ``"photo"`` is the photos' own flicker. ꟻLIP is measured at every ``flip_every``-th frame, at none when that is 0.
+    ``"photo"`` is the photos' own flicker. ꟻLIP is measured in one frame of ``FLIP_EVERY``.
     Call inside ``one_thread``: the flow's result depends on OpenCV's number of threads.
     """
     flicker = Flicker(flow_preset)
     found: dict[str, list[dict[str, float | None]]] = {}
     for t, (photo, versions, masks) in enumerate(frames):
-        flipped = flip_every > 0 and t % flip_every == 0 and available()
+        flipped = t % FLIP_EVERY == 0 and available()
         moving = flicker.measure(photo, versions, masks)
         still: dict[str, dict[str, float | None]] = {}
         for name, first in first_alike(versions).items():

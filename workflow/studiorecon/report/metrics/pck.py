@@ -5,10 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 ALPHAS = (0.05, 0.1)
 # The paper leaves the scale open; the same 8 px of noise score 100, 96, 69 or 28 % by its choice (evaluation 1.2,
@@ -31,12 +34,12 @@ class TruePerson:
         box_wh: width and height of the person's box, pixels.
     """
 
-    points: np.ndarray
-    visible: np.ndarray
+    points: Float[np.ndarray, "K 2"]
+    visible: Bool[np.ndarray, " K"]
     box_wh: tuple[float, float]
 
 
-def similarity(found: np.ndarray, person: TruePerson) -> float:
+def similarity(found: Float[np.ndarray, "K 2"], person: TruePerson) -> float:
     """Object keypoint similarity in [0, 1] of points (K, 2): mean over visible points of exp(−d² / (2 s² k²)), s² the
     box's area.
 
@@ -53,7 +56,7 @@ def similarity(found: np.ndarray, person: TruePerson) -> float:
     )
 
 
-def match(found: Sequence[np.ndarray], people: Sequence[TruePerson]) -> dict[int, int]:
+def match(found: Sequence[Float[np.ndarray, "K 2"]], people: Sequence[TruePerson]) -> dict[int, int]:
     """{index of a true person: index of the prediction it is}, one to one, similarity at least 0.3, with the largest
     sum."""
     if not len(found) or not len(people):
@@ -64,7 +67,7 @@ def match(found: Sequence[np.ndarray], people: Sequence[TruePerson]) -> dict[int
     return {int(r): int(c) for r, c in zip(rows, columns) if admissible[r, c]}
 
 
-def correct(found: np.ndarray | None, person: TruePerson, alpha: float) -> tuple[int, int] | None:
+def correct(found: Float[np.ndarray, "K 2"] | None, person: TruePerson, alpha: float) -> tuple[int, int] | None:
     """(right, counted) visible keypoints within ``alpha`` × the box's longer side; None when that side is under 16
     pixels (V03).
 
@@ -81,7 +84,7 @@ def correct(found: np.ndarray | None, person: TruePerson, alpha: float) -> tuple
     return int((distance <= alpha * side).sum()), counted
 
 
-def score(pictures: Sequence[tuple[Sequence[np.ndarray], Sequence[TruePerson]]]) -> dict[str, Any]:
+def score(pictures: Sequence[tuple[Sequence[Float[np.ndarray, "K 2"]], Sequence[TruePerson]]]) -> dict[str, Any]:
     """PCK@0.05, PCK@0.1 and detection rate over pictures of (predictions (K, 2) each, true people); None where nothing
     counted.
 

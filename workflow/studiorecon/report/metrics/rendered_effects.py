@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,12 +14,15 @@ from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import REFINEMENT, TEMPORAL_APPEARANCE
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 # A pixel is thin below this alpha, or where fewer Gaussians lie than this share of the usual number.
 _ALPHA, _DENSITY, _CELL_PX = 0.95, 0.25, 8
 _LEAST_POINTS, _PATCH_PX = 50, 64
 
 
-def density_px(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+def density_px(pixels: Float[np.ndarray, "N 2"], hw: tuple[int, int]) -> Float[np.ndarray, "H W"]:
     """(H, W) Gaussians per pixel whose centres project to ``pixels`` (N, 2; NaN behind the camera), counted in cells of
     8×8 pixels."""
     inside = np.isfinite(pixels).all(-1)
@@ -27,7 +31,7 @@ def density_px(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
     return np.kron(counted / _CELL_PX**2, np.ones((_CELL_PX, _CELL_PX)))[: hw[0], : hw[1]]
 
 
-def thin_share(alpha: np.ndarray, density: np.ndarray) -> Estimate:
+def thin_share(alpha: Float[np.ndarray, "K H W"], density: Float[np.ndarray, "K H W"]) -> Estimate:
     """Share of pixels of views from other heights that are not covered: alpha below 0.95, or a quarter of the median
     density.
 

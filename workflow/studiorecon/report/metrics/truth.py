@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -23,6 +24,9 @@ from studiorecon.images.regions import dilated
 from studiorecon.images.warp import nearest_pixels, sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import read_json
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 _PROPS = 255
 # The people mask's second variant, 10 px wider all around, takes the silhouettes in (evaluation 1.2).
@@ -36,7 +40,7 @@ class TrueView:
     """Truth of one camera: its ideal pinhole, the empty room's depth (H, W) in metres, and the video of its masks."""
 
     camera: Camera
-    room_depth_m: np.ndarray
+    room_depth_m: Float[np.ndarray, "H W"]
     masks: Path
 
 
@@ -49,12 +53,12 @@ def read_views(folder: Path) -> dict[str, TrueView]:
     }
 
 
-def true_joints(folder: Path) -> dict[str, np.ndarray]:
+def true_joints(folder: Path) -> dict[str, Float[np.ndarray, "T 24 3"]]:
     """person → (T, 24, 3) world joints of every source frame, metres."""
     return {path.stem: read_person(path).joints for path in sorted((folder / "bodies").glob("*.npz"))}
 
 
-def true_pixels(working: Camera, true: Camera) -> np.ndarray:
+def true_pixels(working: Camera, true: Camera) -> Float[np.ndarray, "H W 2"]:
     """(H, W, 2) pixels of the true pinhole that show what the working pixels show: both look the same way, only sizes
     differ."""
     rays = (working.pixel_centres() - np.array(working.principal_px)) / np.array(working.focal_px)
@@ -62,8 +66,12 @@ def true_pixels(working: Camera, true: Camera) -> np.ndarray:
 
 
 def seen_by(
-    points_m: np.ndarray, known: np.ndarray, camera: Camera, depth_m: np.ndarray, tolerances: Sequence[float]
-) -> tuple[list[np.ndarray], np.ndarray]:
+    points_m: Float[np.ndarray, "... 3"],
+    known: Bool[np.ndarray, " ..."],
+    camera: Camera,
+    depth_m: Float[np.ndarray, "H W"],
+    tolerances: Sequence[float],
+) -> tuple[list[Bool[np.ndarray, " ..."]], Float[np.ndarray, "... 2"]]:
     """Per tolerance (...,) bool: points (..., 3) that a camera with z-depth ``depth_m`` (H, W) sees, and its pixels
     (..., 2) of them.
 
@@ -89,7 +97,7 @@ def regions(
     frames: int,
     tolerance: float,
     sensitivity: tuple[float, float],
-) -> Iterator[dict[str, np.ndarray]]:
+) -> Iterator[dict[str, Bool[np.ndarray, "H W"]]]:
     """Masks (H, W) bool of one held-out camera's working frames, one dictionary per frame: people, background, seen,
     unseen, ….
 

@@ -3,23 +3,32 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.images.palette import NOBODY, person_colour
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _UNASSIGNED = 255
 # measured, inferred, invented.
 _TRUTH_RGB = {255: (70, 130, 180), 128: (240, 200, 80), 0: (200, 80, 70)}
 
 
-def difference(picture: np.ndarray, photo: np.ndarray, gain: float = 3.0) -> np.ndarray:
+def difference(
+    picture: Integer[np.ndarray, "H W 3"], photo: Integer[np.ndarray, "H W 3"], gain: float = 3.0
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: absolute difference, mean over channels, amplified, dark = equal."""
     error = np.abs(picture.astype(np.float32) - photo.astype(np.float32)).mean(axis=-1)
     return cv2.applyColorMap(np.clip(error * gain, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO)[..., ::-1]
 
 
-def depth_picture(depth_m: np.ndarray, confidence: np.ndarray | None = None) -> tuple[np.ndarray, tuple[float, float]]:
+def depth_picture(
+    depth_m: Float[np.ndarray, "H W"], confidence: Float[np.ndarray, "H W"] | None = None
+) -> tuple[Integer[np.ndarray, "H W 3"], tuple[float, float]]:
     """(H, W, 3) uint8: near bright, far dark, unknown black, doubtful pale; and the depth range shown, metres."""
     known = depth_m > 0
     if not known.any():
@@ -33,7 +42,7 @@ def depth_picture(depth_m: np.ndarray, confidence: np.ndarray | None = None) -> 
     return np.where(known[..., None], colour, 0).astype(np.uint8), (near, far)
 
 
-def mask_picture(photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def mask_picture(photo: Integer[np.ndarray, "H W 3"], mask: Integer[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W 3"]:
     """The photo with each person tinted in a colour of their own; ``mask`` is 0 background, k+1 person k, 255
     unassigned."""
     tinted = photo.astype(np.float32)
@@ -43,7 +52,9 @@ def mask_picture(photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return tinted.astype(np.uint8)
 
 
-def truth_picture(truth: np.ndarray, picture: np.ndarray) -> np.ndarray:
+def truth_picture(
+    truth: Integer[np.ndarray, "H W"], picture: Integer[np.ndarray, "H W 3"]
+) -> Integer[np.ndarray, "H W 3"]:
     """The picture tinted blue where measured, yellow where inferred, red where invented."""
     tint = np.zeros((*truth.shape, 3), np.float32)
     for level, colour in _TRUTH_RGB.items():
@@ -52,7 +63,7 @@ def truth_picture(truth: np.ndarray, picture: np.ndarray) -> np.ndarray:
     return (0.5 * grey + 0.5 * tint).astype(np.uint8)
 
 
-def truth_shares(truth: np.ndarray) -> dict[str, float]:
+def truth_shares(truth: Integer[np.ndarray, " ..."]) -> dict[str, float]:
     """Share of a truth map (any shape) that is measured, inferred, invented."""
     return {
         name: float((truth == level).mean()) for name, level in (("measured", 255), ("inferred", 128), ("invented", 0))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,12 +12,15 @@ from studiorecon.images.palette import NOBODY, person_colour
 from studiorecon.pages import html
 from studiorecon.scene.people import Detections, Person
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
 _WIDTH, _LEFT, _BAR, _GAP = 1000, 120, 9, 12
 
 
 def frames_seen(
     found: Sequence[Detections], whose: Mapping[tuple[str, int], str], people: Sequence[str], frames: int
-) -> dict[str, np.ndarray]:
+) -> dict[str, Bool[np.ndarray, "P F"]]:
     """camera → (P + 1, frames) bool: in which frames it has a detection of each person, in the last row one of nobody
     kept."""
     seen = {}
@@ -30,7 +33,7 @@ def frames_seen(
     return seen
 
 
-def strip(seen: Mapping[str, np.ndarray], people: Sequence[str]) -> str:
+def strip(seen: Mapping[str, Bool[np.ndarray, "P F"]], people: Sequence[str]) -> str:
     """A row of bars per camera, one bar per person, named and coloured as in the overlay films; tracks of nobody
     grey."""
     if not seen:
@@ -69,7 +72,7 @@ def strip(seen: Mapping[str, np.ndarray], people: Sequence[str]) -> str:
     )
 
 
-def runs(row: np.ndarray) -> list[tuple[int, int]]:
+def runs(row: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
     """[first, last) of every stretch of True in (T,) bool."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2])]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from studiorecon.splatting.train.schedule import TrainingSettings, degree_at, ra
 from studiorecon.splatting.train.targets import DrawOrder, Target, TargetSizes
 from studiorecon.splatting.train.terms import PlaneView
 from studiorecon.splatting.train.trainer import Preview
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Shaped
 
 
 class BlockedSet:
@@ -47,7 +50,7 @@ class BlockedSet:
         self._degree = 0
 
     @property
-    def source(self) -> np.ndarray:
+    def source(self) -> Integer[np.ndarray, " N"]:
         """(N,) index of the initial Gaussian each descends from."""
         return self.state.source
 
@@ -85,7 +88,7 @@ class BlockedSet:
         self._control(iteration + 1, view.target.camera.wh[0])
         return loss, view.psnr_db
 
-    def descend(self, iteration: int, degree: int, gradient: np.ndarray) -> None:
+    def descend(self, iteration: int, degree: int, gradient: Float[np.ndarray, " P"]) -> None:
         """One step of Adam along a gradient in blocks."""
         s = self._settings
         most = np.log(s.largest_scale_m) if s.largest_scale_m > 0 else np.inf
@@ -113,12 +116,12 @@ class BlockedSet:
         planes_to_images(planes, rgb, alpha, depth_m)
         return Preview(self.state.blocked.count, target.camera.name, rgb, target.rgb, target.used)
 
-    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
         """The state, Adam's epsilons, the rest of the round of targets."""
         adam = {f"adam.{name}": value for name, value in self.adam.arrays().items()}
         return {**adam, **state.arrays_of(self.state)}, {"pending": self.order.pending}
 
-    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+    def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Puts a ``snapshot`` back."""
         self.state = state.restored(arrays)
         self.adam.resume({name.removeprefix("adam."): a for name, a in arrays.items() if name.startswith("adam.")})

@@ -15,13 +15,16 @@ import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
 
 from studiorecon.progress import say
 from studiorecon.scene.files import complete
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
 
 _FACTS = "facts"
 
@@ -52,7 +55,7 @@ class Checkpoint:
         """Whether ``every_s`` seconds have passed since the start or the last ``save``; never with 0."""
         return self._every_s > 0 and time.monotonic() - self._last >= self._every_s
 
-    def save(self, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> None:
+    def save(self, arrays: Mapping[str, Shaped[np.ndarray, " ..."]], facts: Mapping[str, Any]) -> None:
         """Writes arrays and JSON facts; uncompressed, because this happens in the middle of training."""
         stored: dict[str, Any] = {_FACTS: np.array(json.dumps({"mark": self._mark, **facts}))}
         named: dict[str, Any] = dict(arrays)
@@ -60,7 +63,7 @@ class Checkpoint:
             np.savez(file, **stored, **named)
         self._last = time.monotonic()
 
-    def load(self) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    def load(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]] | None:
         """What ``save`` wrote for the same fingerprint; None, after a sentence, when there is something else or nothing
         readable."""
         if not self.path.is_file():

@@ -12,11 +12,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import comb
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.gaussians import Gaussians, concatenate
 from studiorecon.splatting.train.schedule import TrainingSettings
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 SPLIT_SHRINK = np.log(1.6)
 """A split Gaussian's halves are 1.6 times smaller (3DGS)."""
@@ -30,8 +34,8 @@ class Growth:
     """Gaussians after growth; ``parent`` (M,) is the old index, ``fresh`` (M,) marks new ones."""
 
     gaussians: Gaussians
-    parent: np.ndarray
-    fresh: np.ndarray
+    parent: Integer[np.ndarray, " M"]
+    fresh: Bool[np.ndarray, " M"]
     pruned: int
 
 
@@ -48,7 +52,7 @@ def due(settings: TrainingSettings, done: int) -> bool:
 
 def controlled(
     gaussians: Gaussians,
-    mean_gradient: np.ndarray,
+    mean_gradient: Float[np.ndarray, " N"],
     settings: TrainingSettings,
     extent_m: float,
     rng: np.random.Generator,
@@ -69,7 +73,7 @@ def controlled(
 
 def grow(
     gaussians: Gaussians,
-    mean_gradient: np.ndarray,
+    mean_gradient: Float[np.ndarray, " N"],
     *,
     threshold: float,
     large_m: float,
@@ -112,7 +116,7 @@ def _half(gaussians: Gaussians, rng: np.random.Generator) -> Gaussians:
     )
 
 
-def rotations_of(quaternions: np.ndarray) -> np.ndarray:
+def rotations_of(quaternions: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3 3"]:
     """(N, 3, 3) from (w, x, y, z) of any norm."""
     w, x, y, z = (quaternions / np.maximum(np.linalg.norm(quaternions, axis=1, keepdims=True), 1e-12)).T
     rows = [
@@ -123,13 +127,13 @@ def rotations_of(quaternions: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def shared_opacity(opacity: np.ndarray, copies: np.ndarray) -> np.ndarray:
+def shared_opacity(opacity: Float[np.ndarray, " N"], copies: Integer[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     """Opacity (N,) float64 of each of ``copies`` (N,) coincident Gaussians that together are as opaque as one of
     ``opacity``."""
     return -np.expm1(np.log1p(-opacity) / copies)
 
 
-def scale_factor(opacity: np.ndarray, copies: np.ndarray) -> np.ndarray:
+def scale_factor(opacity: Float[np.ndarray, " N"], copies: Integer[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     """(N,) float64 factor of the copies' standard deviations: o / Σ_i Σ_k C(i−1, k) (−1)^k o'^(k+1) / √(k+1), i = 1…M.
 
     Swapping the sums leaves Σ_k (−1)^k C(M, k+1) o'^(k+1) / √(k+1): M terms instead of M²/2.

@@ -9,6 +9,7 @@ or tensors, so rounding noise is not blown up to full steps; a gradient that is 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from studiorecon.splatting.conventions import LANES, OPACITY, QUATERNION, ROWS, 
 from studiorecon.splatting.cpu.adam import step_arrays, step_blocks
 from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_LEAST, EPSILON_STEPS
 from studiorecon.splatting.train.state import TrainingState
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Shaped
 
 
 class Adam:
@@ -25,7 +29,9 @@ class Adam:
         refused: gradient entries so far that were not finite.
     """
 
-    def __init__(self, parameters: Mapping[str, np.ndarray], betas: tuple[float, float], epsilon: float) -> None:
+    def __init__(
+        self, parameters: Mapping[str, Float[np.ndarray, " ..."]], betas: tuple[float, float], epsilon: float
+    ) -> None:
         for name, value in parameters.items():
             if not value.flags.c_contiguous or value.dtype not in (np.float32, np.float64):
                 raise ValueError(f"{name} must be a C-contiguous float array, to be updated in place")
@@ -37,14 +43,14 @@ class Adam:
         }
         self._steps = dict.fromkeys(parameters, 0)
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Parameters, moments, steps and the count of refused entries, for a checkpoint."""
         held = {f"parameter.{name}": value for name, value in self.parameters.items()}
         for name, (first, second) in self._moments.items():
             held |= {f"first.{name}": first, f"second.{name}": second, f"steps.{name}": np.array(self._steps[name])}
         return {**held, "refused": np.array(self.refused)}
 
-    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Puts ``arrays`` back, in place."""
         for name, value in self.parameters.items():
             value[...] = held[f"parameter.{name}"]
@@ -53,7 +59,12 @@ class Adam:
             self._steps[name] = int(held[f"steps.{name}"])
         self.refused = int(held["refused"])
 
-    def regrown(self, parameters: Mapping[str, np.ndarray], parent: np.ndarray, fresh: np.ndarray) -> Adam:
+    def regrown(
+        self,
+        parameters: Mapping[str, Float[np.ndarray, " ..."]],
+        parent: Integer[np.ndarray, " M"],
+        fresh: Bool[np.ndarray, " M"],
+    ) -> Adam:
         """Adam over ``parameters`` of other rows: ``parent`` (M,) is each one's old row, ``fresh`` (M,) bool start
         without moments."""
         other = Adam(parameters, self._betas, self._epsilon)
@@ -66,7 +77,10 @@ class Adam:
         return other
 
     def step(
-        self, gradients: Mapping[str, np.ndarray], rates: Mapping[str, float], rows: np.ndarray | None = None
+        self,
+        gradients: Mapping[str, Float[np.ndarray, " ..."]],
+        rates: Mapping[str, float],
+        rows: Bool[np.ndarray, " N"] | None = None,
     ) -> None:
         """One step of the parameters named in ``gradients``; with ``rows`` (N,) bool only those entries of the first
         axis move.
@@ -109,9 +123,9 @@ class BlockAdam:
     def step(
         self,
         state: TrainingState,
-        gradient: np.ndarray,
-        visible: np.ndarray,
-        rates: np.ndarray,
+        gradient: Float[np.ndarray, " P"],
+        visible: Bool[np.ndarray, " p"],
+        rates: Float[np.ndarray, " 59"],
         degree: int,
         log_scale_max: float,
     ) -> None:
@@ -149,12 +163,12 @@ class BlockAdam:
             typical = np.sqrt(self._squares[begin:end].max() * EPSILON_STEPS / self._steps)
             self._epsilons[begin:end] = max(self._epsilon * typical, EPSILON_LEAST)
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Epsilons, steps and the count of refused entries, for a checkpoint; the moments are in the state."""
         counts = {"steps": np.array(self._steps), "refused": np.array(self.refused)}
         return {"squares": self._squares, "epsilons": self._epsilons, **counts}
 
-    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Puts ``arrays`` back."""
         self._squares, self._epsilons = held["squares"], held["epsilons"]
         self._steps, self.refused = int(held["steps"]), int(held["refused"])

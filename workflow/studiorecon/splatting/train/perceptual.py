@@ -16,6 +16,7 @@ from studiorecon.configuration.setting import setting
 
 if TYPE_CHECKING:
     import torch
+    from jaxtyping import Float
 
 SMALLEST_PX = 16
 """A VGG16 halves a picture four times: below this side there is nothing left to compare."""
@@ -23,7 +24,8 @@ SMALLEST_PX = 16
 
 @dataclass(frozen=True)
 class PerceptualSettings:
-    """How often, and on how much of a picture, LPIPS counts."""
+    """How often, and on how much of a picture, LPIPS counts: ``every`` so many steps, as many times, on a random square
+    of ``crop_px``; ``whole``: at every step on all of it. By far the dearest part of a step on a CPU."""
 
     weight: float = setting(
         0.0,
@@ -32,50 +34,58 @@ class PerceptualSettings:
         paper="0.1 at every step; U12",
         letter=0.1,
     )
-    every: int = setting(4, "Steps between evaluations; each counts that many times.", minimum=1, paper="1", letter=1)
-    crop_px: int = setting(
-        96,
-        "Side of the random square that is compared; 0 = the whole picture.",
-        unit="px",
-        minimum=0,
-        paper="0",
-        letter=0,
+    whole: bool = setting(
+        False,
+        "Compare the whole picture at every step; else a random square of 96 px at every fourth, which counts four "
+        "times.",
+        paper="the whole picture at every step",
+        letter=True,
     )
+    every: int = 4
+    crop_px: int = 96
+
+    @property
+    def steps(self) -> int:
+        """From one evaluation to the next."""
+        return 1 if self.whole else self.every
 
 
 class Perceptual(Protocol):
     """A distance between pictures that has a gradient."""
 
-    def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
+    def __call__(
+        self, rendered: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
+    ) -> tuple[float, Float[np.ndarray, "h w 3"]]:
         """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
 
     def distance(self, rendered: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         """The same of two tensors (1, 3, h, w) where the network lies, as a () tensor that carries gradients."""
 
 
-def crop_of(hw: tuple[int, int], crop_px: int, rng: np.random.Generator) -> tuple[slice, slice]:
-    """Rows and columns of a random square of ``crop_px``, cut to the picture; all of it when ``crop_px`` is 0."""
-    if crop_px == 0:
+def crop_of(hw: tuple[int, int], settings: PerceptualSettings, rng: np.random.Generator) -> tuple[slice, slice]:
+    """Rows and columns of what is compared of a picture, at most all of it."""
+    if settings.whole:
         return slice(0, hw[0]), slice(0, hw[1])
-    starts = [int(rng.integers(max(0, size - crop_px) + 1)) for size in hw]
-    return slice(starts[0], starts[0] + min(crop_px, hw[0])), slice(starts[1], starts[1] + min(crop_px, hw[1]))
+    side = settings.crop_px
+    starts = [int(rng.integers(max(0, size - side) + 1)) for size in hw]
+    return slice(starts[0], starts[0] + min(side, hw[0])), slice(starts[1], starts[1] + min(side, hw[1]))
 
 
 def perceptual(
     network: Perceptual,
     settings: PerceptualSettings,
-    rendered: np.ndarray,
-    target: np.ndarray,
-    weight: np.ndarray | None,
+    rendered: Float[np.ndarray, "H W 3"],
+    target: Float[np.ndarray, "H W 3"],
+    weight: Float[np.ndarray, "H W"] | None,
     rng: np.random.Generator,
     weighed: bool = False,
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, Float[np.ndarray, "H W 3"]]:
     """The term's share of the loss and its gradient (H, W, 3) for one picture of (H, W, 3).
 
     Where ``weight`` (H, W) is 0 the target stands in for the rendering, so masked pixels neither count nor disturb
     their surroundings (U11). ``weighed``: times the mean weight of the others. 0 for crops below ``SMALLEST_PX``.
     """
-    rows, columns = crop_of(rendered.shape[:2], settings.crop_px, rng)
+    rows, columns = crop_of(rendered.shape[:2], settings, rng)
     gradient = np.zeros(rendered.shape, np.float32)
     if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
         return 0.0, gradient
@@ -85,7 +95,7 @@ def perceptual(
     ).astype(np.float32)
     shown = np.where(used[..., None], rendered[rows, columns], wanted).astype(np.float32)
     distance, slope = network(shown, wanted)
-    strength = settings.weight * settings.every
+    strength = settings.weight * settings.steps
     if weighed and weight is not None:
         strength *= float(weight[rows, columns][used].mean(dtype=np.float64)) if used.any() else 0.0
     gradient[rows, columns] = np.where(used[..., None], slope * np.float32(strength), 0)
@@ -105,14 +115,14 @@ def perceptual_of_tensors(
     0 = masked, where ``wanted`` is finite. Nothing leaves the device."""
     import torch
 
-    rows, columns = crop_of((weight.shape[0], weight.shape[1]), settings.crop_px, rng)
+    rows, columns = crop_of((weight.shape[0], weight.shape[1]), settings, rng)
     if min(rows.stop - rows.start, columns.stop - columns.start) < SMALLEST_PX:
         return rendered.new_zeros(())
     counted = weight[rows, columns]
     used, theirs = counted > 0, wanted[:, rows, columns]
     theirs = torch.where(used, theirs, theirs.clamp(0, 1))
     ours = torch.where(used, rendered[:, rows, columns], theirs)
-    strength: float | torch.Tensor = settings.weight * settings.every
+    strength: float | torch.Tensor = settings.weight * settings.steps
     if weighed:
         strength = strength * counted.sum() / used.sum().clamp_min(1)
     return strength * network.distance(ours[None], theirs[None])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,17 +12,20 @@ from studiorecon.splatting.cpu import ssim as similarity
 from studiorecon.splatting.cpu.blocks import aligned
 from studiorecon.splatting.cpu.ssim import PAD, RADIUS
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 
 @dataclass(frozen=True)
 class PreparedTarget:
     """A target image in the kernels' layout; ``mean`` and ``square`` are None when its statistics are computed at every
     use."""
 
-    padded: np.ndarray
-    weight: np.ndarray
+    padded: Float[np.ndarray, " P"]
+    weight: Float[np.ndarray, " W"]
     weighted_pixels: int
-    mean: np.ndarray | None
-    square: np.ndarray | None
+    mean: Float[np.ndarray, " P"] | None
+    square: Float[np.ndarray, " P"] | None
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class Memory:
     def __init__(self) -> None:
         self._held: dict[str, np.ndarray] = {}
 
-    def zeros(self, name: str, count: int) -> np.ndarray:
+    def zeros(self, name: str, count: int) -> Float[np.ndarray, " C"]:
         """``count`` zeros that start at a cache line; the next call with this name overwrites them."""
         if name not in self._held or len(self._held[name]) < count:
             self._held[name] = aligned(count)
@@ -80,7 +84,7 @@ class Photometric:
         return 2 * 3 * self._plane * 4
 
     def prepare(
-        self, rgb: np.ndarray, weight: np.ndarray | None = None, keep_statistics: bool = True
+        self, rgb: Num[np.ndarray, "H W 3"], weight: Num[np.ndarray, "H W"] | None = None, keep_statistics: bool = True
     ) -> PreparedTarget:
         """A target (H, W, 3) with per-pixel weights (H, W); masked colours may be NaN. Raises ValueError for another
         size."""
@@ -98,7 +102,9 @@ class Photometric:
             similarity.target_statistics(padded, height, self._wide, self._taps, mean, square)
         return PreparedTarget(padded, wide_weight, int(used), mean, square)
 
-    def evaluate(self, planes: np.ndarray, target: PreparedTarget, gradient: np.ndarray) -> PhotometricTerms:
+    def evaluate(
+        self, planes: Float[np.ndarray, "5 H W"], target: PreparedTarget, gradient: Float[np.ndarray, "5 H W"]
+    ) -> PhotometricTerms:
         """The loss of planes (5, H, W); its gradient is added to the first three planes of ``gradient`` (5, H,
         W)."""
         height = self.hw[0]
@@ -133,6 +139,6 @@ class Photometric:
         return PhotometricTerms(self.l1 * absolute + self.ssim * dissimilarity, absolute, dissimilarity, float(psnr_db))
 
 
-def flat(image: np.ndarray | None) -> np.ndarray:
+def flat(image: Num[np.ndarray, "H W"] | None) -> Float[np.ndarray, " C"]:
     """An image as the kernels take it: (H·W,) float32, empty for None."""
     return np.zeros(0, np.float32) if image is None else np.ascontiguousarray(image, np.float32).reshape(-1)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.footage.video import to_bytes
 from studiorecon.images.encoded import write_png
 from studiorecon.images.metrics import psnr
 from studiorecon.progress import say
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 
 class Feedback:
@@ -30,11 +34,11 @@ class Feedback:
         self._told = time.perf_counter()
         self._told_at = 0
 
-    def record(self) -> dict[str, np.ndarray]:
+    def record(self) -> dict[str, Float[np.ndarray, " I"]]:
         """What has been added so far, for a checkpoint."""
         return {"losses": np.array(self.losses), "psnrs_db": np.array(self.psnrs_db)}
 
-    def resume(self, record: Mapping[str, np.ndarray]) -> None:
+    def resume(self, record: Mapping[str, Float[np.ndarray, " I"]]) -> None:
         """Takes up the ``record`` of an interrupted run."""
         self.losses, self.psnrs_db = record["losses"].tolist(), record["psnrs_db"].tolist()
         self._told_at = len(self.losses)
@@ -50,7 +54,14 @@ class Feedback:
         """Mean PSNR over the last tenth, on the pixels that counted; 0 before the first iteration."""
         return float(np.mean(self.psnrs_db[-self._tenth :])) if self.psnrs_db else 0.0
 
-    def tell(self, count: int, view: str, shown: np.ndarray, wanted: np.ndarray, used: np.ndarray) -> None:
+    def tell(
+        self,
+        count: int,
+        view: str,
+        shown: Num[np.ndarray, "H W 3"],
+        wanted: Num[np.ndarray, "H W 3"],
+        used: Bool[np.ndarray, "H W"],
+    ) -> None:
         """One line on how it goes, and the picture ``preview_<percent>.png``: left ``wanted``, right ``shown`` (H, W,
         3).
 

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.splatting.conventions import OPACITY, QUATERNION, ROWS, SCALE, SH
 from studiorecon.splatting.train.perceptual import PerceptualSettings
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 RATE_LEAST = 1e-12
 BETA_1, BETA_2 = 0.9, 0.999
@@ -111,7 +114,7 @@ def exponential(begin: float, end: float, done: float) -> float:
     return float(begin * (end / begin) ** done)
 
 
-def rates_at(settings: TrainingSettings, iteration: int, extent_m: float) -> np.ndarray:
+def rates_at(settings: TrainingSettings, iteration: int, extent_m: float) -> Float[np.ndarray, " 59"]:
     """(59,) float32 learning rate of every row of a parameter block; positions move in shares of the scene's extent
     (O08)."""
     rates = np.empty(ROWS, np.float32)

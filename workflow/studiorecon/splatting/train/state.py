@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import float32, njit, prange
@@ -14,6 +15,9 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, MEAN, QUATERNION, ROWS, SH
 from studiorecon.splatting.cpu.adam import RAW_ROWS
 from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned, block, morton_order
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Shaped
 
 STORED = ("raw", "first", "second", "source", "gradient_sum", "gradient_count")
 """Fields of a TrainingState that a checkpoint holds beside the blocks."""
@@ -33,12 +37,12 @@ class TrainingState:
     """
 
     blocked: BlockedGaussians
-    raw: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    source: np.ndarray
-    gradient_sum: np.ndarray
-    gradient_count: np.ndarray
+    raw: Float[np.ndarray, " R"]
+    first: Float[np.ndarray, " P"]
+    second: Float[np.ndarray, " P"]
+    source: Integer[np.ndarray, " N"]
+    gradient_sum: Float[np.ndarray, " p"]
+    gradient_count: Float[np.ndarray, " p"]
 
 
 def start(gaussians: Gaussians) -> TrainingState:
@@ -48,7 +52,9 @@ def start(gaussians: Gaussians) -> TrainingState:
     return _laid_out(gaussians, np.arange(n), moments, moments, np.full(n, -1))
 
 
-def regrown(state: TrainingState, gaussians: Gaussians, parent: np.ndarray, fresh: np.ndarray) -> TrainingState:
+def regrown(
+    state: TrainingState, gaussians: Gaussians, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]
+) -> TrainingState:
     """The state with other Gaussians: ``parent`` (M,) says which old one each descends from; ``fresh`` ones start
     without moments."""
     return _laid_out(gaussians, state.source[parent], state.first, state.second, np.where(fresh, -1, parent))
@@ -71,7 +77,7 @@ def _laid_out(
     return TrainingState(blocked, raw, *moments, source[order], *sums)
 
 
-def arrays_of(state: TrainingState) -> dict[str, np.ndarray]:
+def arrays_of(state: TrainingState) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The whole state as named arrays, for a checkpoint."""
     arrays = {name: getattr(state, name) for name in STORED}
     return {
@@ -81,7 +87,7 @@ def arrays_of(state: TrainingState) -> dict[str, np.ndarray]:
     }
 
 
-def restored(arrays: Mapping[str, np.ndarray]) -> TrainingState:
+def restored(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TrainingState:
     """The state of ``arrays_of``, bit for bit."""
     count, degree = arrays["shape"].tolist()
     laid = {name: aligned(len(arrays[name])) for name in ("parameters", "raw", "first", "second")}
@@ -92,7 +98,7 @@ def restored(arrays: Mapping[str, np.ndarray]) -> TrainingState:
     return TrainingState(blocked, laid["raw"], laid["first"], laid["second"], *rest)
 
 
-def finite(gaussians: Gaussians) -> np.ndarray:
+def finite(gaussians: Gaussians) -> Bool[np.ndarray, " N"]:
     """(N,) bool: nothing of a Gaussian is NaN or infinite."""
     arrays = (gaussians.means_m, gaussians.quaternions, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh)
     return np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in arrays], axis=0)

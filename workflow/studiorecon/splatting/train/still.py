@@ -23,6 +23,8 @@ from studiorecon.splatting.train.terms import terms_of
 from studiorecon.splatting.train.trainer import train
 
 if TYPE_CHECKING:
+    from jaxtyping import Integer
+
     from studiorecon.splatting.cuda.tensor_set import TensorSet
 
 
@@ -38,7 +40,7 @@ class TrainedGaussians:
     """
 
     gaussians: Gaussians
-    source: np.ndarray
+    source: Integer[np.ndarray, " N"]
     psnr_db: float
     refused: int
     left_out: int

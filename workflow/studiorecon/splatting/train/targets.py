@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.train.schedule import TrainingSettings, halved_at
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 
 @dataclass(frozen=True)
@@ -28,15 +32,15 @@ class Target:
     """
 
     camera: Camera
-    rgb: np.ndarray
-    weight: np.ndarray | None = None
+    rgb: Float[np.ndarray, "H W 3"]
+    weight: Float[np.ndarray, "H W"] | None = None
     share: float = 1.0
     background_rgb: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    depth_m: np.ndarray | None = None
-    silhouette: np.ndarray | None = None
+    depth_m: Num[np.ndarray, "H W"] | None = None
+    silhouette: Bool[np.ndarray, "H W"] | None = None
 
     @property
-    def used(self) -> np.ndarray:
+    def used(self) -> Bool[np.ndarray, "H W"]:
         """(H, W) bool, the pixels that count."""
         return np.ones(self.camera.hw, bool) if self.weight is None else self.weight > 0
 

@@ -26,6 +26,7 @@ from studiorecon.splatting.train.targets import Target
 
 if TYPE_CHECKING:
     import torch
+    from jaxtyping import Float
 
 STATISTICS_BYTES_MAX = 1 << 30
 """Targets' SSIM statistics kept in memory; those beyond are computed anew at every use (4 to 11 % of the loss's
@@ -51,8 +52,8 @@ class PlaneView:
     target: Target
     iteration: int
     rng: np.random.Generator
-    planes: np.ndarray
-    gradient: np.ndarray
+    planes: Float[np.ndarray, "5 H W"]
+    gradient: Float[np.ndarray, "5 H W"]
     key: Hashable | None = None
     psnr_db: float = 0.0
 
@@ -263,7 +264,7 @@ class LpipsTerm:
     weighed: bool = False
 
     def on_cpu(self, view: PlaneView) -> float:
-        if self.network is None or view.iteration % self.settings.every != 0:
+        if self.network is None or view.iteration % self.settings.steps != 0:
             return 0.0
         rendered, target = np.ascontiguousarray(view.planes[:3].transpose(1, 2, 0)), view.target
         value, by_rgb = perceptual(
@@ -273,7 +274,7 @@ class LpipsTerm:
         return value
 
     def on_cuda(self, view: TensorView) -> torch.Tensor:
-        if self.network is None or view.iteration % self.settings.every != 0:
+        if self.network is None or view.iteration % self.settings.steps != 0:
             return view.rgb.new_zeros(())
         rendered = view.rgb.permute(2, 0, 1)
         return perceptual_of_tensors(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from studiorecon.progress import progress, say
 from studiorecon.splatting.train.checkpoint import Checkpoint
 from studiorecon.splatting.train.previews import Feedback
 from studiorecon.splatting.train.terms import PlaneView, TensorView, Term
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num, Shaped
 
 View = TypeVar("View", PlaneView, TensorView)
 
@@ -30,9 +33,9 @@ class Preview:
 
     count: int
     name: str
-    shown: np.ndarray
-    wanted: np.ndarray
-    used: np.ndarray
+    shown: Num[np.ndarray, "H W 3"]
+    wanted: Num[np.ndarray, "H W 3"]
+    used: Bool[np.ndarray, "H W"]
 
 
 class Trainable(Protocol, Generic[View]):
@@ -53,10 +56,10 @@ class Trainable(Protocol, Generic[View]):
     def preview(self) -> Preview:
         """A training view as it is now."""
 
-    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
         """All that later steps depend on beside the generator: arrays, and JSON facts."""
 
-    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+    def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Puts a ``snapshot`` back."""
 
 

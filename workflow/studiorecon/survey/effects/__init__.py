@@ -66,7 +66,6 @@ EFFECTS: tuple[Effect, ...] = (
 )
 # Those that show before training.
 EARLY = tuple(effect for effect in EFFECTS if isinstance(effect, SurveyedEffect))
-ARTEFACTS = tuple(effect.artefact.file for effect in EARLY if effect.artefact)
 
 
 @dataclass(frozen=True)
@@ -82,5 +81,5 @@ def table() -> str:
     rows = ["| effect | statistic | on | who acts |", "|---|---|---|---|"]
     for effect in EFFECTS:
         limit = f"{'above' if effect.on_above else 'below'} {effect.threshold:g} {effect.unit}".strip()
-        rows.append(f"| `{effect.name}` | {effect.asks} | {limit} | {effect.obeyed_by or 'nobody: a finding'} |")
+        rows.append(f"| `{effect.name}` | {effect.statistic} | {limit} | {effect.obeyed_by or 'nobody: a finding'} |")
     return "\n".join(rows)

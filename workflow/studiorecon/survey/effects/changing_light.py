@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffe
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.exposures import ExposureView
 from studiorecon.survey.stillness import light
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Frames that are held at a time.
 _TOGETHER = 64
@@ -74,7 +78,7 @@ def cost_s(cameras: Sequence[Camera], frames: int) -> float:
 
 def course_of(
     path: Path, camera: Camera, frames: int, found: Detections | None, view: ExposureView, longest_px: int
-) -> np.ndarray | None:
+) -> Float[np.ndarray, "frames 3"] | None:
     """(frames, 3) factors of a film's brightness against its plate, red, green and blue alike; None when no frame can
     be told.
 

@@ -34,6 +34,6 @@ EFFECT = SurveyedEffect(
     threshold=150.0,
     paper="U18",
     on_above=False,
-    obeyed_by="the plan: with views.closed auto, the widest gap gets no new views unless on",
+    obeyed_by="the plan: the widest gap gets no new views unless on",
     measure=measure,
 )

@@ -4,6 +4,8 @@ sharply, and nothing here mends that: it informs."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,9 @@ from studiorecon.geometry.statistics import NOTHING, Estimate, median
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 from studiorecon.survey.speed import AT_WIDTH
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
 _AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100
@@ -64,7 +69,7 @@ def _beyond(blur: float, error: float, usual: float) -> Estimate:
     return Estimate(value, (low, high))
 
 
-def edge_blur_px(rgb: np.ndarray, measured: np.ndarray) -> Estimate:
+def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"]) -> Estimate:
     """Standard deviation, px, of the blur of a picture's sharpest edges: ``rgb`` (H, W, 3) in [0, 1], where
     ``measured`` (H, W).
 

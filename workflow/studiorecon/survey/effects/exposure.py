@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.scene.factors import write_factors
 from studiorecon.survey.effects.surveyed import Artefact, Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence, Recordings
 from studiorecon.survey.exposures import CERTAIN, INTERVAL
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def measure(evidence: Evidence, threshold: float) -> Measured:
@@ -42,7 +46,7 @@ def write(path: Path, decision: Decision, evidence: Evidence, recordings: Record
     write_factors(path, gains_called_for(decision))
 
 
-def gains_called_for(exposure: Decision) -> Mapping[str, np.ndarray]:
+def gains_called_for(exposure: Decision) -> Mapping[str, Float[np.ndarray, "1 3"]]:
     """Camera → (1, 3) gains to divide pictures by; none unless the verdict is on, nor for cameras that could not be
     compared."""
     if not exposure.called_for:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from studiorecon.geometry.camera_path import gaps_around
+from studiorecon.scene.effects import COVERED_DEG
 from studiorecon.scene.names import segment_name
 from studiorecon.survey.coverage import PARALLAX_DEG, from_two_sides, seen_by, stage_points
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
@@ -16,8 +17,8 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     """The share of the stage that is not covered: of what either of two neighbours sees, for every pair of them; the
     scene's is the largest.
 
-    Where neighbours stand further apart than ``gap_deg``, what both see still looks different from between them: the
-    share that counts as covered is lowered by the ratio of the two.
+    Where neighbours stand further apart than ``COVERED_DEG``, what both see still looks different from between them:
+    the share that counts as covered is lowered by the ratio of the two.
     """
     cameras, sampling = evidence.material.cameras, evidence.sampling
     points = stage_points(cameras, sampling.grid_m, sampling.height_m)
@@ -32,7 +33,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
     for number, gap in enumerate(gaps):
         theirs = sides[seen[gap.first] | seen[gap.second]]
         twice = float(theirs.mean()) if len(theirs) else 0.0
-        near = min(np.radians(sampling.gap_deg) / gap.rad, 1.0)
+        near = min(np.radians(COVERED_DEG) / gap.rad, 1.0)
         error = float(np.sqrt(max(twice * (1 - twice), 1e-6) / max(len(theirs), 1)))
         value = 1 - near * twice
         parts[segment_name(number)] = (
@@ -51,7 +52,7 @@ def measure(evidence: Evidence, threshold: float) -> Measured:
 EFFECT = SurveyedEffect(
     name="view_synthesis",
     statistic="share of what two neighbours see of the stage that is not seen from two sides, nor from within "
-    "{gap_deg:.0f} degrees",
+    f"{COVERED_DEG:.0f} degrees",
     threshold=0.1,
     paper="always",
     obeyed_by="the plan: views are made between those neighbours alone for whom it is on",
