@@ -16,8 +16,9 @@ from studiorecon.errors import UserError
 from studiorecon.footage.source import decode, digest, open_source, uneven
 from studiorecon.footage.video import read_stack, write_lossless
 from studiorecon.scene.capture import Footage, read_footage, read_manifest, write_footage
-from studiorecon.scene.clocks import as_counted, write_clocks
+from studiorecon.scene.clocks import write_clocks
 
+from tests.made.clocks import as_counted
 from tests.made.footage import WH, calibrated, footage, smooth_pictures, write_video
 
 

@@ -16,7 +16,7 @@ from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.avatar.posing import Posing
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.deliver import player
-from studiorecon.deliver.packing import Bytes, along_a_curve, unpacked, unpacked_quaternions, whole_shares
+from studiorecon.deliver.packing import Bytes, along_a_curve, whole_shares
 from studiorecon.deliver.player_data import MOTION_BYTES, described
 from studiorecon.deliver.player_motion import moments
 from studiorecon.footage.video import write_lossless
@@ -24,6 +24,35 @@ from studiorecon.geometry import rotations
 from studiorecon.scene.factors import NONE
 
 from tests.made.player import drawn, scene_of, shade_for, write_page
+
+
+def unpacked(data: bytes, described: dict) -> np.ndarray:
+    """As the page's reader has it: (N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of ``floats``."""
+    count, columns, bits = (described[name] for name in ("count", "columns", "bits"))
+    if not bits:
+        return np.frombuffer(data, "<f4", count * columns, described["at"]).reshape(count, columns)
+    raw = np.frombuffer(data, np.uint8, count * columns * bits // 8, described["at"])
+    planes = raw.reshape(columns, bits // 8, count).astype(np.uint64)
+    values = np.zeros((columns, count), np.uint64)
+    for k in range(bits // 8):
+        values = (values << np.uint64(8)) | planes[:, k]
+    if "low" not in described:
+        return values.T
+    low, high = np.array(described["low"]), np.array(described["high"])
+    return low + (high - low) * (values.T / ((1 << bits) - 1))
+
+
+def unpacked_quaternions(data: bytes, described: dict) -> np.ndarray:
+    """(N, 4) unit quaternions of ``Bytes.quaternions``."""
+    packed = unpacked(data, described)[:, 0]
+    largest = (packed >> np.uint64(30)).astype(int)
+    found = np.zeros((len(packed), 4))
+    for k in range(3):
+        part = (packed >> np.uint64(10 * (2 - k))) & np.uint64(1023)
+        found[np.arange(len(found)), (largest + 1 + k) % 4] = (part / 1022 - 0.5) * np.sqrt(2)
+    rest = np.sqrt(np.maximum(0, 1 - np.square(found).sum(axis=1)))
+    found[np.arange(len(found)), largest] = rest
+    return found
 
 
 def back(held: Bytes, told: dict) -> np.ndarray:

@@ -21,7 +21,7 @@ from studiorecon.depth.layout.primitives import Primitive, read_primitives, writ
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, Manifest, read_footage, read_manifest, write_footage, write_manifest
-from studiorecon.scene.clocks import as_counted, read_clocks, write_clocks
+from studiorecon.scene.clocks import read_clocks, write_clocks
 from studiorecon.scene.factors import read_factors, write_factors
 from studiorecon.scene.files import write_json, write_npz
 from studiorecon.scene.intermediate import read_arrays
@@ -33,6 +33,7 @@ from studiorecon.scene.room import FACES, read_room
 from studiorecon.splatting.rigid_object import read_objects
 
 from tests.faults import damage
+from tests.made.clocks import as_counted
 
 INTRINSICS = np.array([[500.0, 0, 240], [0, 500, 136], [0, 0, 1]])
 CAMERA = Camera("cam1", (480, 272), INTRINSICS, np.eye(4))
@@ -53,25 +54,45 @@ FOOTAGE = Footage(
     ["cut"],
 )
 ROOM = {
-    "yaw_rad": 0.1, "low_m": [0.0, 0.0, 0.0], "high_m": [4.0, 5.0, 3.0], "gains": {"cam1": [1.0, 1.0, 1.0]},
-    "planes": [[0.0, 0.0, 1.0, 0.0]], "faces": {name: {"fitted": True, "score": 0.5} for name in FACES},
-}  # fmt: skip
+    "yaw_rad": 0.1,
+    "low_m": [0.0, 0.0, 0.0],
+    "high_m": [4.0, 5.0, 3.0],
+    "gains": {"cam1": [1.0, 1.0, 1.0]},
+    "planes": [[0.0, 0.0, 1.0, 0.0]],
+    "faces": {name: {"fitted": True, "score": 0.5} for name in FACES},
+}
 PRIMITIVE = Primitive("box", (1.0, 1.0), 0.2, (0.5, 0.5), 0.0, 1.0, 30.0)
 DETECTIONS = {
-    "camera": "cam1", "layout": "coco17", "frame": np.arange(3), "track": np.zeros(3, int),
+    "camera": "cam1",
+    "layout": "coco17",
+    "frame": np.arange(3),
+    "track": np.zeros(3, int),
     "keypoints": np.ones((3, 17, 3)),
-}  # fmt: skip
+}
 FOUND = DETECTIONS | {
-    "presence": np.ones(3), "points_m": np.ones((3, 17, 3)), "mask": np.zeros((3, 4, 4), np.uint8),
-    "mask_from_picture": np.zeros((3, 2, 3)), "looked": np.array([0, 3]), "note": "",
-}  # fmt: skip
+    "presence": np.ones(3),
+    "points_m": np.ones((3, 17, 3)),
+    "mask": np.zeros((3, 4, 4), np.uint8),
+    "mask_from_picture": np.zeros((3, 2, 3)),
+    "looked": np.array([0, 3]),
+    "note": "",
+}
 THING = {
-    "names": np.array(["o0"]), "frames": 2, "o0.means_m": np.zeros((1, 3), np.float32), "o0.sh": np.zeros((1, 1, 3)),
-    "o0.quaternions": np.ones((1, 4)), "o0.log_scales": np.zeros((1, 3)), "o0.logit_opacities": np.zeros(1),
-    "o0.provenance": np.zeros(1, np.uint8), "o0.centres_m": np.array([[1.0, 2, 3], [math.nan] * 3]),
-    "o0.world_from_object": np.zeros((2, 3, 3)), "o0.valid": np.array([True, False]),
-    "o0.present": np.array([True, False]), "o0.radius_m": 0.1, "o0.turns": "undetermined",
-}  # fmt: skip
+    "names": np.array(["o0"]),
+    "frames": 2,
+    "o0.means_m": np.zeros((1, 3), np.float32),
+    "o0.sh": np.zeros((1, 1, 3)),
+    "o0.quaternions": np.ones((1, 4)),
+    "o0.log_scales": np.zeros((1, 3)),
+    "o0.logit_opacities": np.zeros(1),
+    "o0.provenance": np.zeros(1, np.uint8),
+    "o0.centres_m": np.array([[1.0, 2, 3], [math.nan] * 3]),
+    "o0.world_from_object": np.zeros((2, 3, 3)),
+    "o0.valid": np.array([True, False]),
+    "o0.present": np.array([True, False]),
+    "o0.radius_m": 0.1,
+    "o0.turns": "undetermined",
+}
 
 
 @dataclasses.dataclass(frozen=True)

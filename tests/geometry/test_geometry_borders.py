@@ -179,7 +179,6 @@ SHAPES: dict[str, Case] = {
         lambda: lens.video_from_working(zeros(3), PINHOLE, (640, 480), np.eye(3)),
         r"pixels has shape \(3,\)",
     ),
-    "sample_depth": (lambda: lifting.sample_depth(zeros(5), zeros(2), 0.1), r"depth_m has shape \(5,\)"),
     "patch_depth": (
         lambda: lifting.patch_depth(zeros(5, 5), np.ones((4, 5)), zeros(1, 2), 3, 0.1),
         r"valid_mask has shape \(4, 5\)",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint, lift_pelvis, patch_depth, sample_depth
+from studiorecon.geometry.lifting import SURFACE_TO_PELVIS_M, lift_joint, lift_pelvis, patch_depth
 from studiorecon.scene.camera import Camera
 
 from tests.made.cameras import look_at, ring
@@ -47,7 +47,6 @@ def test_a_pixel_that_is_none_lifts_to_nothing(pixel: list[float]) -> None:
     point, valid = lift_pelvis(np.full(WH[::-1], 3.0), EVERYWHERE, np.array(pixel), CAMERA)
     assert not valid
     assert np.isnan(point).all()
-    assert not sample_depth(np.full(WH[::-1], 3.0), np.array(pixel), np.inf)[1]
 
 
 def ellipse_depth(camera: Camera, centre: np.ndarray) -> np.ndarray:
@@ -89,24 +88,6 @@ def test_c11_one_and_many_agree_and_the_shift_follows_the_ray() -> None:
         assert np.array_equal(lift_pelvis(depth, EVERYWHERE, pixels[i], CAMERA)[0], many[i])
 
 
-# C12 naive: a linear read gives 4 m at a silhouette of 2 m before 6 m, and halos of 0.75 and 2.25 beside unknown pixels
-# at 3 m.
-@pytest.mark.parametrize("jump", [0.03, np.inf], ids=["C12-edges-dropped", "C12-nearest"])
-def test_depth_is_never_read_between_two_surfaces(jump: float) -> None:
-    depth = np.full((20, 40), 6.0)
-    depth[:, :10] = 2.0
-    depth[:, 20:] = 3.0
-    depth[:, 30:32] = 0.0
-    columns = np.linspace(1.0, 39.0, 381)
-    read, valid = sample_depth(depth, np.stack([columns, np.full(381, 10.3)], axis=-1), jump)
-    assert set(np.unique(read[valid])) == {2.0, 3.0, 6.0}
-    assert np.isnan(read[~valid]).all()
-    assert not valid[(columns > 30) & (columns < 32)].any()
-    beside_step = np.abs(columns - 10) < 0.99
-    assert valid[beside_step].any() == np.isinf(jump)
-    assert valid[(columns > 12) & (columns < 18)].all()
-
-
 def test_c12_a_patch_across_two_surfaces_takes_one_of_them() -> None:
     # Naive: the mean of the two middle values of an even count, 4 m.
     depth = np.full((21, 21), 6.0)
@@ -124,8 +105,6 @@ def test_wrong_shapes_are_named() -> None:
         lift_pelvis(depth.T, EVERYWHERE.T, np.ones(2), CAMERA)
     with pytest.raises(ValueError, match="patch_px must be odd"):
         lift_pelvis(depth, EVERYWHERE, np.ones(2), CAMERA, patch_px=4)
-    with pytest.raises(ValueError, match=r"pixels has shape \(3,\)"):
-        sample_depth(depth, np.ones(3), 0.03)
 
 
 def test_the_ring_sees_one_pelvis_from_every_side() -> None:

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers in few bytes, and back: arrays in one run of bytes, each described by what a reader in a browser needs.
+"""Numbers in few bytes: arrays in one run of bytes, each described by what a reader in a browser needs.
 
 Bytes lie in planes (all first bytes of a column, then all second ones), so that what changes slowly along an array
-compresses. ``Bytes`` writes, ``unpacked`` is what the page's own reader (``web/scene.js``) does.
+compresses. ``Bytes`` writes; the page's own reader is ``web/scene.js``.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
-from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # A unit quaternion's three smaller numbers are at most this.
 _SMALLER = np.sqrt(0.5)
@@ -29,10 +31,10 @@ class Bytes:
 
     def levels(
         self,
-        values: np.ndarray,
+        values: Num[np.ndarray, "N ..."],
         bits: int,
-        low: np.ndarray | float | None = None,
-        high: np.ndarray | float | None = None,
+        low: Num[np.ndarray, " C"] | float | None = None,
+        high: Num[np.ndarray, " C"] | float | None = None,
     ) -> dict[str, Any]:
         """(N, C) values in 2^bits even steps between ``low`` and ``high``, per column; None takes the column's own."""
         values = _table(values, np.float64)
@@ -46,19 +48,19 @@ class Bytes:
         described = self.whole(np.rint(np.clip(share, 0, 1) * steps).astype(np.uint64), bits)
         return described | {"low": low.tolist(), "high": high.tolist()}
 
-    def whole(self, values: np.ndarray, bits: int) -> dict[str, Any]:
+    def whole(self, values: Num[np.ndarray, "N ..."], bits: int) -> dict[str, Any]:
         """(N, C) whole numbers below 2^bits, 8 to 32."""
         values = _table(values, np.uint64)
         planes = [((values >> np.uint64(shift)) & np.uint64(255)) for shift in range(bits - 8, -1, -8)]
         raw = np.stack(planes, axis=1).astype(np.uint8).transpose(2, 1, 0).tobytes()
         return self._add(raw, len(values), values.shape[1], bits)
 
-    def floats(self, values: np.ndarray) -> dict[str, Any]:
+    def floats(self, values: Num[np.ndarray, "N ..."]) -> dict[str, Any]:
         """(N, C) as float32."""
         values = _table(values, "<f4")
         return self._add(values.tobytes(), len(values), values.shape[1], 0)
 
-    def quaternions(self, values: np.ndarray) -> dict[str, Any]:
+    def quaternions(self, values: Num[np.ndarray, "N 4"]) -> dict[str, Any]:
         """(N, 4) quaternions of any length, one 32-bit number each: which number is the largest, and the other three,
         within 0.2 degrees."""
         values = np.asarray(values, np.float64)
@@ -88,41 +90,12 @@ class Bytes:
         return described
 
 
-def unpacked(data: bytes, described: Mapping[str, Any]) -> np.ndarray:
-    """(N, C) float64 of ``Bytes.levels``, uint64 of ``whole``, float32 of ``floats``."""
-    count, columns, bits = (described[name] for name in ("count", "columns", "bits"))
-    if not bits:
-        return np.frombuffer(data, "<f4", count * columns, described["at"]).reshape(count, columns)
-    raw = np.frombuffer(data, np.uint8, count * columns * bits // 8, described["at"])
-    planes = raw.reshape(columns, bits // 8, count).astype(np.uint64)
-    values = np.zeros((columns, count), np.uint64)
-    for k in range(bits // 8):
-        values = (values << np.uint64(8)) | planes[:, k]
-    if "low" not in described:
-        return values.T
-    low, high = np.array(described["low"]), np.array(described["high"])
-    return low + (high - low) * (values.T / ((1 << bits) - 1))
-
-
-def unpacked_quaternions(data: bytes, described: Mapping[str, Any]) -> np.ndarray:
-    """(N, 4) unit quaternions of ``Bytes.quaternions``."""
-    packed = unpacked(data, described)[:, 0]
-    largest = (packed >> np.uint64(3 * _QUATERNION_BITS)).astype(int)
-    found = np.zeros((len(packed), 4))
-    for k in range(3):
-        part = (packed >> np.uint64((2 - k) * _QUATERNION_BITS)) & np.uint64(1023)
-        found[np.arange(len(found)), (largest + 1 + k) % 4] = (part / _STEPS - 0.5) * 2 * _SMALLER
-    rest = np.sqrt(np.maximum(0, 1 - np.square(found).sum(axis=1)))
-    found[np.arange(len(found)), largest] = rest
-    return found
-
-
 def _table(values: np.ndarray, kind: Any) -> np.ndarray:
     """(N, C) of values (N, ...); there may be none."""
     return np.asarray(values, kind).reshape(len(values), int(np.prod(np.shape(values)[1:])))
 
 
-def whole_shares(weights: np.ndarray) -> np.ndarray:
+def whole_shares(weights: Float[np.ndarray, "N K"]) -> Integer[np.ndarray, "N K"]:
     """(N, K) uint8 that add up to exactly 255 in every row, nearest to ``weights`` (N, K) that add up to 1: a splat
     whose shares add up to less is pulled towards the origin of the world."""
     exact = np.asarray(weights, np.float64) * 255
@@ -134,7 +107,7 @@ def whole_shares(weights: np.ndarray) -> np.ndarray:
     return (found + (rank < missing[:, None])).astype(np.uint8)
 
 
-def along_a_curve(points_m: np.ndarray) -> np.ndarray:
+def along_a_curve(points_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
     """(N,) the order in which points (N, 3) follow one another so that neighbours stay near: Morton's curve."""
     if not len(points_m):
         return np.zeros(0, np.int64)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import require
-from studiorecon.geometry.depth_surface import depth_breaks
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -19,29 +18,6 @@ if TYPE_CHECKING:
 
 # A depth map shows the skin; the pelvis joint lies this far behind it along the ray (C11, U26).
 SURFACE_TO_PELVIS_M = 0.13
-
-
-def sample_depth(
-    depth_m: Num[np.ndarray, "H W"], pixels: Num[np.ndarray, "... 2"], jump: float, near_m: float = 0.0
-) -> tuple[Num[np.ndarray, " ..."], Bool[np.ndarray, " ..."]]:
-    """Depth of a map at pixels, NaN where there is none, and where there is one.
-
-    The nearest pixel is read: at the silhouette of a person at 2 m before a wall at 6 m a linear read says 4 (
-    C12). Pixels outside the map, beside unknown depth or beside a step of the share ``jump`` (0.03 in Pi3's own
-    examples; inf keeps them) are invalid, and so are depths of ``near_m`` or less. Raises ValueError for other shapes.
-    """
-    sizes = require("depth_m", depth_m, ("H", "W"))
-    require("pixels", pixels, (..., 2))
-    height, width = sizes["H"], sizes["W"]
-    known = np.isfinite(depth_m) & (depth_m > max(near_m, 0.0))
-    clean = np.where(known, depth_m, 0.0).astype(np.float64)
-    usable = known if np.isinf(jump) else known & ~depth_breaks(clean, jump)
-    at = np.floor(np.where(np.isfinite(pixels), np.clip(pixels, -1, max(height, width) + 1), -1)).astype(np.intp)
-    column, row = at[..., 0], at[..., 1]
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    column, row = np.where(inside, column, 0), np.where(inside, row, 0)
-    valid = inside & usable[row, column]
-    return np.where(valid, clean[row, column], np.nan), valid
 
 
 def patch_depth(

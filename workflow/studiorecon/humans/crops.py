@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -13,9 +13,11 @@ import numpy as np
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.spool import Slot, Spool
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 IGNORED, OUTSIDE, PERSON = 0, 1, 2
 
-UNASSIGNED = 255  # foreground of nobody in particular, in mask videos
 _LEAST_INSET_PX = 1.5  # less is the fitted shape's own error
 
 
@@ -37,9 +39,9 @@ class Crop(Protocol):
     @property
     def camera(self) -> Camera: ...
     @property
-    def rgb(self) -> np.ndarray: ...
+    def rgb(self) -> Integer[np.ndarray, "h w 3"]: ...
     @property
-    def verdict(self) -> np.ndarray: ...
+    def verdict(self) -> Integer[np.ndarray, "h w"]: ...
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class HeldCrop:
     frame: int
     view: int
     camera: Camera
-    rgb: np.ndarray
-    verdict: np.ndarray
+    rgb: Integer[np.ndarray, "h w 3"]
+    verdict: Integer[np.ndarray, "h w"]
 
 
 @dataclass(frozen=True)
@@ -65,11 +67,11 @@ class SpooledCrop:
     judged: Slot
 
     @property
-    def rgb(self) -> np.ndarray:
+    def rgb(self) -> Integer[np.ndarray, "h w 3"]:
         return self.spool.get(self.picture)
 
     @property
-    def verdict(self) -> np.ndarray:
+    def verdict(self) -> Integer[np.ndarray, "h w"]:
         return self.spool.get(self.judged)
 
 
@@ -81,13 +83,13 @@ class TrainingCrop:
     frame: int
     view: int
     camera: Camera
-    rgb: np.ndarray
-    labels: np.ndarray
-    body: np.ndarray
+    rgb: Integer[np.ndarray, "h w 3"]
+    labels: Integer[np.ndarray, "h w"]
+    body: Bool[np.ndarray, "h w"]
 
 
 def box_around(
-    pixels: np.ndarray, mask: np.ndarray, wh: tuple[int, int], margin_px: int
+    pixels: Float[np.ndarray, "V 2"], mask: Bool[np.ndarray, "H W"], wh: tuple[int, int], margin_px: int
 ) -> tuple[int, int, int, int] | None:
     """Left, top, right, bottom (exclusive) around projected body points (V, 2; NaN behind the camera) and a mask,
     inside the picture.
@@ -117,8 +119,13 @@ def cut(camera: Camera, box: tuple[int, int, int, int]) -> Camera:
 
 
 def judge(
-    labels: np.ndarray, body: np.ndarray, label: int, edge_px: int, occluder_px: int, inset_px: int = 0
-) -> np.ndarray:
+    labels: Integer[np.ndarray, "h w"],
+    body: Bool[np.ndarray, "h w"],
+    label: int,
+    edge_px: int,
+    occluder_px: int,
+    inset_px: int = 0,
+) -> Integer[np.ndarray, "h w"]:
     """(h, w) uint8 verdicts from mask labels (0 background, k+1 person k, 255 unassigned) and the body's silhouette (h,
     w) bool.
 
@@ -151,7 +158,7 @@ def judge(
     return verdict
 
 
-def silhouette(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+def silhouette(pixels: Float[np.ndarray, "V 2"], hw: tuple[int, int]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: where the body projects, from its vertices (V, 2; NaN behind the camera) with the gaps between them
     closed.
 
@@ -171,10 +178,10 @@ def silhouette(pixels: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
 def looks_of(
     view: int,
     camera: Camera,
-    pictures: Iterator[np.ndarray],
-    labels: Iterator[np.ndarray],
-    vertices_m: Iterable[np.ndarray],
-    valid: np.ndarray,
+    pictures: Iterator[Integer[np.ndarray, "H W 3"]],
+    labels: Iterator[Integer[np.ndarray, "H W"]],
+    vertices_m: Iterable[Float[np.ndarray, "V 3"]],
+    valid: Bool[np.ndarray, " T"],
     label: int,
     margin_px: int,
     smallest_px: int,

@@ -106,8 +106,3 @@ def read_clocks(path: Path) -> Clocks:
         cameras = tuple(Clock(**{**c, "times_s": tuple(c["times_s"])}) for c in value["cameras"])
         fps, start_s, frames = float(value["fps"]), float(value["start_s"]), int(value["frames"])
         return Clocks(fps, start_s, frames, cameras, str(value["refusal"]))
-
-
-def as_counted(camera: str, fps: float, first: int, frames: int) -> Clocks:
-    """One camera whose working frames are its frames ``first`` … ``first`` + ``frames`` - 1."""
-    return Clocks(fps, first / fps, frames, (Clock(camera, fps, first + frames),))

@@ -16,7 +16,7 @@ from studiorecon.studio.meshes import Texture
 from studiorecon.studio.textures import Colour
 
 _SHOE_TOP_M, _SOLE_TOP_M = -0.862, -0.932
-_HEM_M, _BELT_M = -0.015, 0.012
+_HEM_M = -0.015
 
 
 @dataclass(frozen=True)

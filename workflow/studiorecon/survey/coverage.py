@@ -4,18 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Sides from which a surface must be seen to be placed (T01).
 PARALLAX_DEG = 2.0
 
 
-def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> np.ndarray:
+def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> Float[np.ndarray, "N 3"]:
     """(N, 3) grid points between the cameras: their horizontal surroundings of the point they look at, from the floor
     to ``height_m``.
 
@@ -29,7 +32,7 @@ def stage_points(cameras: Sequence[Camera], step_m: float, height_m: float) -> n
     return points[np.hypot(points[:, 0], points[:, 1]) <= radius_m] + np.array([centre[0], centre[1], 0.0])
 
 
-def stage(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
+def stage(cameras: Sequence[Camera]) -> tuple[Float[np.ndarray, " 2"], float]:
     """Horizontal centre (2,) of what the cameras look at, and the distance of the nearest of them."""
     positions = np.array([c.centre_m[:2] for c in cameras])
     directions = np.array([c.forward[:2] for c in cameras])
@@ -45,8 +48,11 @@ def stage(cameras: Sequence[Camera]) -> tuple[np.ndarray, float]:
 
 
 def seen_by(
-    points_m: np.ndarray, cameras: Sequence[Camera], depths_m: Sequence[np.ndarray], tolerance: float
-) -> np.ndarray:
+    points_m: Float[np.ndarray, "N 3"],
+    cameras: Sequence[Camera],
+    depths_m: Sequence[Float[np.ndarray, "H W"]],
+    tolerance: float,
+) -> Bool[np.ndarray, "C N"]:
     """(C, N) bool: which camera sees which point (N, 3): inside the picture and not behind what its depth map shows.
 
     Unknown depth (0, or what is not finite) hides nothing. ``tolerance`` is the share of depth by which a point may lie
@@ -61,7 +67,9 @@ def seen_by(
     return seen
 
 
-def from_two_sides(points_m: np.ndarray, cameras: Sequence[Camera], seen: np.ndarray, least_deg: float) -> np.ndarray:
+def from_two_sides(
+    points_m: Float[np.ndarray, "N 3"], cameras: Sequence[Camera], seen: Bool[np.ndarray, "C N"], least_deg: float
+) -> Bool[np.ndarray, " N"]:
     """(N,) bool: two cameras that see the point do so from directions at least ``least_deg`` apart (T01)."""
     rays = np.stack([points_m - c.centre_m for c in cameras])
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-12)
@@ -70,11 +78,6 @@ def from_two_sides(points_m: np.ndarray, cameras: Sequence[Camera], seen: np.nda
         for j in range(i + 1, len(cameras)):
             apart |= seen[i] & seen[j] & ((rays[i] * rays[j]).sum(axis=-1) < np.cos(np.radians(least_deg)))
     return apart
-
-
-def largest_gap_deg(cameras: Sequence[Camera]) -> float:
-    """Largest azimuth between neighbouring cameras about what they look at, degrees; 360 for a single one."""
-    return float(np.degrees(max(gap.rad for gap in gaps_around(cameras))))
 
 
 def mean_pair_deg(cameras: Sequence[Camera]) -> float:

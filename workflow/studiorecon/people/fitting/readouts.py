@@ -10,6 +10,7 @@ moves somebody by a pixel: what is believed wrongly bends bodies that were strai
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from studiorecon.rig.residuals import Causes, causes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.readouts import Readout
 
-# Keypoints that are less sure only cost time.
-_LEAST = 0.3
+if TYPE_CHECKING:
+    from jaxtyping import Num
+
 # What counts as agreement of rays, as for every other effect (U34).
 _LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
 _MOMENTS = 60
@@ -31,7 +33,7 @@ _LONGEST_S, _LONGEST_FRAMES = 0.04, 1.05
 _SHIFT_PX, _SLOWEST_PX_S, _AT_WIDTH = 1.0, 60.0, 1280.0
 
 
-def readouts(pixels: np.ndarray, cameras: Sequence[Camera], fps: float) -> list[Readout]:
+def readouts(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], fps: float) -> list[Readout]:
     """The readout of every camera, from people's keypoints (V, P, T, J, 2) on the common clock, NaN where not seen."""
     whole = _told(pixels, cameras)
     middle = pixels.shape[2] // 2
