@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     import numpy as np
+    from jaxtyping import Num
 
     from studiorecon.deliver.finished import FinishedScene
     from studiorecon.geometry.bundle import Adjusted
@@ -91,7 +92,9 @@ def draw(
     return results.draw(scene, camera, frame, without, background_rgb)
 
 
-def triangulate(pixels: np.ndarray, confidence: np.ndarray, cameras: Sequence[Camera]) -> Triangulated:
+def triangulate(
+    pixels: Num[np.ndarray, "V ... 2"], confidence: Num[np.ndarray, "V ..."], cameras: Sequence[Camera]
+) -> Triangulated:
     """World points, metres, of ``pixels`` (V, ..., 2) that V cameras saw with ``confidence`` (V, ...); NaN is unseen.
 
     With the limits that steps begin with; ``geometry.triangulation.triangulate`` takes others. Raises ValueError for

@@ -6,15 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import EllipsisType
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Shaped
 
 Extent = int | str | EllipsisType
 
 
 def require(
     name: str,
-    array: np.ndarray,
+    array: Shaped[np.ndarray, " ..."],
     shape: tuple[Extent, ...],
     known: Mapping[str, int] | None = None,
     *,
@@ -43,7 +47,7 @@ def require(
     return sizes
 
 
-def evenly_spread(count: int, wanted: int, *, below: bool = False) -> np.ndarray:
+def evenly_spread(count: int, wanted: int, *, below: bool = False) -> Integer[np.ndarray, " N"]:
     """At most ``wanted`` indices of ``count`` things, ascending, evenly spread from the first to the last.
 
     Each is the index nearest to its even place, with ``below`` the one before it.

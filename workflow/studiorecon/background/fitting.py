@@ -25,6 +25,8 @@ from studiorecon.splatting.train.still import TrainedGaussians, train_still
 from studiorecon.splatting.train.targets import Target, scene_extent
 
 if TYPE_CHECKING:
+    from jaxtyping import Integer
+
     from studiorecon.splatting.cpu.rasterise import Rasteriser
     from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
 
@@ -67,7 +69,7 @@ class Training:
             device=self.device,
         )
 
-    def first_half(self, given: Prepared, checkpoint: Checkpoint) -> tuple[Gaussians, np.ndarray]:
+    def first_half(self, given: Prepared, checkpoint: Checkpoint) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
         """The room half-way, and the provenance of its Gaussians."""
         first = self.fit(given.start, given.real, given.synthesized, checkpoint, (0, self.split))
         return first.gaussians, given.marks[first.source]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,23 +18,28 @@ from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.path import PathStep, read_path, write_path
 from studiorecon.splatting.train.targets import Target
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 # The views are looked at one by one; a film of them runs at this rate.
 _FPS = 30.0
 
 
-def write_room(half: Path, provenance: Path, room: Gaussians, marks: np.ndarray) -> None:
+def write_room(half: Path, provenance: Path, room: Gaussians, marks: Integer[np.ndarray, " N"]) -> None:
     """The Gaussians (PLY) and the provenance (N,), ``marks``, of each (npz)."""
     write_ply(half, room)
     write_npz(provenance, {"provenance": marks})
 
 
-def write_renders(renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[np.ndarray]) -> None:
+def write_renders(
+    renders: Path, renders_path: Path, cameras: list[Camera], pictures: list[Float[np.ndarray, "H W 3"]]
+) -> None:
     """Views (H, W, 3) in [0, 1] of the room from ``cameras``, as a lossless film and its path."""
     write_lossless(renders, (to_bytes(picture) for picture in pictures), _FPS)
     write_path(renders_path, [PathStep(camera, 0, "refinement") for camera in cameras], _FPS)
 
 
-def read_half(files: list[Path], weight: float) -> tuple[Gaussians, np.ndarray, list[Target]]:
+def read_half(files: list[Path], weight: float) -> tuple[Gaussians, Integer[np.ndarray, " N"], list[Target]]:
     """The room half-way, the provenance of its Gaussians, and enhanced views of it as targets whose every pixel weighs
     ``weight`` (paper, appendix C).
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ import scipy
 from studiorecon.images.self_similar import Scale, filled
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import Face
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # A face point counts as seen when the depth map agrees within this share of the distance plus this many metres.
 _AGREE_SHARE, _AGREE_M = 0.03, 0.03
@@ -50,9 +54,9 @@ class Painted:
     """
 
     face: Face
-    points_m: np.ndarray
-    rgb: np.ndarray
-    seen: np.ndarray
+    points_m: Float[np.ndarray, "R C 3"]
+    rgb: Float[np.ndarray, "R C 3"]
+    seen: Bool[np.ndarray, "R C"]
 
     @property
     def step_m(self) -> float:
@@ -67,9 +71,9 @@ class Painted:
 def paint(
     faces: Sequence[Face],
     cameras: Sequence[Camera],
-    plates: Sequence[np.ndarray],
-    known: Sequence[np.ndarray],
-    depths_m: Sequence[np.ndarray],
+    plates: Sequence[Float[np.ndarray, "H W 3"]],
+    known: Sequence[Bool[np.ndarray, "H W"]],
+    depths_m: Sequence[Float[np.ndarray, "H W"]],
     step_m: float,
 ) -> list[Painted]:
     """The atlas of every face: photographed where a camera sees it, going on alike beside that, borrowed where nothing
@@ -99,7 +103,7 @@ def paint(
     return painted
 
 
-def seen_from(camera: Camera, painted: Sequence[Painted]) -> np.ndarray:
+def seen_from(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float64: the painted room without anything in it, from a camera; black where no face is in view."""
     rays = camera.unproject(camera.pixel_centres(), np.ones(camera.hw)) - camera.centre_m
     nearest, rgb = np.full(camera.hw, np.inf), np.zeros((*camera.hw, 3))

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from studiorecon.splatting.cpu.harmonics import degree_supported
 from studiorecon.splatting.discs import discs
 from studiorecon.splatting.seeds import finest, random_volume, seeds_from_depth
 from studiorecon.splatting.train.targets import Target
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 _FLATNESS = 0.15  # of a wall's discs
 _WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
@@ -71,7 +75,7 @@ class Prepared:
     settings: Settings
     photos: list[Photo]
     start: Gaussians
-    marks: np.ndarray
+    marks: Integer[np.ndarray, " N"]
     real: list[Target]
     synthesized: list[Target]
 
@@ -82,10 +86,10 @@ class Photo:
     (H, W)."""
 
     camera: Camera
-    rgb: np.ndarray
-    known: np.ndarray
-    depth_m: np.ndarray
-    confidence: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    known: Bool[np.ndarray, "H W"]
+    depth_m: Float[np.ndarray, "H W"]
+    confidence: Float[np.ndarray, "H W"]
 
 
 def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> list[hole_filling.Painted]:
@@ -98,7 +102,7 @@ def painted_room(photos: Sequence[Photo], box: RoomBox, settings: Settings) -> l
 
 def seeds(
     photos: Sequence[Photo], painted: Sequence[hole_filling.Painted], settings: Settings
-) -> tuple[Gaussians, np.ndarray]:
+) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
     """First Gaussians and their provenance (N,) uint8: discs on measured depth, and on the ``painted`` room where
     nobody sees it."""
     degree = settings.training.sh_degree
@@ -154,8 +158,8 @@ def plate_targets(photos: Sequence[Photo], boost: float) -> list[Target]:
 
 def view_targets(
     steps: Sequence[PathStep],
-    pictures: Iterable[np.ndarray],
-    supports: Iterable[np.ndarray],
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
+    supports: Iterable[Integer[np.ndarray, "H W"]],
     cameras: Sequence[Camera],
     painted: Sequence[hole_filling.Painted],
     settings: Settings,

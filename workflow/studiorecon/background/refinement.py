@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from studiorecon.images.transfer import ResidualSource, Transfer, carried_over, 
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rendering import Rendering
 from studiorecon.splatting.train.targets import Target
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 _PERIODS = 2
 # A pixel that is less than this covered shows a hole, and a hole is nothing to learn from.
@@ -137,7 +140,7 @@ def refinement_cameras(cameras: Sequence[Camera], settings: Refinement) -> list[
 
 def refined_targets(
     cameras: Sequence[Camera],
-    photos: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
+    photos: Sequence[tuple[Camera, Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]],
     settings: Refinement,
     draw: Callable[[Camera], Rendering],
 ) -> tuple[list[Target], float]:

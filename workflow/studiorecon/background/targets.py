@@ -5,10 +5,14 @@ them."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 def angle_between_axes(first: Camera, second: Camera) -> float:
@@ -43,7 +47,7 @@ def view_weight(angle: float, cutoff: float, boost: float) -> float:
     return 1.0 + boost * 0.5 * (1 + float(np.cos(np.pi * min(angle, cutoff) / cutoff)))
 
 
-def draw_shares(plates: int, views: int, views_share: float) -> np.ndarray:
+def draw_shares(plates: int, views: int, views_share: float) -> Float[np.ndarray, " D"]:
     """Probability of drawing each plate, then each synthesized view: ``views_share`` of all draws go to views, whatever
     their number."""
     if views == 0:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -43,6 +43,9 @@ from studiorecon.scene.files import read_json, write_json, write_text
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 _FRAMES = 24
 _LAG_FRAMES = 6
 # Frames of a long take that the clocks are compared on: enough for any lag, and a second of work.
@@ -65,7 +68,7 @@ def examined(
     lens_readings: Readings | None = None,
     sync: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
-) -> tuple[dict[str, Any], np.ndarray]:
+) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
     """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
@@ -228,14 +231,14 @@ def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Came
     )
 
 
-def straightened(picture: np.ndarray, lens: Lens, camera: Camera) -> np.ndarray:
+def straightened(picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera) -> Integer[np.ndarray, "H W 3"]:
     """The picture (H, W, 3) of a video as the pinhole ``camera`` of ``undistorted`` sees it, 480 rows high."""
     small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
     place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
     return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
 
 
-def marks(seen: Detections, frame: int | None) -> np.ndarray:
+def marks(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
     """(N, 2) pixels of all keypoints of a frame."""
     points = seen.keypoints[seen.frame == (-1 if frame is None else frame)].reshape(-1, 3)
     return points[points[:, 2] > 0, :2]

@@ -29,6 +29,8 @@ from studiorecon.signature import Written
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
+
     FormatName = str
 else:
     FormatName = Literal[("auto", *FORMATS)]
@@ -133,7 +135,7 @@ def lenses_of(
     return lenses, notes, floor_known
 
 
-def meant(pose: np.ndarray, poses: str) -> np.ndarray:
+def meant(pose: Float[np.ndarray, "4 4"], poses: str) -> Float[np.ndarray, "4 4"]:
     """(4, 4) ``camera_from_world`` with OpenCV axes of a pose that is really ``poses`` (see ``Settings``)."""
     turned = _OPENGL @ pose if poses == "opengl" else pose
     if poses.startswith("world_from_camera"):

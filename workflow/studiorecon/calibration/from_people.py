@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.numbered import pictures_in
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # So many times the accepted standard deviations, and the bodies are not where the people were.
 _HOPELESS = 6.0
@@ -86,12 +89,12 @@ def pose_cameras(
     wh: Sequence[tuple[int, int]],
     focal_px: Mapping[str, float],
     frames: int,
-    template_m: np.ndarray,
+    template_m: Float[np.ndarray, "12 3"],
     settings: Settings,
     told_px: Mapping[str, float] | None = None,
     given: GivenLengths = _NO_LENGTHS,
     stature: float = 1.7,
-    edges: Mapping[str, np.ndarray] | None = None,
+    edges: Mapping[str, Float[np.ndarray, "N 4"]] | None = None,
     rooms: Mapping[str, RoomPicture] | None = None,
 ) -> tuple[list[Camera], dict[str, Any]]:
     """Cameras in metres, z up, floor at 0, and a report; raises UserError with "undetermined" when people show too
@@ -194,7 +197,7 @@ def _uncertain(
     return found
 
 
-def mean_body(body: BodyModel) -> np.ndarray:
+def mean_body(body: BodyModel) -> Float[np.ndarray, "12 3"]:
     """(12, 3) stable keypoints of the body of mean shape, metres: adults' bones differ from it by about 5 %, and so may
     the scene."""
     return body.keypoints(STABLE_KEYPOINTS, np.zeros((1, 72)), np.zeros(body.shapes), np.zeros((1, 3)))[0]

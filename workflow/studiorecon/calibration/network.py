@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +36,9 @@ from studiorecon.scene.clocks import read_clocks
 from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Place, Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 TORSO = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 # Torsos of one scene that differ by more than this factor do not measure the same unit.
 _WIDEST = 1.6
@@ -56,7 +60,7 @@ class Settings:
 
 def torso_lengths(
     found: Reconstruction, wh: Sequence[tuple[int, int]], detections: Sequence[Detections], sure: float
-) -> np.ndarray:
+) -> Float[np.ndarray, " L"]:
     """Lengths from the middle of the shoulders to the middle of the hips of everybody at frame 0, in the network's
     unit.
 
@@ -86,7 +90,7 @@ def torso_lengths(
     return np.array(lengths)
 
 
-def metres_per_unit(lengths: np.ndarray, torso_m: float, metric: bool, title: str) -> tuple[float, str]:
+def metres_per_unit(lengths: Float[np.ndarray, " L"], torso_m: float, metric: bool, title: str) -> tuple[float, str]:
     """Metres per unit of the network, and a sentence; UserError when nothing says so."""
     usable = lengths[lengths > 0]
     if not len(usable):

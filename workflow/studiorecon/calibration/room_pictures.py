@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ from studiorecon.footage.source import open_source, stills
 from studiorecon.progress import warn
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.room_turns import straight_edges
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Pictures whose median is the room, spread over the footage; where half of them are so many grey levels beside it,
 # something moves.
@@ -46,6 +50,6 @@ def rooms_of(
     return found
 
 
-def edges_of(rooms: Mapping[str, RoomPicture]) -> dict[str, np.ndarray]:
+def edges_of(rooms: Mapping[str, RoomPicture]) -> dict[str, Float[np.ndarray, "N 4"]]:
     """camera → (N, 4) ends of the straight edges of its room, pixels."""
     return {name: straight_edges(room.grey) for name, room in rooms.items()}

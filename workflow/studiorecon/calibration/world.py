@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import cross_matrix
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Cameras of one room are further apart than 20 m only when the numbers are millimetres (or centimetres, which no format
 # uses).
@@ -20,7 +23,7 @@ _EYE_HEIGHT_M = 1.5
 
 
 def metres_per_unit(
-    centres: np.ndarray, unit: str, wanted: Literal["auto", "m", "cm", "mm"]
+    centres: Float[np.ndarray, "N 3"], unit: str, wanted: Literal["auto", "m", "cm", "mm"]
 ) -> tuple[float, str | None]:
     """Factor to metres for camera centres (N, 3) in a file's unit ("m", "mm" or "unknown"), and a sentence when it was
     guessed."""
@@ -43,7 +46,7 @@ def metres_per_unit(
     )
 
 
-def camera_up(rotations_camera_from_world: np.ndarray) -> np.ndarray:
+def camera_up(rotations_camera_from_world: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, " 3"]:
     """(3,) unit vector that is up for cameras (N, 3, 3) held level: across all their x axes, on the side of their -y
     axes.
 
@@ -63,7 +66,7 @@ def camera_up(rotations_camera_from_world: np.ndarray) -> np.ndarray:
     return mean / np.linalg.norm(mean)
 
 
-def z_up_from_world(rotations: np.ndarray, wanted: str) -> tuple[np.ndarray, str | None]:
+def z_up_from_world(rotations: Float[np.ndarray, "N 3 3"], wanted: str) -> tuple[Float[np.ndarray, "3 3"], str | None]:
     """(3, 3) rotation from the calibration's world to one with z up, and a sentence when it is not the identity.
 
     ``wanted`` is "auto" (trust z when the cameras' own up is within 45° of it, else the nearest axis within 20°, else
@@ -107,8 +110,8 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
 
 
 def settled(
-    poses: Sequence[np.ndarray], z_up: np.ndarray, factor: float, floor_known: bool
-) -> tuple[list[np.ndarray], list[str]]:
+    poses: Sequence[Float[np.ndarray, "4 4"]], z_up: Float[np.ndarray, "3 3"], factor: float, floor_known: bool
+) -> tuple[list[Float[np.ndarray, "4 4"]], list[str]]:
     """``camera_from_world`` (4, 4) of all cameras in metres and z up, shifted when far away or without a floor, and
     why.
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jaxtyping import Num
 
 
-def quaternion_from_rotation(rotation: np.ndarray) -> Num[np.ndarray, " 4"]:
+def quaternion_from_rotation(rotation: Num[np.ndarray, "3 3"]) -> Num[np.ndarray, " 4"]:
     """(4,) unit quaternion (w, x, y, z), w ≥ 0, of a (3, 3) rotation, as COLMAP's files have it."""
     direction = rotations.largest_quaternion_row(rotation)
     # The length of one vector; numpy rounds lengths along an axis otherwise, and models would change in their last
@@ -35,7 +35,10 @@ def quaternion_from_rotation(rotation: np.ndarray) -> Num[np.ndarray, " 4"]:
 
 
 def write_model(
-    folder: Path, cameras: Sequence[Camera], points_m: np.ndarray | None = None, colours: np.ndarray | None = None
+    folder: Path,
+    cameras: Sequence[Camera],
+    points_m: Num[np.ndarray, "N 3"] | None = None,
+    colours: Num[np.ndarray, "N 3"] | None = None,
 ) -> None:
     """Write ``cameras.txt``, ``images.txt`` and ``points3D.txt``; image names are ``<camera>.png``.
 

@@ -12,7 +12,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.rotations import project_to_so3
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Num
 
 _MOST_SCALE = 1e9
 _AGAIN = "calibrate this camera again"
@@ -41,7 +41,7 @@ class RawCamera:
     wh: tuple[int, int]
     intrinsics: Num[np.ndarray, "3 3"]
     model: str
-    distortion: np.ndarray
+    distortion: Num[np.ndarray, " C"]
     camera_from_world: Num[np.ndarray, "4 4"]
 
 
@@ -83,7 +83,9 @@ def intrinsics_matrix(fx: float, fy: float, cx: float, cy: float, integer_centre
     return np.array([[fx, 0.0, cx + shift], [0.0, fy, cy + shift], [0.0, 0.0, 1.0]])
 
 
-def rigid_camera_from_world(rotation: np.ndarray, translation: np.ndarray, where: str) -> tuple[np.ndarray, float]:
+def rigid_camera_from_world(
+    rotation: Num[np.ndarray, "3 3"], translation: Num[np.ndarray, "3 ..."], where: str
+) -> tuple[Float[np.ndarray, "4 4"], float]:
     """(4, 4) rigid transform of x_camera = rotation · X + translation, and the scale that was factored out.
 
     A uniformly scaled block [cR | ct] describes the same picture as [R | t]. The rotation is projected to the nearest
@@ -118,7 +120,7 @@ def rigid_camera_from_world(rotation: np.ndarray, translation: np.ndarray, where
     return pose, float(scale)
 
 
-def camera_from_world_of_pose(world_from_camera: np.ndarray, where: str) -> Num[np.ndarray, "4 4"]:
+def camera_from_world_of_pose(world_from_camera: Num[np.ndarray, "R 4"], where: str) -> Num[np.ndarray, "4 4"]:
     """(4, 4) rigid ``camera_from_world`` of a (3|4, 4) ``world_from_camera`` whose rotation block may carry a scale."""
     block = np.asarray(world_from_camera, dtype=np.float64)
     inverse, _ = rigid_camera_from_world(block[:3, :3].T, np.zeros(3), where)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -20,6 +20,9 @@ from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import RoomPicture, floor_marks
 from studiorecon.rig.level import floor_of, levelled
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
 _ROOM_REACH_M = (0.15, 0.08)
@@ -90,7 +93,9 @@ def on_the_same_floor(
     return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}
 
 
-def changes_of(given: Sequence[Camera], refined: Sequence[Camera], radial: np.ndarray) -> list[dict[str, Any]]:
+def changes_of(
+    given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
+) -> list[dict[str, Any]]:
     """How far each camera was turned and moved, for the report and the log."""
     changes = []
     for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,9 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 # Pictures that are looked at in every held-out camera.
 _LOOKS = 12
 _STABLE = [LAYOUTS[LAYOUT].index(name) for name in STABLE_KEYPOINTS]
@@ -54,10 +57,10 @@ class Bodies:
     """Joints of everybody whom the training cameras place: (G, F, 12, 3) metres, NaN unknown, of G people in the frames
     ``frame`` (F,)."""
 
-    frame: np.ndarray
-    points_m: np.ndarray
+    frame: Integer[np.ndarray, " F"]
+    points_m: Float[np.ndarray, "G F 12 3"]
 
-    def at(self, frame: int, late_frames: float) -> np.ndarray:
+    def at(self, frame: int, late_frames: float) -> Float[np.ndarray, "G 12 3"]:
         """(G, 12, 3) joints ``late_frames`` after a frame, on the line to the next one."""
         here = int(np.searchsorted(self.frame, frame))
         beside = here + int(np.sign(late_frames))
@@ -68,7 +71,7 @@ class Bodies:
 
 
 def bodies_in(
-    frames: np.ndarray, training: Sequence[Camera], detections: Sequence[Detections], settings: Settings
+    frames: Integer[np.ndarray, " F"], training: Sequence[Camera], detections: Sequence[Detections], settings: Settings
 ) -> Bodies:
     """Where the training cameras agree that joints are, in ``frames`` and beside them."""
     wanted = np.unique(np.concatenate([frames - 1, frames, frames + 1]))
@@ -88,9 +91,9 @@ def looked_at(
     worth: dict[str, list[float]],
     camera: Camera,
     frames: Sequence[int],
-    pictures: Sequence[np.ndarray],
+    pictures: Sequence[Integer[np.ndarray, "H W 3"]],
     bodies: Bodies,
-    late_frames: np.ndarray,
+    late_frames: Float[np.ndarray, " F"],
 ) -> tuple[Sighted, int]:
     """What the network finds in ``pictures`` (those of ``frames``) where ``bodies`` are by the camera as it is given,
     and at how many places it looked."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,6 +46,9 @@ from studiorecon.scene.files import read_json, write_json
 from studiorecon.scene.people import Detections, read_detections, usable
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _FOOT_HEIGHT_M = 0.08
 _MOST_CONTRADICTED = 0.5
 # Share of the allowed error past which it is asked whether cameras were exchanged.
@@ -83,7 +86,7 @@ class Refinement:
 
     training: list[Camera]
     held_out: list[Camera]
-    points_m: np.ndarray
+    points_m: Float[np.ndarray, "N 3"]
     report: dict[str, Any]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, write_footage
 from studiorecon.scene.clocks import read_clocks
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,11 @@ def working_size(source_wh: tuple[int, int], longer_side: int) -> tuple[int, int
 
 
 def describe_changes(
-    source: FootageSource, lens: Lens, view: WorkingView, used: np.ndarray, late_frames: np.ndarray
+    source: FootageSource,
+    lens: Lens,
+    view: WorkingView,
+    used: Integer[np.ndarray, " N"],
+    late_frames: Float[np.ndarray, " N"],
 ) -> list[str]:
     """Sentences: everything that sets the working frames apart from the file."""
     changes = list(source.notes)

@@ -9,6 +9,7 @@ who walks evenly is as good as a lag: that is counted in, and a calibration that
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_
 from studiorecon.geometry.rotations import cross_matrix
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # How far a calibration is off where people are (1 σ) at least, metres; it is off by more where joints miss by a
 # constant, and by as many times as much in what a lag hides. Where rays at the best lag miss by more than the second
@@ -32,18 +36,20 @@ _LEAST_ROWS = 8
 class CalibratedPair:
     """``second_from_first`` (4, 4) of two calibrated cameras, metres."""
 
-    second_from_first: np.ndarray
+    second_from_first: Float[np.ndarray, "4 4"]
 
     @staticmethod
     def of(first: Lens, second: Lens) -> CalibratedPair:
         return CalibratedPair(second.camera_from_world @ np.linalg.inv(first.camera_from_world))
 
     @property
-    def essential(self) -> np.ndarray:
+    def essential(self) -> Float[np.ndarray, "3 3"]:
         """(3, 3) E with x_second' E x_first = 0."""
         return cross_matrix(self.second_from_first[:3, 3]) @ self.second_from_first[:3, :3]
 
-    def gaps_m(self, first: np.ndarray, second: np.ndarray, lag: int) -> np.ndarray:
+    def gaps_m(
+        self, first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "t J 3"], lag: int
+    ) -> Float[np.ndarray, "T J"]:
         """(len(first), J) signed gaps between the rays first[t] and second[t + lag], NaN where one is missing or they
         are nearly parallel."""
         other = np.full_like(first, np.nan)
@@ -72,7 +78,9 @@ def straightened(seen: Detections, lens: Lens, wh: tuple[int, int]) -> Detection
     return replace(seen, keypoints=keypoints)
 
 
-def calibrated_lag(first: np.ndarray, second: np.ndarray, rate: float, pair: CalibratedPair) -> PeopleLag | None:
+def calibrated_lag(
+    first: Float[np.ndarray, "T J 3"], second: Float[np.ndarray, "t J 3"], rate: float, pair: CalibratedPair
+) -> PeopleLag | None:
     """The lag of two tracks (T, J, 3) and (T', J, 3) of rays, NaN where missing, as ``people_lag.lag_of`` gives it;
     None where no lag stands out, or rays miss each other at the best one too.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import av
 import cv2
@@ -19,6 +20,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from studiorecon.errors import UserError
 from studiorecon.footage.source import FootageSource, decode
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Pictures are shrunk to this many pixels across before differencing: keeps people, averages sensor and compression
 # noise away.
@@ -57,7 +61,7 @@ class Lag:
     reason: str = ""
 
 
-def grey_frames(source: FootageSource) -> Iterator[np.ndarray]:
+def grey_frames(source: FootageSource) -> Iterator[Integer[np.ndarray, "h w"]]:
     """Small grey pictures (h, w) uint8 of the first ``_SEEN_S`` of some footage, as far as they can be read."""
     most = round(_SEEN_S * source.fps)
     if source.pictures:
@@ -83,7 +87,7 @@ def _small(width: int, height: int) -> tuple[int, int]:
     return max(2, round(width / shrink)), max(2, round(height / shrink))
 
 
-def motion_energy(frames: Iterable[np.ndarray]) -> np.ndarray:
+def motion_energy(frames: Iterable[Integer[np.ndarray, "H W"]]) -> Float[np.ndarray, " T-1"]:
     """(T - 1,) mean absolute change between successive grey frames (H, W) uint8 above the noise, in grey levels."""
     energy = []
     before = None
@@ -95,7 +99,7 @@ def motion_energy(frames: Iterable[np.ndarray]) -> np.ndarray:
     return np.array(energy)
 
 
-def compare(first: np.ndarray, second: np.ndarray, rate: float) -> Lag:
+def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rate: float) -> Lag:
     """The lag of two energies (T,) and (T',) at ``rate`` values per second; not valid, with the reason, where that is
     not clear."""
     if broken := int((~np.isfinite(first)).sum() + (~np.isfinite(second)).sum()):
@@ -166,7 +170,7 @@ def _unknown(reason: str, correlation: float = 0.0) -> Lag:
     return Lag(0.0, np.inf, correlation, False, reason)
 
 
-def energy_of(source: FootageSource) -> np.ndarray:
+def energy_of(source: FootageSource) -> Float[np.ndarray, " T"]:
     """``motion_energy`` of some footage; empty where it cannot be read."""
     try:
         return motion_energy(grey_frames(source))

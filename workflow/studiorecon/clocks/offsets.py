@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
 from studiorecon.scene.people import read_detections
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Sound needs 3 ms a metre; who knows where the speaker stands? 1.5 m more or less to one camera than to another, as
 # standard deviation.
@@ -53,7 +56,9 @@ class Settings(PictureRate):
     )
 
 
-def sound_pairs(sounds: Sequence[np.ndarray | None], lines: Sequence[Timeline]) -> tuple[list[Pair], dict[int, str]]:
+def sound_pairs(
+    sounds: Sequence[Float[np.ndarray, " N"] | None], lines: Sequence[Timeline]
+) -> tuple[list[Pair], dict[int, str]]:
     """Pairs of cameras whose sound tracks tell, and for every camera without one why."""
     there = {i: s for i, s in enumerate(sounds) if s is not None}
     reasons = {i: "its video has no sound" for i in range(len(sounds)) if i not in there}
@@ -76,7 +81,7 @@ def sound_pairs(sounds: Sequence[np.ndarray | None], lines: Sequence[Timeline]) 
 
 
 def motion_pairs(
-    energies: Sequence[np.ndarray], clocks: Sequence[Clock], rate: float
+    energies: Sequence[Float[np.ndarray, " T"]], clocks: Sequence[Clock], rate: float
 ) -> tuple[list[Pair], dict[int, str]]:
     """The same from how much the pictures change over time."""
     rows = [_on_a_grid(e, c, rate) for e, c in zip(energies, clocks)]

@@ -14,8 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 # Where the six products of three coordinates stand in their 3 × 3 matrix.
@@ -48,7 +52,12 @@ class PeopleLag:
     points: int
 
 
-def lag_of(first: np.ndarray, second: np.ndarray, rate: float, known: np.ndarray | None = None) -> PeopleLag | None:
+def lag_of(
+    first: Float[np.ndarray, "T J 3"],
+    second: Float[np.ndarray, "t J 3"],
+    rate: float,
+    known: Float[np.ndarray, "3 3"] | None = None,
+) -> PeopleLag | None:
     """The lag of two tracks (T, J, 3) and (T', J, 3) of one person's keypoints, homogeneous coordinates or rays, NaN
     where missing.
 

@@ -13,10 +13,14 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import av
 import numpy as np
 from scipy import signal
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Speech and claps; phones cut below, microphones far away lose what is above.
 RATE_HZ = 8000
@@ -64,7 +68,7 @@ class Heard:
     middle_s: float = 0.0
 
 
-def sound_of(path: Path) -> np.ndarray | None:
+def sound_of(path: Path) -> Float[np.ndarray, " N"] | None:
     """(N,) float32 mono samples at ``RATE_HZ`` from time 0 of the file's own time line on; None without a sound track,
     or an empty one."""
     if path.is_dir():
@@ -91,7 +95,7 @@ def sound_of(path: Path) -> np.ndarray | None:
     return np.concatenate([np.zeros(begin, np.float32), samples]) if begin >= 0 else samples[-begin:]
 
 
-def onsets(samples: np.ndarray) -> np.ndarray:
+def onsets(samples: Float[np.ndarray, " N"]) -> Float[np.ndarray, "bands T"]:
     """(bands, T) rises of the loudness in octave-wide bands, one value per ``_HOP`` samples, standardised."""
     found = []
     for low, high in itertools.pairwise(_BANDS_HZ):
@@ -105,7 +109,7 @@ def onsets(samples: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def compare(first: np.ndarray, second: np.ndarray) -> Heard:
+def compare(first: Float[np.ndarray, " N"], second: Float[np.ndarray, " M"]) -> Heard:
     """``Heard`` of two sound tracks of ``sound_of``, from time 0 of their files on."""
     shorter = min(len(first), len(second)) / RATE_HZ
     if shorter < _LEAST_OVERLAP_S:

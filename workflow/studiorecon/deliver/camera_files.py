@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,18 +16,21 @@ from studiorecon.geometry.rotations import log
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_text
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 # EasyMocap and Pose2Sim follow OpenCV: the first pixel's centre is at 0, not at 0.5 (C07).
 _CENTRE_SHIFT = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def colmap(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> list[Path]:
+def colmap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """``cameras.txt images.txt points3D.txt``: a text model with one picture ``<camera>.png`` per camera."""
     write_model(folder, cameras, points_m)
     return [folder / f"{name}.txt" for name in ("cameras", "images", "points3D")]
 
 
-def easymocap(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> list[Path]:
+def easymocap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """``intri.yml`` and ``extri.yml`` with sizes, axis-angles and matrices, so that EasyVolcap's readers are served
     too."""
     intri = extri = "%YAML:1.0\n---\n" + "names:\n" + "".join(f'   - "{c.name}"\n' for c in cameras)
@@ -41,7 +45,7 @@ def easymocap(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> 
     return [folder / "intri.yml", folder / "extri.yml"]
 
 
-def nerfstudio(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> list[Path]:
+def nerfstudio(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """``transforms.json``: camera-to-world with OpenGL axes in our own world, no applied_transform to undo."""
     frames = []
     for c in cameras:
@@ -63,7 +67,7 @@ def nerfstudio(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) ->
     return [folder / "transforms.json"]
 
 
-def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> list[Path]:
+def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
     """``Calib.toml``: one table per camera, axis-angle world-to-camera, metres."""
     text = ""
     for c in cameras:
@@ -78,7 +82,7 @@ def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: np.ndarray) -> l
     return [folder / "Calib.toml"]
 
 
-WRITERS: dict[str, Callable[[Path, Sequence[Camera], np.ndarray], list[Path]]] = {
+WRITERS: dict[str, Callable[[Path, Sequence[Camera], Float[np.ndarray, "N 3"]], list[Path]]] = {
     "colmap": colmap,
     "easymocap": easymocap,
     "nerfstudio": nerfstudio,

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.path import PathStep, read_path
 from studiorecon.scene.provenance import INVENTED
 from studiorecon.splatting.rigid_object import RigidObject, read_objects
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class FinishedScene:
     capture: Manifest
     cameras: Sequence[Camera]
     room: Gaussians
-    provenance: np.ndarray
+    provenance: Integer[np.ndarray, " N"]
     people: Sequence[Avatar] = ()
     things: Sequence[RigidObject] = ()
     paths: Mapping[str, Sequence[PathStep]] = field(default_factory=dict)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numba
@@ -22,6 +22,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INVENTED
 from studiorecon.splatting.device import rasteriser
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 NEAR_M = 0.2
 OPAQUE = 0.9
@@ -47,8 +50,8 @@ class FusedView:
     """
 
     camera: Camera
-    rgb: np.ndarray
-    depth_m: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    depth_m: Float[np.ndarray, "H W"]
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,12 @@ class FusedSurface:
     rgb: (V, 3) float64 in [0, 1] as displayed.
     """
 
-    vertices_m: np.ndarray
-    triangles: np.ndarray
-    rgb: np.ndarray
+    vertices_m: Float[np.ndarray, "V 3"]
+    triangles: Integer[np.ndarray, "F 3"]
+    rgb: Float[np.ndarray, "V 3"]
 
 
-def look(background: Gaussians, provenance: np.ndarray, cameras: Sequence[Camera]) -> list[FusedView]:
+def look(background: Gaussians, provenance: Integer[np.ndarray, " N"], cameras: Sequence[Camera]) -> list[FusedView]:
     """The Gaussians of the room, ``provenance`` (N,) of each, from every camera."""
     draw = rasteriser("cpu", near_m=NEAR_M)
     invented = (provenance == INVENTED).astype(np.float32)[:, None]
@@ -129,7 +132,7 @@ def fused(views: Sequence[FusedView], voxel_m: float) -> FusedSurface:
     return _arrays(grid.extract_triangle_mesh(weight_threshold=_LEAST_VIEWS).to_legacy())
 
 
-def without(surface: FusedSurface, dropped: np.ndarray) -> FusedSurface:
+def without(surface: FusedSurface, dropped: Bool[np.ndarray, " V"]) -> FusedSurface:
     """The surface without the triangles whose three vertices are all ``dropped`` (V,), without crumbs below 15 cm, in a
     fixed order."""
     triangles = surface.triangles[~dropped[surface.triangles].all(axis=1)]

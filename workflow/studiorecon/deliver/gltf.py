@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.files import complete
 from studiorecon.scene.people import Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 _FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
@@ -35,7 +38,7 @@ class Buffer:
         self.views: list[dict[str, Any]] = []
         self.accessors: list[dict[str, Any]] = []
 
-    def add(self, values: np.ndarray, kind: str, component: int, target: int | None = None) -> int:
+    def add(self, values: Num[np.ndarray, "N ..."], kind: str, component: int, target: int | None = None) -> int:
         """Index of a new accessor over ``values`` (count, …); minima and maxima are given, as positions and times
         require."""
         raw = np.ascontiguousarray(values).tobytes()
@@ -50,7 +53,7 @@ class Buffer:
         return len(self.accessors) - 1
 
 
-def strongest_bones(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def strongest_bones(weights: Float[np.ndarray, "V 24"]) -> tuple[Integer[np.ndarray, "V 4"], Float[np.ndarray, "V 4"]]:
     """(V, 4) uint8 joints and (V, 4) float32 weights with sum 1; joints of zero weight are 0, as the specification
     asks."""
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :_BONES]
@@ -59,7 +62,7 @@ def strongest_bones(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(kept > 0, joints, 0).astype(np.uint8), kept.astype(np.float32)
 
 
-def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def vertex_normals(vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
     """(V, 3) float32 unit normals, faces weighted by area; straight up where a vertex has no face."""
     corners = vertices_m[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -70,14 +73,17 @@ def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0]).astype(np.float32)
 
 
-def linear(rgb: np.ndarray) -> np.ndarray:
+def linear(rgb: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """Colours as displayed (sRGB, IEC 61966-2-1) as glTF wants those of vertices: proportional to light."""
     rgb = np.clip(rgb, 0, 1)
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def add_colours(
-    buffer: Buffer, rgb: np.ndarray, provenance: np.ndarray, opacities: np.ndarray | None = None
+    buffer: Buffer,
+    rgb: Float[np.ndarray, "V 3"],
+    provenance: Integer[np.ndarray, " V"],
+    opacities: Float[np.ndarray, " V"] | None = None,
 ) -> dict[str, int]:
     """``COLOR_0`` and ``_PROVENANCE`` of V vertices: rgb (V, 3) as displayed, provenance (V,), opacities (V,) in
     0..1."""
@@ -92,7 +98,7 @@ def add_colours(
 
 
 def add_body(
-    buffer: Buffer, body: BodyModel, betas: np.ndarray, colours: BodyColours | None
+    buffer: Buffer, body: BodyModel, betas: Float[np.ndarray, " B"], colours: BodyColours | None
 ) -> tuple[dict[str, Any], list[dict[str, Any]], int]:
     """A primitive of the shaped body in its T-pose, the nodes of its 24 joints (children counted from the first), and
     the accessor of their inverse bind matrices."""
@@ -154,7 +160,9 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 
 
-def motion_of(buffer: Buffer, poses: np.ndarray, trans_m: np.ndarray, fps: float, first: int = 0) -> dict[str, Any]:
+def motion_of(
+    buffer: Buffer, poses: Float[np.ndarray, "T 72"], trans_m: Float[np.ndarray, "T 3"], fps: float, first: int = 0
+) -> dict[str, Any]:
     """Samplers and channels that move 24 joints, the nodes from ``first`` on: poses (T, 72) axis-angle, pelvis (T, 3)
     in the z-up world."""
     times = buffer.add((np.arange(len(poses)) / fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
@@ -169,7 +177,7 @@ def motion_of(buffer: Buffer, poses: np.ndarray, trans_m: np.ndarray, fps: float
     return {"samplers": samplers, "channels": channels}
 
 
-def unflipped(quaternions: np.ndarray) -> np.ndarray:
+def unflipped(quaternions: Float[np.ndarray, "T ... 4"]) -> Float[np.ndarray, "T ... 4"]:
     """The same rotations with signs that never flip from frame to frame: viewers interpolate components (R03)."""
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
     signs = np.cumprod(np.where(flips, -1.0, 1.0), axis=0)

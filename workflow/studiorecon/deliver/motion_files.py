@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
 from studiorecon.scene.files import complete, write_npz, write_text
 from studiorecon.scene.people import Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Carries the z-up world to a y-up one: (x, y, z) → (x, z, −y).
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
@@ -162,7 +166,7 @@ WRITERS: dict[str, Callable[[Path, Person, BodyModel], None]] = {
 }
 
 
-def euler_zxy_deg(rotation: np.ndarray) -> np.ndarray:
+def euler_zxy_deg(rotation: Float[np.ndarray, "... 3 3"]) -> Float[np.ndarray, "... 3"]:
     """(..., 3) angles about z, x, y in degrees with R = Rz Rx Ry; where x is ±90 degrees y is 0.
 
     Only for BVH, whose channels are Euler angles (nothing here computes with them, R21).

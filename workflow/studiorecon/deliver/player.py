@@ -10,7 +10,7 @@ import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -28,6 +28,9 @@ from studiorecon.scene.gaussians import concatenate
 from studiorecon.scene.intermediate import read_arrays
 from studiorecon.signature import Written
 from studiorecon.splatting.device import rasteriser
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # In the order in which they are read: each uses only those before it.
 SCRIPTS = ("scene", "sort", "shaders", "draw", "camera", "play", "link", "panel", "hands")
@@ -76,7 +79,7 @@ def _film(video: Path, path: Path, frames: int, fps: float) -> bytes:
     return path.read_bytes()
 
 
-def narrowed(picture: np.ndarray, width: int = FILM_WIDTH) -> np.ndarray:
+def narrowed(picture: Integer[np.ndarray, "H W 3"], width: int = FILM_WIDTH) -> Integer[np.ndarray, "h w 3"]:
     """A picture (H, W, 3) uint8, no wider than ``width``, of even sides, as H.264 asks."""
     wide = min(picture.shape[1], width)
     size = max(wide // 2 * 2, 2), max(round(picture.shape[0] * wide / picture.shape[1] / 2) * 2, 2)
@@ -85,7 +88,7 @@ def narrowed(picture: np.ndarray, width: int = FILM_WIDTH) -> np.ndarray:
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
 
 
-def poster_of(scene: FinishedScene) -> np.ndarray:
+def poster_of(scene: FinishedScene) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8 the scene in the middle of the capture, from the middle of its first film, or its first
     camera."""
     steps = next((steps for steps in scene.paths.values() if steps), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -21,6 +21,9 @@ from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.path import PathStep
 from studiorecon.splatting.conventions import ALPHA_LOG2_MIN, ALPHA_MAX, DILATION_PX2, FRAME_MARGIN
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num, Shaped
+
 # Bytes of everybody's motion, of colours over time and of shades: beyond, they are told at fewer moments.
 MOTION_BYTES, CHANGES_BYTES, SHADE_BYTES = 3_000_000, 1_500_000, 3_000_000
 _POSE_BYTES = 24 * 8 + 12
@@ -33,9 +36,9 @@ NEAR_M = 0.2
 class Shade:
     """What people's shadows leave of the light: (M,) indices of the room's Gaussians, (K,) moments, (K, M) factors."""
 
-    at: np.ndarray
-    times: np.ndarray
-    factors: np.ndarray
+    at: Integer[np.ndarray, " M"]
+    times: Num[np.ndarray, " K"]
+    factors: Float[np.ndarray, "K M"]
 
 
 def described(
@@ -94,7 +97,9 @@ def described(
     }, told
 
 
-def gaussians(held: Bytes, own: Gaussians, provenance: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+def gaussians(
+    held: Bytes, own: Gaussians, provenance: Integer[np.ndarray, " N"]
+) -> tuple[dict[str, Any], Integer[np.ndarray, " N"]]:
     """The Gaussians as the page reads them, and the order (N,) in which they now stand."""
     order = along_a_curve(own.means_m)
     own = own.take(order)
@@ -115,7 +120,7 @@ def gaussians(held: Bytes, own: Gaussians, provenance: np.ndarray) -> tuple[dict
     return found, order
 
 
-def shades(held: Bytes, shade: Shade, order: np.ndarray, told: list[str]) -> dict[str, Any]:
+def shades(held: Bytes, shade: Shade, order: Integer[np.ndarray, " N"], told: list[str]) -> dict[str, Any]:
     """The room's shade over time, of the Gaussians that ever have some."""
     some = (np.abs(shade.factors - 1) > 0.5 * _SHADE_MOST / 255).any(axis=0)
     place = np.argsort(order, kind="stable")[shade.at[some]]
@@ -138,7 +143,7 @@ def camera_json(camera: Camera, held: Bytes, exposure: Factors) -> dict[str, Any
     return found | ({"exposure": held.floats(exposure.of[camera.name])} if camera.name in exposure.of else {})
 
 
-def film_rows(steps: Sequence[PathStep]) -> np.ndarray:
+def film_rows(steps: Sequence[PathStep]) -> Float[np.ndarray, "P 14"]:
     """(P, 14) of every picture: size, focal lengths, principal point, turn (w, x, y, z) and centre of its camera, and
     the frame it shows."""
     turns = rotations.to_quaternion(np.stack([step.camera.world_from_camera[:3, :3] for step in steps]))
@@ -149,6 +154,6 @@ def film_rows(steps: Sequence[PathStep]) -> np.ndarray:
     return np.array(rows)
 
 
-def shade_of(arrays: Mapping[str, np.ndarray]) -> Shade:
+def shade_of(arrays: Mapping[str, Shaped[np.ndarray, " ..."]]) -> Shade:
     """The shade that ``render/room.shade.npz`` holds."""
     return Shade(*(np.asarray(arrays[name]) for name in ("at", "times", "factors")))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,17 +14,20 @@ from studiorecon.deliver.packing import Bytes, whole_shares
 from studiorecon.geometry import rotations
 from studiorecon.splatting.rigid_object import RigidObject
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
 _BONES = 4
 # A network that is asked at every Gaussian is asked here at so many places of the body.
 _PLACES = 512
 
 
-def moments(frames: int, most: int) -> np.ndarray:
+def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
     """At most ``most`` evenly spread times of the capture, both ends among them: all frames where they fit."""
     return np.linspace(0, frames - 1, max(min(frames, most), 1)) if frames > 1 else np.zeros(1)
 
 
-def skeleton(held: Bytes, person: Avatar, times: np.ndarray) -> dict[str, Any]:
+def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
     """A person's joints at rest and their turns at ``times`` (K,): 16 bits a number, 0.002 degrees."""
     poses, roots_m = zip(*(person.pose_at(float(time)) for time in times))
     turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(-1, 24, 3)))
@@ -40,7 +43,7 @@ def skeleton(held: Bytes, person: Avatar, times: np.ndarray) -> dict[str, Any]:
     }
 
 
-def rigid(held: Bytes, thing: RigidObject, times: np.ndarray) -> dict[str, Any]:
+def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
     """A thing's places and turns at ``times`` (K,), and in which of them it is somewhere."""
     there = [thing.centre_at(float(time)) for time in times]
     turns = rotations.to_quaternion(np.stack([thing.turn_at(float(time)) for time in times]))
@@ -54,7 +57,7 @@ def rigid(held: Bytes, thing: RigidObject, times: np.ndarray) -> dict[str, Any]:
     }
 
 
-def skin(held: Bytes, bones: np.ndarray, weights: np.ndarray) -> dict[str, Any]:
+def skin(held: Bytes, bones: Integer[np.ndarray, "N J"], weights: Float[np.ndarray, "N J"]) -> dict[str, Any]:
     """The four bones (N, 4) that carry each Gaussian most, and their shares, which add up to exactly one."""
     count, given = weights.shape
     if given < _BONES:
@@ -66,7 +69,9 @@ def skin(held: Bytes, bones: np.ndarray, weights: np.ndarray) -> dict[str, Any]:
     return {"bones": held.whole(np.take_along_axis(bones, strongest, 1), 8), "shares": held.whole(shares, 8)}
 
 
-def changes(held: Bytes, person: Avatar, order: np.ndarray, times: np.ndarray) -> tuple[dict[str, Any], float]:
+def changes(
+    held: Bytes, person: Avatar, order: Integer[np.ndarray, " N"], times: Num[np.ndarray, " K"]
+) -> tuple[dict[str, Any], float]:
     """What a person's network adds to colour and logit at ``times`` (K,), as values of some places of the body that
     the Gaussians in ``order`` listen to; and the largest colour, in 0..1, by which that is off in the middle of the
     capture."""

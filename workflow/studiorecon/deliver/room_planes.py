@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,6 +15,9 @@ import scipy
 from studiorecon.deliver.fusion import FusedView
 from studiorecon.scene.provenance import INVENTED, MEASURED
 from studiorecon.scene.room import FACES, RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # A point of a plane is seen where the rendered depth agrees with its own within this share and these metres.
 _AGREE_SHARE, _AGREE_M = 0.02, 0.02
@@ -33,10 +37,10 @@ class Plane:
     """
 
     name: str
-    vertices_m: np.ndarray
-    triangles: np.ndarray
-    rgb: np.ndarray
-    provenance: np.ndarray
+    vertices_m: Float[np.ndarray, "V 3"]
+    triangles: Integer[np.ndarray, "F 3"]
+    rgb: Float[np.ndarray, "V 3"]
+    provenance: Integer[np.ndarray, " V"]
 
 
 def kept(room_box: RoomBox) -> list[int]:
@@ -45,7 +49,7 @@ def kept(room_box: RoomBox) -> list[int]:
     return [index for index, name in enumerate(FACES) if name == "floor" or room_box.fitted[index]]
 
 
-def distance_m(room_box: RoomBox, points_m: np.ndarray) -> np.ndarray:
+def distance_m(room_box: RoomBox, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
     """(N,) from points (N, 3) to the nearest face that is kept; 0 for what lies beyond one."""
     apart = np.full(len(points_m), np.inf)
     for index in kept(room_box):

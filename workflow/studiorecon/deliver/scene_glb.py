@@ -10,7 +10,7 @@ glTF's. y up, metres. The Gaussians keep their own axes below nodes that turn th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -33,13 +33,16 @@ from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 SPLATS, NAMES = "KHR_gaussian_splatting", "KHR_gaussian_splatting:"
 _FLOAT, _ARRAY_BUFFER, _POINTS = 5126, 34962, 0
 _NEAR_M = 0.05
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
-def splats(buffer: Buffer, own: Gaussians, provenance: np.ndarray) -> dict[str, Any]:
+def splats(buffer: Buffer, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> dict[str, Any]:
     """A primitive of N Gaussians: linear scales, opacities in 0..1, unit quaternions (x, y, z, w), harmonics as
     trained (they show display-referred sRGB); ``COLOR_0``, linear, for who draws points."""
     unit = own.quaternions / np.linalg.norm(own.quaternions, axis=1, keepdims=True).clip(1e-12)

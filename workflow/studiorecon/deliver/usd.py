@@ -9,7 +9,7 @@ z up, metres, one time code per frame. The room is a ``ParticleField3DGaussianSp
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -27,6 +27,9 @@ from studiorecon.scene.files import complete
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 # Width of every camera's film, as UsdGeom counts lengths; only its ratio to the focal length shows.
 _APERTURE = 36.0
@@ -55,7 +58,7 @@ def pxr() -> Any:
     return pxr
 
 
-def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: np.ndarray) -> Any:
+def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.ndarray, " N"]) -> Any:
     """A prim of N Gaussians with ``primvars:provenance`` (0 measured, 1 inferred, 2 invented)."""
     usd = pxr()
     splat = usd.UsdVol.ParticleField3DGaussianSplat.Define(stage, path)

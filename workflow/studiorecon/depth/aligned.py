@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,6 +26,9 @@ from studiorecon.images.sizes import nearest
 from studiorecon.progress import say
 from studiorecon.scene.outside import read_npy, read_npz
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _MILLIMETRES = 1000.0
 # A map may differ from the working shape by rounding only.
@@ -41,7 +45,7 @@ class Settings(Near, Assumed):
     agree_share: float = 0.05
 
 
-def read_estimate(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_estimate(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W) float32 depth (0 = unknown: NaN, infinite or not positive) and confidence, of an .exr, .npy, .npz or
     16-bit .png (mm)."""
     if not path.is_file():
@@ -79,13 +83,13 @@ def _numbers(path: Path) -> np.ndarray:
 
 
 def joined(
-    estimate: np.ndarray,
-    sure: np.ndarray,
-    planes_m: np.ndarray,
-    planes_sure: np.ndarray,
+    estimate: Float[np.ndarray, "H W"],
+    sure: Float[np.ndarray, "H W"],
+    planes_m: Float[np.ndarray, "H W"],
+    planes_sure: Float[np.ndarray, "H W"],
     found: Alignment,
     settings: Settings,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Depth in metres and confidence: the planes' own where both agree, at most ``default_confidence`` where the
     network stands alone."""
     depth_m = found.apply(estimate, settings.near_m).astype(np.float32)

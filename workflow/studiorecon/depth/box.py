@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from studiorecon.depth.sweep_settings import FirstLook, Matching
 from studiorecon.progress import progress, say
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _PLACING_SPAN_M, _PLACING_STEP_M = 0.08, 0.01
 _CANDIDATE_SPAN_M, _CANDIDATE_STEP_M = 0.04, 0.02
@@ -109,7 +113,9 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     return RoomBox(yaw_rad + turn, low, high, fitted, score)
 
 
-def refine_candidates(pictures: list[Picture], votes: Votes, planes: np.ndarray, settings: Settings) -> np.ndarray:
+def refine_candidates(
+    pictures: list[Picture], votes: Votes, planes: Float[np.ndarray, "L 4"], settings: Settings
+) -> Float[np.ndarray, "L 4"]:
     """The candidate planes with their offsets placed by their own voters; the six faces of the room box stay."""
     how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
     placed = planes.copy()

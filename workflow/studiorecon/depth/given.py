@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from studiorecon.progress import say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 # A map may differ from the working shape by rounding only.
 _SHAPE_TOLERANCE = 0.02
 _LEAST_KNOWN = 0.05
@@ -28,7 +32,9 @@ class Settings(Near):
     """The range in which depth is believed."""
 
 
-def fit(depth_m: np.ndarray, confidence: np.ndarray, camera: Camera, near_m: float) -> tuple[np.ndarray, np.ndarray]:
+def fit(
+    depth_m: Num[np.ndarray, "h w"], confidence: Num[np.ndarray, "h w"], camera: Camera, near_m: float
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """Depth and confidence at the camera's size by nearest sampling: an average across an edge is on neither surface
     (C12).
 

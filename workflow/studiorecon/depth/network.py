@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import one_each
 from studiorecon.signature import Place, Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # A principal point further off the middle than this share of the width bends what a network makes of a known focal
 # length.
@@ -56,8 +59,8 @@ class Settings:
 
 
 def estimates(
-    source: str, cameras: list[Camera], pictures: list[np.ndarray], weights: Path, device: str
-) -> list[tuple[np.ndarray, np.ndarray]]:
+    source: str, cameras: list[Camera], pictures: list[Integer[np.ndarray, "H W 3"]], weights: Path, device: str
+) -> list[tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]]:
     """(H, W) depth (0 = unknown) and confidence of every picture (H, W, 3) uint8, at the picture's own size."""
     if card_of(source).kind == "monocular depth":
         network = load("monocular depth", source, weights, device)

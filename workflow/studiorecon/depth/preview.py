@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from studiorecon.signature import Written
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 from studiorecon.splatting.seeds import finest, seeds_from_depth
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 # Seconds from the first camera once around, and pictures a second: as slow as somebody walks.
 _AROUND_S, _FPS = 8.0, 12
 # What lies between cameras further apart than this was filmed by nobody (U18): the film turns back there.
@@ -40,7 +44,7 @@ class Settings(FirstLook):
     """The size of the film."""
 
 
-def room_of(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray]) -> Gaussians:
+def room_of(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]]) -> Gaussians:
     """A disc for every pixel of the picture that shows its surface finest; ``depths_m`` (H, W) of each picture."""
     known = [p.known & (depth_m > 0) for p, depth_m in zip(pictures, depths_m)]
     wanted = finest([p.camera for p in pictures], depths_m, known)
@@ -68,7 +72,7 @@ def path_of(cameras: Sequence[Camera]) -> list[Camera]:
     return [*way, *way[::-1]] if is_open else way
 
 
-def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[np.ndarray]:
+def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """(H, W, 3) uint8 of every camera."""
     rasteriser = Rasteriser(near_m=_NEAR_M)
     for camera in progress(cameras, "pictures"):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -35,6 +36,9 @@ from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 # Colour difference (sum over channels) at which a neighbour's plane is half as likely, when planes are carried to full
 # size.
 _EDGE_CONTRAST = 0.15
@@ -57,7 +61,9 @@ class Settings(PassSettings, Assumed):
     regions_share: float = 0.4
 
 
-def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float) -> np.ndarray:
+def confidence(
+    labelled: Labelled, fitted: Bool[np.ndarray, " 6"], default_confidence: float
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32: 1 for a perfect match down to ``default_confidence`` for none; half of it where the depth is a
     default.
 
@@ -70,7 +76,9 @@ def confidence(labelled: Labelled, fitted: np.ndarray, default_confidence: float
     return np.where(labelled.judged & stated, measured, default_confidence / 2).astype(np.float32)
 
 
-def carry(values: np.ndarray, guide: np.ndarray, rgb: np.ndarray) -> np.ndarray:
+def carry(
+    values: Integer[np.ndarray, "h w"], guide: Float[np.ndarray, "h w 3"], rgb: Float[np.ndarray, "H W 3"]
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) int index into the flattened small picture: for every full-size pixel the small pixel it takes its plane
     from.
 
@@ -123,8 +131,12 @@ def _carry(values, guide, rgb, contrast):
 
 
 def at_full_size(
-    camera: Camera, rgb: np.ndarray, small: Picture, labelled: Labelled, planes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    camera: Camera,
+    rgb: Float[np.ndarray, "H W 3"],
+    small: Picture,
+    labelled: Labelled,
+    planes: Float[np.ndarray, "L 4"],
+) -> tuple[Float[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W) float32 depth of the carried planes, evaluated exactly at every full-size pixel, and the source index (H,
     W)."""
     source = carry(labelled.plane, small.rgb, rgb)
@@ -142,7 +154,7 @@ def final_pass(
     pictures: list[Picture],
     index: int,
     room_box: RoomBox,
-    passes: list[np.ndarray],
+    passes: list[Float[np.ndarray, "h w"]],
     settings: Settings,
 ) -> Labelled:
     """One camera labelled at this size against all others, whose surfaces are known from the agreed ``passes`` (h, w)
@@ -161,10 +173,10 @@ def furnished(
     pictures: list[Picture],
     room_box: RoomBox,
     primitives: list[Primitive],
-    depth_m: np.ndarray,
-    certain: np.ndarray,
+    depth_m: Float[np.ndarray, "H W"],
+    certain: Float[np.ndarray, "H W"],
     settings: Settings,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """Depth (H, W), confidence (H, W) and (H, W) bool ``shown`` of one camera at full size with the primitives before
     everything else.
 
@@ -191,15 +203,15 @@ def furnished(
 
 def patched(
     camera: Camera,
-    rgb: np.ndarray,
+    rgb: Float[np.ndarray, "H W 3"],
     index: int,
     pictures: list[Picture],
-    depths: list[np.ndarray],
+    depths: list[Float[np.ndarray, "h w"]],
     room_box: RoomBox,
-    depth_m: np.ndarray,
-    certain: np.ndarray,
+    depth_m: Float[np.ndarray, "H W"],
+    certain: Float[np.ndarray, "H W"],
     settings: Settings,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """Depth, confidence (H, W) and (H, W) bool ``patch`` of one camera at full size with the planes of regions that
     explain the photos better than ``depths`` (one (h, w) per picture) do."""
     found = explain_regions(

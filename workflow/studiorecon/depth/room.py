@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from studiorecon.scene.files import write_npz
 from studiorecon.scene.people import read_detections, read_identities
 from studiorecon.scene.room import RoomBox, read_room, write_room
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -52,9 +56,9 @@ def agreeing_depths(
     pictures: list[Picture],
     room_box: RoomBox,
     primitives: list[Primitive],
-    starts: list[np.ndarray],
+    starts: list[Float[np.ndarray, "H W"]],
     settings: Settings,
-) -> list[np.ndarray]:
+) -> list[Float[np.ndarray, "H W"]]:
     """Depth (H, W) of every picture after ``passes`` rounds in which each is judged against the others' latest depth
     and the primitives."""
     depths = [plane_depths(p, room_box.planes, room_box, settings) for p in pictures]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from studiorecon.errors import UserError
 from studiorecon.progress import progress, say
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Cost of a plane where no other camera can judge it, and of one that is out of range.
 UNJUDGED = 0.75
@@ -55,7 +59,9 @@ class Settings(Matching, FirstLook):
     sweep_penalty: float = 0.6
 
 
-def best_costs(pictures: list[Picture], index: int, planes: np.ndarray, settings: Settings) -> np.ndarray:
+def best_costs(
+    pictures: list[Picture], index: int, planes: Float[np.ndarray, "L 4"], settings: Settings
+) -> Float[np.ndarray, "H W L"]:
     """(H, W, L) float32 cost of every plane in one picture: 1 - agreement with the camera that agrees best.
 
     Best, not mean: most surfaces are hidden from most cameras, and one that truly sees the surface is enough.

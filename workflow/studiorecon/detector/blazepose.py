@@ -23,7 +23,7 @@ from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Integer, Num, Shaped
 
 LAYOUT = "blazepose33"
 LANDMARKS = 33
@@ -59,7 +59,7 @@ class Landmarks:
     keypoints: Num[np.ndarray, "33 3"]
     presence: float
     points_m: Num[np.ndarray, "33 3"]
-    mask: np.ndarray
+    mask: Integer[np.ndarray, "S S"]
     region: Region
     next_region: Region
     better: Num[np.ndarray, "33 3"] | None = None
@@ -82,7 +82,12 @@ class BlazePose:
             raise UserError(f"detect.network gives {second.layout}, of which BlazePose knows none; take another one")
 
     def detect(
-        self, picture: np.ndarray, corner: Num[np.ndarray, " 2"], side: float, least: float, turn_rad: float = 0.0
+        self,
+        picture: Integer[np.ndarray, "H W 3"],
+        corner: Num[np.ndarray, " 2"],
+        side: float,
+        least: float,
+        turn_rad: float = 0.0,
     ) -> list[tuple[float, Region]]:
         """(score, region) of whoever is in the window of ``picture`` (H, W, 3 uint8 RGB) at ``corner`` (2,), turned
         about its middle, above ``least``."""
@@ -97,7 +102,7 @@ class BlazePose:
                 found.append((float(scores[k]), Region.around(hips, circle)))
         return found
 
-    def look(self, picture: np.ndarray, region: Region) -> Landmarks:
+    def look(self, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks:
         """Landmarks of whoever is in ``region`` of ``picture`` (H, W, 3 uint8 RGB); ``presence`` says whether somebody
         is."""
         crop = sampled(picture, region, _CROP_PX)
@@ -139,7 +144,7 @@ def open_network(path: Path, shape: tuple[int, ...]) -> onnxruntime.InferenceSes
     return session
 
 
-def run(session: onnxruntime.InferenceSession, picture: np.ndarray) -> list[np.ndarray]:
+def run(session: onnxruntime.InferenceSession, picture: Float[np.ndarray, "E E 3"]) -> list[Shaped[np.ndarray, " ..."]]:
     """What the network says to one picture, without the batch's axis."""
     return [out[0] for out in session.run(None, {session.get_inputs()[0].name: picture[None].astype(np.float32)})]
 
@@ -154,7 +159,7 @@ def anchors() -> Num[np.ndarray, "2254 2"]:
     return np.concatenate(found)
 
 
-def refined(points: np.ndarray, heat: np.ndarray) -> Num[np.ndarray, "K 2"]:
+def refined(points: Num[np.ndarray, "K 2"], heat: Num[np.ndarray, "64 64 K"]) -> Num[np.ndarray, "K 2"]:
     """(K, 2) crop pixels of landmarks, moved to the middle of their heat (64, 64, K) where that is sure within three
     cells."""
     out = points.copy()

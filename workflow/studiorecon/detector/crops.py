@@ -16,7 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.machine.refusals import starved
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Integer, Num
 
 # A region's side, in diameters of the circle around the body that the networks find.
 _REGION_SCALE = 1.25
@@ -37,7 +37,7 @@ class Region:
     turn_rad: float
 
     @staticmethod
-    def around(hips: np.ndarray, circle: np.ndarray) -> Region:
+    def around(hips: Num[np.ndarray, " 2"], circle: Num[np.ndarray, " 2"]) -> Region:
         """The region of a body from the middle of its hips (2,) and the point (2,) of the circle around it that is
         upwards."""
         towards = circle - hips
@@ -58,7 +58,7 @@ class Region:
         return (pixels - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
 
 
-def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> np.ndarray:
+def sampled(picture: Num[np.ndarray, "H W 3"], region: Region, edge: int) -> Integer[np.ndarray, "edge edge 3"]:
     """(edge, edge, 3) uint8 upright crop of a region, black beyond the picture; averaged where it shrinks."""
     require("picture", picture, ("H", "W", 3))
     affine = region.crop_from_picture(edge)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
 from studiorecon.detector.looking import look_again, newcomers, thorough, unlike
 from studiorecon.detector.windows import changed, grid
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Time between two looks at the whole picture.
 _LOOK_S = 0.5
@@ -33,7 +37,7 @@ class Walker:
     """Somebody who is followed: what was last seen of them, and how far their region moved in that step (2,) pixels."""
 
     seen: Landmarks
-    step: np.ndarray
+    step: Float[np.ndarray, " 2"]
 
     def region(self, fps: float) -> Region:
         """Where to look in the next picture."""
@@ -41,7 +45,9 @@ class Walker:
         return replace(following, centre=following.centre + np.exp(-1 / (_KEPT_S * fps)) * self.step)
 
 
-def follow(network: BlazePose, picture: np.ndarray, walkers: Sequence[Walker], fps: float) -> list[Walker]:
+def follow(
+    network: BlazePose, picture: Integer[np.ndarray, "H W 3"], walkers: Sequence[Walker], fps: float
+) -> list[Walker]:
     """Those of ``walkers`` who are found again in the next picture (or the one before)."""
     pairs = [(w, seen) for w in walkers if (seen := look_again(network, picture, w.region(fps))) is not None]
     kept = unlike([seen for _, seen in pairs])
@@ -53,9 +59,9 @@ def follow(network: BlazePose, picture: np.ndarray, walkers: Sequence[Walker], f
 
 
 def people_in(
-    pictures: Iterable[np.ndarray],
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     network: BlazePose,
-    background: np.ndarray | None,
+    background: Integer[np.ndarray, "h w 3"] | None,
     fps: float,
     few: bool = False,
 ) -> Iterator[list[Landmarks]]:
@@ -96,7 +102,7 @@ def is_few(pictures: int, fps: float) -> bool:
     return pictures < max(2, round(_LOOK_S * fps))
 
 
-def believed(seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]) -> np.ndarray:
+def believed(seen: Landmarks, wh: tuple[int, int], worth: dict[str, list[float]]) -> Float[np.ndarray, "K 3"]:
     """Keypoints (K, 3) of somebody in a picture of ``wh`` pixels, with confidence; those outside the picture are
     missing.
 

@@ -8,6 +8,7 @@ no neighbours: fainter candidates, windows that are turned for people who bend d
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from studiorecon.detector.blazepose import LANDMARKS, PRESENT, BlazePose, Landma
 from studiorecon.detector.crops import Region
 from studiorecon.detector.windows import grid
 from studiorecon.keypoints.tracking import distance_shares
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # How sure the detector must be of somebody.
 _CANDIDATE = 0.5
@@ -57,7 +61,7 @@ def first_of_each(ordered: Iterable[Landmarks]) -> list[Landmarks]:
     return kept
 
 
-def sensible(region: Region, picture: np.ndarray) -> bool:
+def sensible(region: Region, picture: Integer[np.ndarray, "H W 3"]) -> bool:
     """Whether a region is of a size that can hold somebody, and touches the picture."""
     height, width = picture.shape[:2]
     reach = region.side / 2
@@ -67,7 +71,7 @@ def sensible(region: Region, picture: np.ndarray) -> bool:
     )
 
 
-def look_again(network: BlazePose, picture: np.ndarray, region: Region) -> Landmarks | None:
+def look_again(network: BlazePose, picture: Integer[np.ndarray, "H W 3"], region: Region) -> Landmarks | None:
     """Who is in ``region``; None when nobody is, or the region is none."""
     if not sensible(region, picture):
         return None
@@ -76,7 +80,10 @@ def look_again(network: BlazePose, picture: np.ndarray, region: Region) -> Landm
 
 
 def newcomers(
-    network: BlazePose, picture: np.ndarray, windows: Sequence[tuple[np.ndarray, float]], known: Sequence[Landmarks]
+    network: BlazePose,
+    picture: Integer[np.ndarray, "H W 3"],
+    windows: Sequence[tuple[Num[np.ndarray, " 2"], float]],
+    known: Sequence[Landmarks],
 ) -> list[Landmarks]:
     """Who is in ``windows`` of the picture beside those already ``known`` in it."""
     candidates = [c for corner, side in windows for c in network.detect(picture, corner, side, _CANDIDATE)]
@@ -95,7 +102,7 @@ def newcomers(
     return [f for f in found if any(f is e for e in everybody)]
 
 
-def thorough(network: BlazePose, picture: np.ndarray) -> list[Landmarks]:
+def thorough(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[Landmarks]:
     """Who is in a picture that has no neighbours; 25 s of a core for a 4K one."""
     wh = picture.shape[1], picture.shape[0]
     candidates = [

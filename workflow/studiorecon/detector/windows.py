@@ -5,11 +5,15 @@ there."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.detector.crops import Region
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 # Edges of the windows as shares of the picture's longer side, and how far each moves, as a share of its own edge.
 _SCALES = ((1.0, 1.0), (0.6, 0.5), (0.35, 0.5))
@@ -27,7 +31,7 @@ _LEAST_JOINTS = 8
 _CIRCLE = 1.15
 
 
-def grid(wh: tuple[int, int]) -> list[tuple[np.ndarray, float]]:
+def grid(wh: tuple[int, int]) -> list[tuple[Num[np.ndarray, " 2"], float]]:
     """(corner, side) of windows that cover a picture, largest first; a window may reach beyond the shorter side."""
     longer = max(wh)
     scales = [*_SCALES, _FINER] if _FINER[0] * longer >= _FINER_PX else _SCALES
@@ -45,7 +49,7 @@ def _places(length: float, side: float, step: float) -> np.ndarray:
     return np.linspace(0.0, length - side, int(np.ceil((length - side) / (side * step))) + 1)
 
 
-def small(picture: np.ndarray) -> np.ndarray:
+def small(picture: Integer[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "h w 3"]:
     """The picture at ``GLANCE_PX`` along its longer side, blurred so that noise and edges that tremble do not
     differ."""
     height, width = picture.shape[:2]
@@ -54,12 +58,14 @@ def small(picture: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), (0, 0), 1.0)
 
 
-def usual(pictures: list[np.ndarray]) -> np.ndarray:
+def usual(pictures: list[Integer[np.ndarray, "h w 3"]]) -> Integer[np.ndarray, "h w 3"]:
     """What a camera mostly sees: the median of its ``small`` pictures over time."""
     return np.median(np.stack(pictures), axis=0).astype(np.uint8)
 
 
-def changed(picture: np.ndarray, background: np.ndarray) -> list[tuple[np.ndarray, float]]:
+def changed(
+    picture: Integer[np.ndarray, "H W 3"], background: Integer[np.ndarray, "h w 3"]
+) -> list[tuple[Num[np.ndarray, " 2"], float]]:
     """(corner, side) in pixels of ``picture`` of squares about the largest places where it differs from ``background``
     (``usual``)."""
     glance = small(picture)
@@ -75,7 +81,7 @@ def changed(picture: np.ndarray, background: np.ndarray) -> list[tuple[np.ndarra
     return windows
 
 
-def region_of_body(joints: Mapping[str, np.ndarray], wh: tuple[int, int]) -> Region | None:
+def region_of_body(joints: Mapping[str, Num[np.ndarray, " 2"]], wh: tuple[int, int]) -> Region | None:
     """Where to look for somebody whose ``joints`` (name → (2,) pixels, NaN unknown) are known from elsewhere; None
     where too few are inside the picture, or hips or shoulders are unknown."""
     at = {name: pixels for name, pixels in joints.items() if np.isfinite(pixels).all()}

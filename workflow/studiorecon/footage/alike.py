@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,6 +14,9 @@ from studiorecon.errors import UserError
 from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import FootageSource, glimpses
 from studiorecon.progress import warn
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer, Num
 
 _WIDTH, _COARSE = 96, 4.0
 # Correlation of what stands still, without its coarse brightness. Cameras of one room, 45 to 120° apart: 0.14 at most;
@@ -41,7 +45,7 @@ def one_film_twice(sources: Mapping[str, FootageSource]) -> str:
     return ""
 
 
-def standing(pictures: Sequence[np.ndarray]) -> np.ndarray:
+def standing(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> Num[np.ndarray, "h 96"]:
     """What stands still in pictures (H, W, 3) uint8 of one camera: (h, 96) grey without its coarse brightness."""
     height, width = pictures[0].shape[:2]
     size = (_WIDTH, max(round(_WIDTH * height / width), 1))
@@ -50,7 +54,7 @@ def standing(pictures: Sequence[np.ndarray]) -> np.ndarray:
     return still - cv2.GaussianBlur(still, (0, 0), _COARSE)
 
 
-def same_view(one: np.ndarray, two: np.ndarray) -> bool:
+def same_view(one: Num[np.ndarray, "h 96"], two: Num[np.ndarray, "h 96"]) -> bool:
     """Whether two ``standing`` pictures are of one film."""
     if one.shape != two.shape or min(one.std(), two.std()) < _LEAST_DETAIL:
         return False

@@ -17,7 +17,7 @@ from studiorecon.progress import say
 from studiorecon.scene.files import complete
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Num
 
 _SYSTEM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
 
@@ -28,7 +28,7 @@ def write_depth(path: Path, depth_m: Num[np.ndarray, "H W"], confidence: Num[np.
     _write(path, {"Z": np.asarray(depth_m, np.float32), "A": np.asarray(confidence, np.float32)})
 
 
-def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+def write_channels(path: Path, channels: Mapping[str, Float[np.ndarray, "H W"]]) -> None:
     """Write named (H, W) float16 or float32 channels, lossless (ZIP). Raises ValueError for channels of two sizes or
     another type."""
     sizes: dict[str, int] = {}
@@ -56,7 +56,7 @@ def _write(path: Path, channels: Mapping[str, np.ndarray]) -> None:
             raise
 
 
-def read_depth(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_depth(path: Path) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
     """(H, W) float32 depth in metres and confidence (1 where known when the file has no A); what is no depth becomes 0.
 
     Depths that are negative or not finite are unknown, and confidences that are not numbers are 0; how many there were

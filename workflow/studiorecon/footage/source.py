@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import av
 import cv2
@@ -20,6 +21,9 @@ from studiorecon.footage.stills import decoded
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
 from studiorecon.scene.numbered import gaps_named, pictures_in
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 _READ_BYTES = 1 << 20
 # A container may announce one frame more than it holds (an edit list, a rounded duration) without having lost any.
@@ -98,7 +102,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
     return FootageSource(path, wh, float(rate), declared, rotation_deg, (), notes)
 
 
-def decode(source: FootageSource, first: int, count: int) -> Iterator[np.ndarray]:
+def decode(source: FootageSource, first: int, count: int) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """Frames ``first`` … ``first`` + ``count`` − 1 (``count`` 0 = to the end), (H, W, 3) uint8 RGB, rotation tag
     applied.
 
@@ -154,7 +158,7 @@ def digest(source: FootageSource) -> str:
     return whole.hexdigest()
 
 
-def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[np.ndarray]:
+def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending, maybe twice), as ``decode`` gives them; numbers past the end are left
     out.
 
@@ -172,7 +176,7 @@ def stills(source: FootageSource, wanted: Sequence[int]) -> Iterator[np.ndarray]
             return
 
 
-def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[np.ndarray]:
+def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.ndarray, "H W 3"]]:
     """The frames numbered ``wanted`` (ascending; beyond the end: the last one that can be read), as ``decode`` gives
     them.
 

@@ -15,12 +15,12 @@ from studiorecon.errors import UserError
 from studiorecon.scene.outside import read_bytes
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Num
+    from jaxtyping import Bool, Float, Num, Shaped
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def decoded(path: Path, flags: int, cure: str = "replace it") -> np.ndarray:
+def decoded(path: Path, flags: int, cure: str = "replace it") -> Shaped[np.ndarray, "H W ..."]:
     """The picture of a file as OpenCV has it (BGR); raises UserError, which ends in ``cure``, when it is missing or
     none."""
     data = read_bytes(path)
@@ -47,7 +47,7 @@ def _whole(data: bytes) -> bool:
     return at <= len(data)
 
 
-def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_plate(path: Path) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) float32 RGB in [0, 1] of a picture file and (H, W) bool: measured (alpha above one half; all, without
     alpha).
 
@@ -66,7 +66,7 @@ def read_plate(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def shrink(
     rgb: Num[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H W"], wh: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """A plate at another size: area-averaged over its measured pixels only; measured where more than half of the area
     was.
 

@@ -24,7 +24,7 @@ from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.files import complete
 
 if TYPE_CHECKING:
-    from jaxtyping import Integer
+    from jaxtyping import Float, Integer
 
 
 @dataclass(frozen=True)
@@ -48,17 +48,17 @@ _LOSSLESS = {
 }
 
 
-def to_bytes(image: np.ndarray) -> np.ndarray:
+def to_bytes(image: Float[np.ndarray, " ..."]) -> Integer[np.ndarray, " ..."]:
     """uint8 of a float image in [0, 1]: clamped, rounded to nearest; NaN becomes 0."""
     return np.rint(np.clip(np.nan_to_num(image, nan=0.0, posinf=1.0, neginf=0.0), 0, 1) * 255).astype(np.uint8)
 
 
-def to_float(image: np.ndarray) -> np.ndarray:
+def to_float(image: Integer[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """float32 in [0, 1] of a uint8 image."""
     return image.astype(np.float32) * np.float32(1 / 255)
 
 
-def write_lossless(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
+def write_lossless(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float) -> int:
     """Write frames and keep every bit: (H, W, 3) uint8, (H, W) uint8 or (H, W) uint16; returns how many.
 
     Raises ValueError for frames of two sizes or none at all.
@@ -66,7 +66,7 @@ def write_lossless(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
     return write_film(path, frames, fps, None)
 
 
-def write_watchable(path: Path, frames: Iterable[np.ndarray], fps: float, crf: int = 16) -> int:
+def write_watchable(path: Path, frames: Iterable[Integer[np.ndarray, "H W 3"]], fps: float, crf: int = 16) -> int:
     """Write (H, W, 3) uint8 frames as an H.264 mp4 that browsers play; odd sizes lose their last row or column.
 
     Raises ValueError for frames of two sizes or none at all.
@@ -77,7 +77,7 @@ def write_watchable(path: Path, frames: Iterable[np.ndarray], fps: float, crf: i
     return write_film(path, even, fps, Codec("libx264", "rgb24", "yuv420p", options, "mp4", {"movflags": "+faststart"}))
 
 
-def write_film(path: Path, frames: Iterable[np.ndarray], fps: float, codec: Codec | None) -> int:
+def write_film(path: Path, frames: Iterable[Integer[np.ndarray, "H W ..."]], fps: float, codec: Codec | None) -> int:
     """Write frames with ``codec``, or without one so that every bit of the first frame's kind is kept; returns how
     many.
 
@@ -128,7 +128,7 @@ def pixels(frame: av.VideoFrame) -> Integer[np.ndarray, "H W ..."]:
     return frame.to_ndarray(format="rgb24")
 
 
-def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
+def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator[Integer[np.ndarray, "H W ..."]]:
     """Frames ``start`` … ``stop`` - 1 of a working video, in order: (H, W, 3) uint8, or (H, W) for grey ones.
 
     Raises UserError naming the file when it is missing, unreadable or ends early.
@@ -155,7 +155,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
         raise UserError(f"{path} ends after {number + 1} frames where {stop} are needed")
 
 
-def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
+def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.ndarray, "H W ..."]]:
     """Frames ``start`` … ``stop`` - 1 of a working video, as ``read_frames`` gives them, after a jump to the last key
     frame before.
 
@@ -193,12 +193,12 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[np.ndarray]:
         raise UserError(f"{path} has no frame {expected} where frames up to {stop - 1} are needed; make it again")
 
 
-def read_frame(path: Path, index: int) -> np.ndarray:
+def read_frame(path: Path, index: int) -> Integer[np.ndarray, "H W ..."]:
     """One frame of a working video."""
     return next(read_frames_from(path, index, index + 1))
 
 
-def read_stack(path: Path, start: int = 0, stop: int | None = None) -> np.ndarray:
+def read_stack(path: Path, start: int = 0, stop: int | None = None) -> Integer[np.ndarray, "T H W ..."]:
     """(T, H, W[, 3]) all frames at once, as stored."""
     return np.stack(list(read_frames(path, start, stop)))
 
@@ -216,7 +216,7 @@ class Playback:
         self._current: np.ndarray | None = None
         self._rewind()
 
-    def at(self, index: int) -> np.ndarray:
+    def at(self, index: int) -> Integer[np.ndarray, "H W ..."]:
         """Frame ``index`` as stored; IndexError outside 0 … count - 1."""
         if not 0 <= index < self._count:
             raise IndexError(f"{self._path} has {self._count} frames from {self._first}, not {index}")

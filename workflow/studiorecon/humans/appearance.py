@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from studiorecon.body.avatar.temporal import TemporalNetwork, with_residuals
 from studiorecon.configuration.setting import setting
 from studiorecon.scene.decisions import Decision
 from studiorecon.splatting.train.optimiser import Adam
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Shaped
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-15
 
@@ -62,7 +65,11 @@ class Appearance:
     """
 
     def __init__(
-        self, settings: OverTime, network: TemporalNetwork, seen: np.ndarray, judge: Callable[[Callable], Decision]
+        self,
+        settings: OverTime,
+        network: TemporalNetwork,
+        seen: Bool[np.ndarray, " N"],
+        judge: Callable[[Callable], Decision],
     ) -> None:
         self.settings, self.network, self.seen = settings, network, seen
         self.decision: Decision | None = None
@@ -81,26 +88,30 @@ class Appearance:
         self._active = self.settings.use == "always" or (self.decision is not None and self.decision.called_for)
 
     def added(
-        self, means_m: np.ndarray, colour: np.ndarray, logits: np.ndarray, frame: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+        self,
+        means_m: Float[np.ndarray, "N 3"],
+        colour: Float[np.ndarray, "N 1 3"],
+        logits: Float[np.ndarray, " N"],
+        frame: int,
+    ) -> tuple[Float[np.ndarray, "N 1 3"], Float[np.ndarray, " N"]]:
         """Constant harmonics (N, 1, 3) and logit opacities (N,) of one frame."""
         return with_residuals(self.trained, self.seen, means_m, colour, logits, frame)
 
-    def step(self, by_colour: np.ndarray, by_logit: np.ndarray) -> None:
+    def step(self, by_colour: Float[np.ndarray, "N 1 3"], by_logit: Float[np.ndarray, " N"]) -> None:
         """Move the network along gradients by the constant harmonics (N, 1, 3) and logits (N,) of the frame last
         ``added``."""
         if self._active:
             slope = self.network.gradient(by_colour[self.seen, 0], by_logit[self.seen])
             self._adam.step({"network": slope}, {"network": self.settings.rate})
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """The network and Adam's state, for a checkpoint."""
         return {
             f"network.{name}": value
             for name, value in (self._adam.arrays() | {"active": np.array(self._active)}).items()
         }
 
-    def resume(self, held: Mapping[str, np.ndarray], decision: Decision | None) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]], decision: Decision | None) -> None:
         """Puts ``arrays`` back, in place."""
         own = {name.removeprefix("network."): value for name, value in held.items() if name.startswith("network.")}
         self._active, self.decision = bool(own.pop("active")), decision

@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.humans.crops import PERSON, Crop
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # A Gaussian this far behind the nearest rendered surface is hidden.
 _HIDDEN_M = 0.04
@@ -15,8 +20,11 @@ _GRAZING = 0.2
 
 
 def in_view(
-    crop: Crop, means_m: np.ndarray, normals: np.ndarray, nearest_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    crop: Crop,
+    means_m: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    nearest_m: Float[np.ndarray, "h w"],
+) -> tuple[Integer[np.ndarray, " M"], Float[np.ndarray, "M 2"], Float[np.ndarray, " M"]]:
     """Which Gaussians a picture shows: their indices (M,), pixels (M, 2) float32 and weights (M,).
 
     ``means_m`` and ``normals`` (N, 3) are posed, ``nearest_m`` (h, w) is the depth of the person's own surface in the
@@ -39,7 +47,7 @@ def in_view(
     return index, pixels[index].astype(np.float32), facing**2 * np.mean(crop.camera.focal_px) / depth_m[index]
 
 
-def sampled(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+def sampled(picture: Num[np.ndarray, "h w C"], pixels: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "M C"]:
     """(M, C) float64 values of a picture (h, w, C) at ``pixels`` (M, 2), linear between pixel centres."""
     if len(pixels) == 0:
         return np.zeros((0, picture.shape[2]))
@@ -50,11 +58,11 @@ def sampled(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 def look(
     crop: Crop,
-    means_m: np.ndarray,
-    normals: np.ndarray,
-    nearest_m: np.ndarray,
-    colour_sums: np.ndarray,
-    weight_sums: np.ndarray,
+    means_m: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    nearest_m: Float[np.ndarray, "h w"],
+    colour_sums: Float[np.ndarray, "N 3"],
+    weight_sums: Float[np.ndarray, " N"],
 ) -> None:
     """Add one picture's evidence to ``colour_sums`` (N, 3) and ``weight_sums`` (N,); see ``in_view``."""
     index, pixels, weight = in_view(crop, means_m, normals, nearest_m)
@@ -62,7 +70,9 @@ def look(
     np.add.at(weight_sums, index, weight)
 
 
-def nearest_surface(pixels: np.ndarray, depth_m: np.ndarray, hw: tuple[int, int], reach_px: int) -> np.ndarray:
+def nearest_surface(
+    pixels: Float[np.ndarray, "N 2"], depth_m: Float[np.ndarray, " N"], hw: tuple[int, int], reach_px: int
+) -> Float[np.ndarray, "H W"]:
     """(H, W) depth of the nearest point around every pixel, infinite where none is: points (N, 2) splatted as squares
     of ``reach_px``."""
     surface = np.full(hw, np.inf)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -24,6 +25,9 @@ from studiorecon.humans.crops import OUTSIDE, PERSON, Crop, HeldCrop
 from studiorecon.humans.refined_motion import RefinedMotion
 from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _NOISE_RATIO, _MEMORY = 3.0, 0.3
 # Moments that are followed at most, in runs of successive ones: a longer clip would cost more and tell no more.
@@ -39,13 +43,13 @@ _OUTLINE_PX = 3
 
 def followed(
     crops: Sequence[Crop],
-    draw: Callable[[Crop], np.ndarray],
+    draw: Callable[[Crop], Float[np.ndarray, "h w 3"]],
     posing: Posing,
     motion: RefinedMotion,
-    means_m: np.ndarray,
-    normals: np.ndarray,
+    means_m: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
     spacing_m: float,
-) -> np.ndarray:
+) -> Float[np.ndarray, "N M"]:
     """(N, M) float64: brightness of photo minus render at every Gaussian, mean of the cameras that show it, NaN where
     none does. Columns are the ``moments`` of the clip.
 
@@ -75,7 +79,7 @@ def followed(
     return np.where(weights > 0, sums / np.maximum(weights, 1e-12), np.nan)
 
 
-def moments(frames: int) -> np.ndarray:
+def moments(frames: int) -> Integer[np.ndarray, " M"]:
     """Frames that are followed, in order: all of a clip of 240, else ten runs of 24 from its beginning to its end, with
     -1, a moment that nobody sees, between two runs."""
     if frames <= _MOMENTS:
@@ -85,7 +89,7 @@ def moments(frames: int) -> np.ndarray:
     return np.concatenate(runs)[:-1]
 
 
-def drifting_share(residual: np.ndarray) -> Estimate:
+def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     """Share of body points whose residual (N, T) varies three times as much as its noise and keeps its sign over time.
 
     Noise is half the mean square of successive differences, which holds whatever does not last: the camera's noise and

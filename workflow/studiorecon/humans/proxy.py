@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -23,6 +24,9 @@ from studiorecon.progress import say
 from studiorecon.scene.gaussians import sh_from_rgb
 from studiorecon.scene.gaussians_ply import write_ply
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Colours of a body's parts, sRGB in 0..1; a part that is not listed (all of an SMPL body) is the first.
 _COLOURS = {
@@ -38,7 +42,7 @@ class Settings(Started):
     """How many Gaussians, and the seed of where they lie."""
 
 
-def chequered(points_m: np.ndarray, parts: np.ndarray) -> np.ndarray:
+def chequered(points_m: Float[np.ndarray, "N 3"], parts: Integer[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
     one darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])

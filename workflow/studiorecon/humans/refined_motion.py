@@ -8,12 +8,16 @@ live on SO(3): each step is a small rotation put in front of the joint's own, so
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from studiorecon.body.skinning import world_from_rest
 from studiorecon.geometry import rotations
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Shaped
 
 _FIRST_DECAY, _SECOND_DECAY = 0.9, 0.99
 # Joints whose turn moves hardly any surface of its own, or which pictures do not show: they keep the fitted pose.
@@ -39,10 +43,10 @@ class RefinedMotion:
 
     def __init__(
         self,
-        poses: np.ndarray,
-        trans_m: np.ndarray,
-        rest_joints_m: np.ndarray,
-        parents: np.ndarray,
+        poses: Float[np.ndarray, "T 72"],
+        trans_m: Float[np.ndarray, "T 3"],
+        rest_joints_m: Float[np.ndarray, "24 3"],
+        parents: Integer[np.ndarray, " 24"],
         held: Sequence[int] = HELD,
     ) -> None:
         self._held = list(held)
@@ -55,21 +59,21 @@ class RefinedMotion:
         self._first, self._second = np.zeros((len(self.local), 25, 3)), np.zeros((len(self.local), 25, 3))
         self._steps = np.zeros(len(self.local), np.int64)
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Rotations, positions and Adam's state, for a checkpoint."""
         return {name: getattr(self, attribute) for name, attribute in _STORED.items()}
 
-    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Puts ``arrays`` back, in place."""
         for name, attribute in _STORED.items():
             getattr(self, attribute)[...] = held[name]
 
     @property
-    def poses(self) -> np.ndarray:
+    def poses(self) -> Float[np.ndarray, "T 72"]:
         """(T, 72) axis-angle."""
         return rotations.log(self.local).reshape(-1, 72)
 
-    def transforms(self, frame: int) -> np.ndarray:
+    def transforms(self, frame: int) -> Float[np.ndarray, "24 4 4"]:
         """(24, 4, 4) world_from_rest of one frame."""
         world, joints = self._posed(frame)
         return world_from_rest(world, joints, self.rest_joints_m)[0]
@@ -80,7 +84,9 @@ class RefinedMotion:
         _down_the_tree(self.local[frame], self.rest_joints_m, self.parents, self.trans_m[frame], world[0], joints[0])
         return world, joints
 
-    def gradient(self, frame: int, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    def gradient(
+        self, frame: int, force: Float[np.ndarray, "24 3"], torque: Float[np.ndarray, "24 3"]
+    ) -> Float[np.ndarray, "25 3"]:
         """(25, 3) gradient by the turn of every joint in its parent's axes and, last, by the pelvis position.
 
         ``force``, ``torque`` (24, 3) per bone as in ``body.avatar.posing.bone_wrenches``.
@@ -94,7 +100,7 @@ class RefinedMotion:
         gradient[24] = total_force[0]
         return gradient
 
-    def smoothness_gradient(self, frame: int, weight: float) -> np.ndarray:
+    def smoothness_gradient(self, frame: int, weight: float) -> Float[np.ndarray, "25 3"]:
         """(25, 3) gradient of weight · mean(squared geodesic first difference) + the same of translation in metres
         (U51)."""
         gradient = np.zeros((25, 3))
@@ -106,7 +112,7 @@ class RefinedMotion:
                 gradient[24] += 2 * weight * (self.trans_m[frame] - self.trans_m[other])
         return gradient
 
-    def step(self, frame: int, gradient: np.ndarray, rate: float) -> None:
+    def step(self, frame: int, gradient: Float[np.ndarray, "25 3"], rate: float) -> None:
         """One step of Adam on one frame: ``rate`` radians per joint and metres for the pelvis; frames not drawn do not
         move (O04)."""
         gradient = np.where(np.isfinite(gradient), gradient, 0.0)

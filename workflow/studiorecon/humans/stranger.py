@@ -8,6 +8,7 @@ et al. 2004) draws the outline where the detector's coarse mask leaves it open.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from studiorecon.images.encoded import write_png
 from studiorecon.progress import say
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 # Of the detector's mask (0 to 1): surely not, and surely the person; between them the colours decide.
 _OUT, _IN = 0.02, 0.9
 _ROUNDS = 5
@@ -31,7 +35,7 @@ _CUT_PX = 1000
 _ASK = "bring a photo of one whole person, or one that is cut out (PNG with alpha)"
 
 
-def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> np.ndarray:
+def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> Float[np.ndarray, "h w"]:
     """(h, w) float32 in [0, 1]: the detector's mask of somebody over the whole picture of ``wh`` pixels."""
     # OpenCV counts pixels from the first one's centre.
     affine = seen.region.crop_from_picture(MASK_PX)
@@ -40,7 +44,7 @@ def whole_mask(seen: Landmarks, wh: tuple[int, int]) -> np.ndarray:
     return cv2.warpAffine(grey, affine, wh, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
 
 
-def cut_out(picture: np.ndarray, sure: np.ndarray) -> np.ndarray:
+def cut_out(picture: Integer[np.ndarray, "H W 3"], sure: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: the person in ``picture`` (H, W, 3 uint8) by colours, where ``sure`` (H, W) in [0, 1] does not say;
     one whole region."""
     height, width = sure.shape

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -11,6 +12,9 @@ import scipy
 from studiorecon.humans.start_settings import Started
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # A disc's standard deviation as a share of the spacing, so that neighbours just overlap, and its thickness as a share
 # of that.
@@ -29,14 +33,18 @@ class SurfaceSamples:
         spacing_m: root of the area per point.
     """
 
-    points_m: np.ndarray
-    normals: np.ndarray
-    weights: np.ndarray
+    points_m: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    weights: Float[np.ndarray, "N 24"]
     spacing_m: float
 
 
 def sample_surface(
-    vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, count: int, rng: np.random.Generator
+    vertices_m: Float[np.ndarray, "V 3"],
+    faces: Integer[np.ndarray, "F 3"],
+    weights: Float[np.ndarray, "V 24"],
+    count: int,
+    rng: np.random.Generator,
 ) -> SurfaceSamples:
     """``count`` points over the mesh, evenly by area: one in every ``count``-th of the area in face order, jittered.
 
@@ -60,7 +68,11 @@ def sample_surface(
 
 
 def started(
-    vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray, how: Started, rng: np.random.Generator
+    vertices_m: Float[np.ndarray, "V 3"],
+    faces: Integer[np.ndarray, "F 3"],
+    weights: Float[np.ndarray, "V 24"],
+    how: Started,
+    rng: np.random.Generator,
 ) -> SurfaceSamples:
     """Where a person's Gaussians start, as the settings say."""
     if how.placed == "vertices":
@@ -68,7 +80,9 @@ def started(
     return sample_surface(vertices_m, faces, weights, how.gaussians, rng)
 
 
-def vertex_samples(vertices_m: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> SurfaceSamples:
+def vertex_samples(
+    vertices_m: Float[np.ndarray, "V 3"], faces: Integer[np.ndarray, "F 3"], weights: Float[np.ndarray, "V 24"]
+) -> SurfaceSamples:
     """One point at every vertex that a face uses (paper, appendix D), with the model's own weights."""
     used = np.unique(faces)
     normals, crosses = _vertex_normals(vertices_m, faces)
@@ -97,7 +111,7 @@ def gaussians_on(samples: SurfaceSamples, sh_degree: int) -> Gaussians:
     return discs(samples.points_m, samples.normals, grey, samples.spacing_m * _WIDTH, _FLATNESS, _OPACITY, sh_degree)
 
 
-def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
+def neighbours(samples: SurfaceSamples, count: int) -> Integer[np.ndarray, "N K"]:
     """(N, count) indices of the nearest samples whose normals agree, so that a palm does not border on the thigh beside
     it.
 
@@ -111,7 +125,7 @@ def neighbours(samples: SurfaceSamples, count: int) -> np.ndarray:
     return np.where(fits, chosen, np.arange(len(near))[:, None])
 
 
-def mirrored(samples: SurfaceSamples, within_m: float) -> np.ndarray:
+def mirrored(samples: SurfaceSamples, within_m: float) -> Integer[np.ndarray, " N"]:
     """(N,) index of the sample nearest to each sample's mirror image (the canonical body's x is left–right), −1 beyond
     ``within_m``."""
     distance, index = scipy.spatial.cKDTree(samples.points_m).query(samples.points_m * [-1, 1, 1])
@@ -119,8 +133,12 @@ def mirrored(samples: SurfaceSamples, within_m: float) -> np.ndarray:
 
 
 def fill_unseen(
-    values: np.ndarray, seen: np.ndarray, near: np.ndarray, twin: np.ndarray, passes: int = 400
-) -> np.ndarray:
+    values: Float[np.ndarray, "N C"],
+    seen: Bool[np.ndarray, " N"],
+    near: Integer[np.ndarray, "N K"],
+    twin: Integer[np.ndarray, " N"],
+    passes: int = 400,
+) -> Float[np.ndarray, "N C"]:
     """``values`` (N, C) with the unseen rows replaced: from the body's other side where that was seen, else spread from
     seen neighbours.
 

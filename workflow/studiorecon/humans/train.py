@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -58,6 +59,9 @@ from studiorecon.splatting.train.perceptual import Perceptual
 from studiorecon.splatting.train.terms import terms_of
 from studiorecon.splatting.train.trainer import train
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 _BONES_KEPT = 4
 _NEIGHBOURS = 8
 # Pictures that colours start from: enough to see every side of a turning person, few enough to take a second.
@@ -69,8 +73,11 @@ _POSE_FPS = 30.0
 
 
 def skinning_weights(
-    samples: SurfaceSamples, vertices_m: np.ndarray, weights: np.ndarray, settings: Settings
-) -> tuple[np.ndarray, np.ndarray, WeightGrid | None]:
+    samples: SurfaceSamples,
+    vertices_m: Float[np.ndarray, "V 3"],
+    weights: Float[np.ndarray, "V 24"],
+    settings: Settings,
+) -> tuple[Integer[np.ndarray, "N K"], Float[np.ndarray, "N K"], WeightGrid | None]:
     """Joints (N, K) and weights (N, K): the surface's own four strongest, or all of the paper's voxel grid, and the
     grid.
 
@@ -85,7 +92,7 @@ def skinning_weights(
 
 def first_colours(
     samples: SurfaceSamples, posing: Posing, motion: RefinedMotion, crops: Sequence[Crop]
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """Colours (N, 3) float64 and ``seen`` (N,) bool from up to 160 crops spread over the clip; unseen rows are grey."""
     sums, weights = np.zeros_like(samples.points_m), np.zeros(len(samples.points_m))
     chosen = evenly_spread(len(crops), _LOOKS, below=True)
@@ -117,7 +124,9 @@ def supported_degree(settings: Settings, motion: RefinedMotion, crops: Sequence[
     return min(settings.sh_degree, degree_supported(np.array(looks))) if settings.sh_cap else settings.sh_degree
 
 
-def recolour_unseen(trained: Gaussians, seen: np.ndarray, near: np.ndarray, twin: np.ndarray) -> Gaussians:
+def recolour_unseen(
+    trained: Gaussians, seen: Bool[np.ndarray, " N"], near: Integer[np.ndarray, "N K"], twin: Integer[np.ndarray, " N"]
+) -> Gaussians:
     """The trained Gaussians with every unseen one's colour taken from its surroundings on the body; training showed it
     silhouettes only."""
     sh = np.where(seen[:, None, None], trained.sh, 0)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Log-odds of a network's pixel never go beyond this: its outline is as coarse as its mask, and it is sure of itself.
 _MOST = 1.5
@@ -32,9 +36,9 @@ class DetectorMasks:
 
     found: RawDetections
     rows: Mapping[tuple[int, str], int]
-    in_footage: np.ndarray
+    in_footage: Float[np.ndarray, "H W 2"]
 
-    def evidence(self, frame: int, names: Sequence[str]) -> np.ndarray:
+    def evidence(self, frame: int, names: Sequence[str]) -> Float[np.ndarray, "H W"]:
         """(H, W) float32 log-odds that somebody of ``names`` is at a pixel: the surest of their masks; 0 where no mask
         reaches."""
         total = np.zeros(self.in_footage.shape[:2], np.float32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from studiorecon.masks.tracks import overlaps
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.numbered import gaps_named, pictures_in
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 _UNASSIGNED = 255
 # Lossy codecs turn 0 into 1 and smear borders: a video's greys are read as yes or no unless they are exact labels.
@@ -42,11 +46,11 @@ class Given:
 
     path: Path
     chosen: Sequence[int]
-    columns: np.ndarray
-    rows: np.ndarray
+    columns: Num[np.ndarray, "H W"]
+    rows: Num[np.ndarray, "H W"]
     exact: bool
 
-    def __iter__(self) -> Iterator[np.ndarray]:
+    def __iter__(self) -> Iterator[Integer[np.ndarray, "H W"]]:
         """(H, W) uint8 labels of every frame."""
         wanted = iter(self.chosen)
         at = next(wanted, None)
@@ -83,8 +87,12 @@ def read_given(path: Path, footage: Path, calibration: Path, frames: int) -> Giv
 
 
 def identified(
-    labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int, gate_m: float, camera: Camera
-) -> tuple[Iterator[np.ndarray], str]:
+    labels: Iterable[Integer[np.ndarray, "H W"]],
+    depths_m: Iterable[Float[np.ndarray, "K H W"]],
+    people: int,
+    gate_m: float,
+    camera: Camera,
+) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
     """(H, W) uint8 masks with this project's labels, frame by frame, and a sentence how they were matched.
 
     ``labels``, gone through twice, with one value say where somebody is: each pixel goes to the fitted body in front or
@@ -126,7 +134,7 @@ def _by_body(region: np.ndarray, depths_m: np.ndarray, gate_m: float, camera: Ca
     return np.where(region, owner, 0).astype(np.uint8)
 
 
-def pictures_of(path: Path) -> Iterable[np.ndarray]:
+def pictures_of(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
     if path.is_dir():
         files = pictures_in(path)
         if missing := gaps_named(files):

@@ -5,12 +5,16 @@ rest."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.images.regions import dilated
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Colour models of fewer pixels than this are noise.
 _LEAST_SEEDS = 40
@@ -32,7 +36,12 @@ class CutSettings:
     weight: float = 0.7
 
 
-def cut_unknown(rgb: np.ndarray, evidence: np.ndarray, unknown: np.ndarray, settings: CutSettings) -> np.ndarray:
+def cut_unknown(
+    rgb: Integer[np.ndarray, "H W 3"],
+    evidence: Float[np.ndarray, "H W"],
+    unknown: Bool[np.ndarray, "H W"],
+    settings: CutSettings,
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 ``evidence`` with GrabCut's opinion added at ``unknown`` pixels; as given elsewhere.
 
     ``rgb`` (H, W, 3) uint8; ``evidence`` (H, W) log-odds, −inf where no person can be. Without enough seeds of both

@@ -5,11 +5,15 @@ bodies are."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.images.difference import plate_difference
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Log-odds of one pixel's difference never go beyond this: a single pixel is never certain.
 _MOST = 4.0
@@ -48,12 +52,14 @@ class Plate:
         unrest: (H, W) float32 difference that its pixels show without anybody there (noise, compression at edges).
     """
 
-    rgb: np.ndarray
-    measured: np.ndarray
-    unrest: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    measured: Bool[np.ndarray, "H W"]
+    unrest: Float[np.ndarray, "H W"]
 
 
-def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: DifferenceSettings) -> np.ndarray:
+def colour_difference(
+    rgb: Float[np.ndarray, "H W 3"], plate_rgb: Float[np.ndarray, "H W 3"], settings: DifferenceSettings
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference between a picture and the plate, both (H, W, 3) float32 in [0, 1], in CIELAB units.
 
     A shadow darkens all channels by one factor. The best such factor, no darker than ``settings.shadow``, is taken out
@@ -63,7 +69,9 @@ def colour_difference(rgb: np.ndarray, plate_rgb: np.ndarray, settings: Differen
     return np.sqrt(squared + np.square(settings.shadow_weight * 100 * (1 - left)))
 
 
-def difference_evidence(difference: np.ndarray, plate: Plate, settings: DifferenceSettings) -> np.ndarray:
+def difference_evidence(
+    difference: Float[np.ndarray, "H W"], plate: Plate, settings: DifferenceSettings
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 log-odds from the difference to the plate; 0 where the plate is not measured.
 
     An outline runs where the difference has fallen to a share ``edge`` of what it is just inside: optics and chroma
@@ -86,7 +94,7 @@ def difference_evidence(difference: np.ndarray, plate: Plate, settings: Differen
     return np.where(plate.measured, evidence, 0).astype(np.float32)
 
 
-def unrest_of(differences: np.ndarray, free: np.ndarray) -> np.ndarray:
+def unrest_of(differences: Float[np.ndarray, "T H W"], free: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 80th percentile of differences (T, H, W) over the pictures in which a pixel is ``free`` (T, H, W).
 
     Pixels that are never free get the median of the others.
@@ -101,8 +109,8 @@ def unrest_of(differences: np.ndarray, free: np.ndarray) -> np.ndarray:
 
 
 def body_evidence(
-    signed_distance_m: np.ndarray, sigma_m: float, gate_m: float, inside: float, outside: float
-) -> np.ndarray:
+    signed_distance_m: Float[np.ndarray, " ..."], sigma_m: float, gate_m: float, inside: float, outside: float
+) -> Float[np.ndarray, " ..."]:
     """(...) float32 log-odds from the signed distance to a fitted body's outline, metres at the body's depth.
 
     One per ``sigma_m``, the typical error of outline and clothes, at most ``inside`` and at least −``outside``; −inf

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +12,20 @@ from studiorecon.masks.tracks import UNASSIGNED
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.rigid_object import RigidObject
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 # Things reach this much beyond their sphere: they are rarely round.
 _GROWN = 1.15
 
 
 def without_things(
-    labels: np.ndarray, things: Sequence[RigidObject], depths_m: np.ndarray, camera: Camera, frame: int
-) -> np.ndarray:
+    labels: Integer[np.ndarray, "H W"],
+    things: Sequence[RigidObject],
+    depths_m: Float[np.ndarray, "K H W"],
+    camera: Camera,
+    frame: int,
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 labels of one frame with the things' pixels unassigned.
 
     ``depths_m`` (K, H, W) are the bodies' z-depths, 0 = absent. Before a body a thing hides it, whatever the label;

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from studiorecon.models.loading import load
 from studiorecon.progress import progress, say
 from studiorecon.scene.capture import read_footage
 from studiorecon.signature import Place, Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 _MOST = 254
 
@@ -50,7 +54,7 @@ class Settings:
     sam3: Sam3Settings = setting(Sam3Settings(), "How SAM 3 runs.")
 
 
-def in_bytes(maps: Iterable[np.ndarray], found: set[int]) -> Iterator[np.ndarray]:
+def in_bytes(maps: Iterable[Integer[np.ndarray, "H W"]], found: set[int]) -> Iterator[Integer[np.ndarray, "H W"]]:
     """(H, W) uint8 of label maps; numbers beyond 254 are nobody's, and ``found`` receives all that occurred."""
     for labels in maps:
         found.update(np.unique(labels[labels > 0]).tolist())

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -49,6 +50,9 @@ from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.scene.raw_detections import read_raw_detections
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import RigidObject, read_objects
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Pictures from which the plate's unrest is learnt.
 _UNREST_FRAMES = 12
@@ -98,8 +102,8 @@ class Settings:
 
 
 def person_evidence(
-    depths_m: np.ndarray, camera: Camera, valid: Sequence[bool], settings: OutlineSettings
-) -> tuple[np.ndarray, np.ndarray]:
+    depths_m: Float[np.ndarray, "K H W"], camera: Camera, valid: Sequence[bool], settings: OutlineSettings
+) -> tuple[Float[np.ndarray, "K H W"], Float[np.ndarray, "K H W"]]:
     """(K, H, W) log-odds from each body's depth picture (0 = absent), and (K, H, W) its signed distance in metres.
 
     A body that was only filled in between measured frames (not ``valid``) never speaks for a person, and is twice as
@@ -120,15 +124,15 @@ def person_evidence(
 
 
 def segment_frame(
-    rgb: np.ndarray,
-    difference: np.ndarray,
+    rgb: Integer[np.ndarray, "H W 3"],
+    difference: Float[np.ndarray, "H W"],
     plate: Plate,
-    depths_m: np.ndarray,
+    depths_m: Float[np.ndarray, "K H W"],
     camera: Camera,
     valid: Sequence[bool],
     settings: Settings,
-    network: np.ndarray | None = None,
-) -> np.ndarray:
+    network: Float[np.ndarray, "H W"] | None = None,
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 labels of a picture (H, W, 3) uint8; ``difference`` is its ``colour_difference`` to the plate.
 
     ``network``: (H, W) log-odds of the detector's masks, if there are any.
@@ -158,7 +162,9 @@ def segment_frame(
     return labels
 
 
-def along_edges(evidence: np.ndarray, rgb: np.ndarray, radius_px: int) -> np.ndarray:
+def along_edges(
+    evidence: Float[np.ndarray, "H W"], rgb: Integer[np.ndarray, "H W 3"], radius_px: int
+) -> Float[np.ndarray, "H W"]:
     """(H, W) evidence averaged over ``radius_px`` without crossing edges of the picture; −inf stays −inf."""
     possible = np.isfinite(evidence)
     if radius_px <= 0 or not possible.any():
@@ -187,7 +193,7 @@ class Film:
     def __len__(self) -> int:
         return self.count
 
-    def __iter__(self) -> Iterator[np.ndarray]:
+    def __iter__(self) -> Iterator[Integer[np.ndarray, "H W 3"]]:
         return self.brightness.even_all(self.camera, read_frames(self.video, 0, self.count))
 
 
@@ -202,7 +208,7 @@ class Numbers:
     count: int
     hw: tuple[int, int]
 
-    def __iter__(self) -> Iterator[np.ndarray]:
+    def __iter__(self) -> Iterator[Integer[np.ndarray, "H W"]]:
         number = -1
         for number, labels in enumerate(read_frames(self.film)):
             if labels.shape != self.hw or number >= self.count:
@@ -226,21 +232,21 @@ class Bodies:
     camera: Camera
     count: int
 
-    def __iter__(self) -> Iterator[np.ndarray]:
+    def __iter__(self) -> Iterator[Float[np.ndarray, "K H W"]]:
         return (body_depths(self.people, self.body, self.camera, frame) for frame in range(self.count))
 
 
 def segment(
-    frames: Film | np.ndarray,
-    plate_rgb: np.ndarray,
-    measured: np.ndarray,
+    frames: Film | Integer[np.ndarray, "T H W 3"],
+    plate_rgb: Float[np.ndarray, "H W 3"],
+    measured: Bool[np.ndarray, "H W"],
     people: Sequence[Person],
     body: BodyModel,
     camera: Camera,
     settings: Settings,
     things: Sequence[RigidObject] = (),
     seen: DetectorMasks | None = None,
-) -> Iterator[np.ndarray]:
+) -> Iterator[Integer[np.ndarray, "H W"]]:
     """(H, W) uint8 labels of every frame (T, H, W, 3) uint8; pixels of ``things`` are nobody's; ``seen``: the
     detector's masks."""
     plate = Plate(plate_rgb, measured, np.zeros(measured.shape, np.float32))
@@ -265,7 +271,7 @@ def segment(
         yield without_things(labels, things, depths_m, camera, t)
 
 
-def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> np.ndarray:
+def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "K H W"]:
     """(K, H, W) float32 z-depth of each fitted body at one frame, 0 where it is not."""
     depths = np.zeros((len(people), *camera.hw), np.float32)
     for k, person in enumerate(people):
@@ -341,14 +347,16 @@ def run(
         say(describe(camera, pixels, [f.name for f in persons], float(measured.mean())))
 
 
-def counted(labels: Iterable[np.ndarray], pixels: np.ndarray) -> Iterator[np.ndarray]:
+def counted(
+    labels: Iterable[Integer[np.ndarray, "H W"]], pixels: Integer[np.ndarray, " 256"]
+) -> Iterator[Integer[np.ndarray, "H W"]]:
     """The labels as they come; adds to ``pixels`` (256,) how many have which."""
     for own in labels:
         pixels += np.bincount(own.ravel(), minlength=256)
         yield own
 
 
-def describe(camera: str, pixels: np.ndarray, names: Sequence[str], measured: float) -> str:
+def describe(camera: str, pixels: Integer[np.ndarray, " 256"], names: Sequence[str], measured: float) -> str:
     """One sentence: what the masks hold, from how many pixels have which label (256,)."""
     shares = [f"{name} {pixels[k + 1] / pixels.sum():.1%}" for k, name in enumerate(names)]
     how = (

@@ -5,10 +5,14 @@ numbers in turn."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.images.silhouette import front_person
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 UNASSIGNED = 255
 # A number belongs to the person on whom at least this share of its pixels lies; a body is thinner than what it wears.
@@ -16,8 +20,8 @@ _LEAST_SHARE = 0.3
 
 
 def assigned(
-    labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int
-) -> tuple[Iterator[np.ndarray], str]:
+    labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
+) -> tuple[Iterator[Integer[np.ndarray, "H W"]], str]:
     """(H, W) uint8 masks with this project's labels from a network's numbers (H, W), frame by frame, and a sentence how
     they were matched.
 
@@ -40,7 +44,9 @@ def assigned(
     return masks, told + (f"; {strangers} lie on nobody who was fitted" if strangers else "")
 
 
-def overlaps(labels: Iterable[np.ndarray], depths_m: Iterable[np.ndarray], people: int) -> np.ndarray:
+def overlaps(
+    labels: Iterable[Integer[np.ndarray, "H W"]], depths_m: Iterable[Float[np.ndarray, "K H W"]], people: int
+) -> Integer[np.ndarray, "256 1+people"]:
     """(256, 1 + people) pixels of all frames that have a number, on nobody and on the body of each person in front.
 
     Raises ValueError when there are not as many ``labels`` (H, W) as ``depths_m`` (K, H, W).

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num, Shaped
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Reconstruction:
     """
 
     cameras: Sequence[Camera]
-    depths: Sequence[np.ndarray]
-    confidences: Sequence[np.ndarray]
+    depths: Sequence[Float[np.ndarray, "H W"]]
+    confidences: Sequence[Float[np.ndarray, "H W"]]
     focal_residuals_px: Sequence[float]
     metric: bool
 
@@ -50,13 +53,13 @@ class Bodies:
         joints_px: (P, J, 2) pixels, centres at +0.5. ``confidences``: (P,) in [0, 1].
     """
 
-    tracks: np.ndarray
-    shapes: np.ndarray
-    poses_rad: np.ndarray
-    translations_m: np.ndarray
-    pelvises_m: np.ndarray
-    joints_px: np.ndarray
-    confidences: np.ndarray
+    tracks: Integer[np.ndarray, " P"]
+    shapes: Float[np.ndarray, "P 10"]
+    poses_rad: Float[np.ndarray, "P 24 3"]
+    translations_m: Float[np.ndarray, "P 3"]
+    pelvises_m: Float[np.ndarray, "P 3"]
+    joints_px: Float[np.ndarray, "P J 2"]
+    confidences: Float[np.ndarray, " P"]
 
 
 @dataclass(frozen=True)
@@ -72,8 +75,8 @@ class Moment:
 
     camera: Camera
     frame: float
-    depth_m: np.ndarray
-    injected: np.ndarray
+    depth_m: Float[np.ndarray, "H W"]
+    injected: Float[np.ndarray, "H W"]
 
 
 @dataclass(frozen=True)
@@ -87,15 +90,15 @@ class KeyFrame:
     """
 
     camera: Camera
-    rgb: np.ndarray
-    depth_m: np.ndarray
-    usable: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    depth_m: Float[np.ndarray, "H W"]
+    usable: Bool[np.ndarray, "H W"]
 
 
 class PoseAndDepth(Protocol):
     """Pi3, Pi3X, MapAnything."""
 
-    def reconstruct(self, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Reconstruction:
+    def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """Cameras and depth of pictures (H, W, 3) uint8 of one moment."""
         ...
 
@@ -103,7 +106,7 @@ class PoseAndDepth(Protocol):
 class MonocularDepth(Protocol):
     """MoGe."""
 
-    def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
+    def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
         """(H, W) float32 depth of a uint8 picture, 0 = unknown; ``focal_px``: horizontal, when it is known."""
         ...
 
@@ -111,7 +114,7 @@ class MonocularDepth(Protocol):
 class PersonSegmenter(Protocol):
     """SAM 3."""
 
-    def segment(self, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
         """(H, W) uint16 per uint8 frame: 0 = nobody, else 1 + the person's number, the same through the clip."""
         ...
 
@@ -123,12 +126,14 @@ class BodyEstimator(Protocol):
     """What its 2D points are called: a name of ``keypoints.layouts``."""
 
     @staticmethod
-    def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+    def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """(frame, bodies) from a file of the network's own arrays, called ``where`` in messages; UserError for one that
         lacks some."""
         ...
 
-    def bodies(self, frames: Iterable[np.ndarray], intrinsics: np.ndarray) -> Iterator[Bodies]:
+    def bodies(
+        self, frames: Iterable[Integer[np.ndarray, "H W 3"]], intrinsics: Num[np.ndarray, "3 3"]
+    ) -> Iterator[Bodies]:
         """The people of each uint8 frame of one calibrated camera."""
         ...
 
@@ -144,22 +149,22 @@ class ViewSynthesizer(Protocol):
     """Photos that it bears at once: what its job has of main memory."""
 
     @staticmethod
-    def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, np.ndarray]:
+    def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """What the network is asked for a film along ``path`` from photos, all of size ``hw``; UserError for a path
         that it cannot follow."""
         ...
 
     @staticmethod
-    def check(request: dict[str, np.ndarray]) -> None:
+    def check(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Raises UserError for a request that the network would misread."""
         ...
 
     @staticmethod
-    def evidence(request: dict[str, np.ndarray]) -> str:
+    def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
         """What re-rendering a checked request says, in a sentence; UserError when it is not worth a GPU hour."""
         ...
 
-    def views(self, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
+    def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t H W 3"]]:
         """(t, H, W, 3) uint8 parts of the film that a request asks for, in order."""
         ...
 
@@ -168,7 +173,9 @@ class Enhancer(Protocol):
     """Difix3D+, Fixer, and the embedded residual transfer: anything that improves a rendered picture, given a real
     photo for reference."""
 
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+    def enhance(
+        self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
+    ) -> Float[np.ndarray, "H W 3"]:
         """The enhanced (H, W, 3) float32 picture of ``image``; ``reference`` is a photo (h, w, 3) of the same time."""
         ...
 
@@ -176,7 +183,9 @@ class Enhancer(Protocol):
 class Flow(Protocol):
     """RAFT."""
 
-    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def flow(
+        self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+    ) -> Float[np.ndarray, "H W 2"]:
         """(H, W, 2) float32 flow from the first to the second uint8 picture: p of the first shows what p + flow(p) of
         the second shows."""
         ...
@@ -189,7 +198,7 @@ SMALLEST_MEASURED_PX = 64
 class PerceptualDistance(Protocol):
     """LPIPS, as it is measured."""
 
-    def measured(self, prediction: np.ndarray, truth: np.ndarray) -> float | None:
+    def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
         """The distance of two (H, W, 3) uint8 pictures; None when a side is under ``SMALLEST_MEASURED_PX``."""
         ...
 
@@ -197,7 +206,7 @@ class PerceptualDistance(Protocol):
 class CanonicalAvatar(Protocol):
     """LHM: a person's Gaussians in a rest pose, from one photo."""
 
-    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
+    def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
         """Gaussians in the body's rest pose and axes (x left, y up, z forward), from a uint8 photo and the (H, W) mask
         of the person."""
         ...

@@ -9,7 +9,7 @@ first ten are kept. It is read without running any of its code but numpy's and s
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from studiorecon.models.catalogue.pickles import Chumpy, read_arrays
 from studiorecon.progress import say
 from studiorecon.scene.files import write_npz
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
 
 CARD = Card(
     name="smpl",
@@ -59,7 +62,7 @@ def read_pickle(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def postprocess(entries: dict[str, Any], path: Path) -> dict[str, np.ndarray]:
+def postprocess(entries: dict[str, Any], path: Path) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of an SMPL .npz from a pickle's entries, ten shape directions, the joint regressor dense; UserError
     for another body."""
     missing = [name for name in _ARRAYS if name not in entries]

@@ -8,6 +8,7 @@ middle.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -18,6 +19,9 @@ from studiorecon.objects.residual import ROOM
 from studiorecon.objects.rigid import ObjectCrop, coloured, reached_m
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.discs import discs
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Cells along each axis of the first grid, the bounds of the second, and looks that carve, spread over all of them.
 _CELLS, _CELLS_BETWEEN, _LOOKS = 40, (16, 72), 96
@@ -37,7 +41,7 @@ def reach_m(looks: Sequence[ObjectCrop]) -> float:
     return float(np.quantile(found, _FARTHEST)) if len(found) else float("nan")
 
 
-def carved(looks: Sequence[ObjectCrop], count: int) -> tuple[np.ndarray, np.ndarray, float]:
+def carved(looks: Sequence[ObjectCrop], count: int) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], float]:
     """(N, 3) points on the surface in the thing's frame, metres, N about ``count``; their outward normals (N, 3); their
     spacing, metres.
 
@@ -91,7 +95,7 @@ def _surface(looks: Sequence[ObjectCrop], half_m: float, cells: int) -> tuple[np
     return (np.argwhere(skin_cells) - 0.5) * cell_m - half_m + 0.5 * cell_m * normals, normals, cell_m
 
 
-def skin(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussians, np.ndarray] | None:
+def skin(looks: Sequence[ObjectCrop], count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]] | None:
     """Discs on what looks leave of a thing, in their colours, and (N,) bool which of them any look shows; None where
     nothing is left.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -37,6 +38,9 @@ from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Person
 from studiorecon.signature import Written
 from studiorecon.splatting.rigid_object import MEASURED_TURNS, RigidObject, write_objects
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Pictures from which is learnt what usually differs.
 _REST_FRAMES = 16
@@ -76,9 +80,9 @@ class ObjectView:
 
     camera: Camera
     video: Path
-    plate: np.ndarray
-    measured: np.ndarray
-    usual: np.ndarray
+    plate: Float[np.ndarray, "H W 3"]
+    measured: Bool[np.ndarray, "H W"]
+    usual: Float[np.ndarray, "H W"]
 
 
 def objects_in(

@@ -6,12 +6,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.geometry.smoothing import fill_vectors
 from studiorecon.objects.sightings import Sighting, sphere
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Radii of one thing from one moment to another, a factor.
 _ONE_SIZE = 2.0
@@ -44,9 +48,9 @@ class ObjectTrack:
     ``round`` is whether its outlines are those of a sphere; other things are where the middles of their regions meet.
     """
 
-    centres_m: np.ndarray
-    valid: np.ndarray
-    present: np.ndarray
+    centres_m: Float[np.ndarray, "T 3"]
+    valid: Bool[np.ndarray, " T"]
+    present: Bool[np.ndarray, " T"]
     radius_m: float
     seen: tuple[tuple[int, Sighting], ...]
     round: bool = True
@@ -173,7 +177,7 @@ def _expected(track: Sequence[tuple[int, Sighting]], frame: int) -> np.ndarray:
     return last.centre_m + (last.centre_m - before.centre_m) * (frame - last_frame) / (last_frame - before_frame)
 
 
-def held(valid: np.ndarray, fps: float, settings: FollowSettings) -> np.ndarray:
+def held(valid: Bool[np.ndarray, " T"], fps: float, settings: FollowSettings) -> Bool[np.ndarray, " T"]:
     """(T,) bool: measured frames, and gaps between them that are short enough to be filled."""
     present, at = valid.copy(), np.flatnonzero(valid)
     for a, b in pairwise(at):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from studiorecon.objects.residual import LOOSE, UNKNOWN
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.rasterise import Rasteriser
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # Differences that count in full; what one pixel's difference weighs: shapes are not exact, and neighbours err alike.
 _HUBER, _NOISE = 0.25, 0.4
@@ -36,12 +40,12 @@ class ObjectObservation:
     ``weight`` (h, w)."""
 
     camera: Camera
-    rgb: np.ndarray
-    mask: np.ndarray
-    weight: np.ndarray
+    rgb: Float[np.ndarray, "h w 3"]
+    mask: Num[np.ndarray, "h w"]
+    weight: Float[np.ndarray, "h w"]
 
 
-def glimpse(camera: Camera, rgb: np.ndarray, state: np.ndarray) -> ObjectObservation:
+def glimpse(camera: Camera, rgb: Integer[np.ndarray, "h w 3"], state: Integer[np.ndarray, "h w"]) -> ObjectObservation:
     """From a crop's camera, ``rgb`` (h, w, 3) uint8 and ``state`` (h, w) as in ``Region``; where somebody hides it
     nothing counts."""
     mask = (state == LOOSE).astype(np.float32)
@@ -52,17 +56,17 @@ def glimpse(camera: Camera, rgb: np.ndarray, state: np.ndarray) -> ObjectObserva
 class Prior:
     """What is expected of a pose: near ``world_from_thing`` (4, 4) within deviations in radians and metres."""
 
-    world_from_thing: np.ndarray
+    world_from_thing: Float[np.ndarray, "4 4"]
     turn_rad: float
     place_m: float
 
-    def residuals(self, pose: np.ndarray) -> np.ndarray:
+    def residuals(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
         """(6,) departures of a pose (4, 4) in deviations."""
         turn = rotations.log(self.world_from_thing[:3, :3].T @ pose[:3, :3])
         return np.concatenate([turn / self.turn_rad, (pose[:3, 3] - self.world_from_thing[:3, 3]) / self.place_m])
 
 
-def moved(pose: np.ndarray, step: np.ndarray) -> np.ndarray:
+def moved(pose: Float[np.ndarray, "4 4"], step: Float[np.ndarray, " 6"]) -> Float[np.ndarray, "4 4"]:
     """A pose (4, 4) turned about its own middle by ``step[:3]``, radians, in its own axes, and shifted by ``step[3:]``,
     metres."""
     new = pose.copy()
@@ -78,25 +82,27 @@ class Fitter:
         self._gaussians, self.reach_m = gaussians, reach_m
         self._rasteriser = Rasteriser(near_m=NEAR_M, threads=threads)
 
-    def misfit(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation]) -> tuple[float, float]:
+    def misfit(self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation]) -> tuple[float, float]:
         """Sum of the squared differences in the crops at a pose, and how many pixels of the thing there are."""
         squares = sum(float(np.square(self._difference(pose, g, 0.0)).sum()) for g in glimpses)
         return squares, float(sum((g.mask * g.weight).sum() for g in glimpses))
 
     def fit(
         self,
-        pose: np.ndarray,
+        pose: Float[np.ndarray, "4 4"],
         glimpses: Sequence[ObjectObservation],
         prior: Prior,
         blurs_px: Sequence[float],
         steps: int,
-    ) -> np.ndarray:
+    ) -> Float[np.ndarray, "4 4"]:
         """The pose (4, 4) near ``pose`` that draws what was seen, within its prior."""
         for blur_px in blurs_px:
             pose = self._descended(pose, glimpses, prior, blur_px, steps)
         return pose
 
-    def cost(self, pose: np.ndarray, glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float) -> float:
+    def cost(
+        self, pose: Float[np.ndarray, "4 4"], glimpses: Sequence[ObjectObservation], prior: Prior, blur_px: float
+    ) -> float:
         """What ``fit`` lessens."""
         return _cost(self._residuals(pose, glimpses, blur_px)) + float(np.square(prior.residuals(pose)).sum())
 

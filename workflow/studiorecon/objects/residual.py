@@ -6,12 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.footage.video import to_float
 from studiorecon.images.difference import plate_difference
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # What a pixel shows: the room as on the plate, something loose, or no telling (a person, or an unknown plate).
 ROOM, LOOSE, UNKNOWN = 0, 1, 2
@@ -53,16 +57,18 @@ class ResidualRegion:
     """
 
     view: int
-    centre_px: np.ndarray
+    centre_px: Float[np.ndarray, " 2"]
     area_px: float
-    outline_px: np.ndarray
+    outline_px: Float[np.ndarray, "K 2"]
     free: bool
     corner: tuple[int, int]
-    rgb: np.ndarray
-    state: np.ndarray
+    rgb: Integer[np.ndarray, "h w 3"]
+    state: Integer[np.ndarray, "h w"]
 
 
-def difference(rgb: np.ndarray, plate: np.ndarray, settings: LooseSettings) -> np.ndarray:
+def difference(
+    rgb: Integer[np.ndarray, "H W 3"], plate: Float[np.ndarray, "H W 3"], settings: LooseSettings
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference of a picture (H, W, 3) uint8 from the plate (H, W, 3) in [0, 1], CIELAB units.
 
     A shadow, one factor of all channels, is taken out first.
@@ -71,7 +77,9 @@ def difference(rgb: np.ndarray, plate: np.ndarray, settings: LooseSettings) -> n
     return np.sqrt(plate_difference(picture, empty, chroma_weight=settings.chroma_weight, shadow=settings.shadow)[0])
 
 
-def unrest(differences: Sequence[np.ndarray], explained: Sequence[np.ndarray]) -> np.ndarray:
+def unrest(
+    differences: Sequence[Float[np.ndarray, "H W"]], explained: Sequence[Bool[np.ndarray, "H W"]]
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 difference that a pixel shows in most of the pictures in which nobody is there; 0 where somebody
     always is.
 
@@ -84,8 +92,12 @@ def unrest(differences: Sequence[np.ndarray], explained: Sequence[np.ndarray]) -
 
 
 def states(
-    differing: np.ndarray, usual: np.ndarray, measured: np.ndarray, explained: np.ndarray, settings: LooseSettings
-) -> np.ndarray:
+    differing: Float[np.ndarray, "H W"],
+    usual: Float[np.ndarray, "H W"],
+    measured: Bool[np.ndarray, "H W"],
+    explained: Bool[np.ndarray, "H W"],
+    settings: LooseSettings,
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 what every pixel of a picture shows.
 
     ``differing`` (H, W) is its ``difference``, ``usual`` its ``unrest``, up to twice the threshold: what differs more
@@ -100,7 +112,9 @@ def states(
     return np.where(explained | ~measured, np.uint8(UNKNOWN), loose)
 
 
-def regions(rgb: np.ndarray, state: np.ndarray, view: int, min_share: float) -> list[ResidualRegion]:
+def regions(
+    rgb: Integer[np.ndarray, "H W 3"], state: Integer[np.ndarray, "H W"], view: int, min_share: float
+) -> list[ResidualRegion]:
     """Loose regions of a picture, largest first."""
     loose = cv2.morphologyEx((state == LOOSE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels, statistics, centres = cv2.connectedComponentsWithStats(loose, connectivity=8)
@@ -140,7 +154,7 @@ def regions(rgb: np.ndarray, state: np.ndarray, view: int, min_share: float) -> 
     return found
 
 
-def outline_of(state: np.ndarray) -> np.ndarray:
+def outline_of(state: Integer[np.ndarray, "H W"]) -> Float[np.ndarray, "K 2"]:
     """(K, 2) middles of the edges between loose pixels and room pixels."""
     points = []
     for axis in (0, 1):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -28,6 +29,9 @@ from studiorecon.splatting.discs import discs
 from studiorecon.splatting.train.schedule import TrainingSettings
 from studiorecon.splatting.train.still import train_still
 from studiorecon.splatting.train.targets import Target
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Looks that are trained on, spread over the track; every so-many-th is kept apart to judge.
 _LOOKS, _JUDGED = 160, 8
@@ -70,8 +74,8 @@ class ObjectCrop:
     view: int
     corner: tuple[int, int]
     camera: Camera
-    rgb: np.ndarray
-    state: np.ndarray
+    rgb: Integer[np.ndarray, "h w 3"]
+    state: Integer[np.ndarray, "h w"]
 
 
 def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
@@ -89,7 +93,7 @@ def looks_at(track: ObjectTrack, cameras: Sequence[Camera]) -> list[ObjectCrop]:
     return [found[i] for i in evenly_spread(len(found), _LOOKS, below=True)]
 
 
-def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: np.ndarray) -> ObjectCrop:
+def at_pose(look: ObjectCrop, cameras: Sequence[Camera], world_from_thing: Float[np.ndarray, "4 4"]) -> ObjectCrop:
     """A look with its camera as seen from the thing at a pose (4, 4)."""
     camera = cameras[look.view]
     intrinsics = camera.intrinsics.copy()
@@ -103,7 +107,9 @@ def kept_apart(looks: Sequence[ObjectCrop]) -> list[ObjectCrop]:
     return list(looks[_JUDGED - 1 :: _JUDGED])
 
 
-def hull(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+def hull(
+    looks: Sequence[ObjectCrop], radius_m: float, count: int
+) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
     """(N, 3) points of a star-shaped hull around the middle, metres, and (N, 3) the unit directions they lie in.
 
     In each direction the surface is where the share of looks that show the room there passes a quarter, but as far away
@@ -127,7 +133,7 @@ def hull(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[np.n
     return directions * np.clip(steps_m[last], nearest_m, farthest_m)[:, None], directions
 
 
-def reached_m(look: ObjectCrop) -> np.ndarray:
+def reached_m(look: ObjectCrop) -> Float[np.ndarray, " K"]:
     """(K,) how far from the middle the rays through a look's outline pass."""
     points = outline_of(look.state)
     rays = look.camera.unproject(points, np.ones(len(points))) - look.camera.centre_m
@@ -135,7 +141,9 @@ def reached_m(look: ObjectCrop) -> np.ndarray:
     return np.linalg.norm(np.cross(rays, look.camera.centre_m), axis=1)
 
 
-def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[ObjectCrop]) -> tuple[np.ndarray, np.ndarray]:
+def coloured(
+    points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], looks: Sequence[ObjectCrop]
+) -> tuple[Float[np.ndarray, "N 3"], Bool[np.ndarray, " N"]]:
     """(N, 3) mean colours of points from the looks that face them, and (N,) bool which any look does; the others get
     the mean colour."""
     sums, weights = np.zeros((len(points_m), 3)), np.zeros(len(points_m))
@@ -155,13 +163,13 @@ def coloured(points_m: np.ndarray, normals: np.ndarray, looks: Sequence[ObjectCr
 
 def made(
     looks: Sequence[ObjectCrop],
-    start: tuple[Gaussians, np.ndarray],
+    start: tuple[Gaussians, Bool[np.ndarray, " N"]],
     radius_m: float,
     settings: ShapeSettings,
     rng: np.random.Generator,
     threads: int,
     label: str,
-) -> tuple[Gaussians, np.ndarray]:
+) -> tuple[Gaussians, Integer[np.ndarray, " N"]]:
     """Gaussians of a thing in its own frame, trained on looks from a ``start`` (``skin``), and their provenance
     (N,)."""
     discs_there, seen = start
@@ -182,7 +190,7 @@ def made(
     return replace(trained.gaussians, sh=sh), provenance
 
 
-def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, np.ndarray]:
+def skin(looks: Sequence[ObjectCrop], radius_m: float, count: int) -> tuple[Gaussians, Bool[np.ndarray, " N"]]:
     """Discs on the hull of a round thing in the colours of the looks, and (N,) bool which of them any look shows."""
     points, normals = hull(looks, radius_m, count)
     rgb, seen = coloured(points, normals, looks)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from studiorecon.objects.pose_fit import Fitter, ObjectObservation, Prior, glimp
 from studiorecon.objects.rigid import ObjectCrop, ShapeSettings, at_pose, looks_at, made
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # What a thing looks like while poses are sought: untrained, a board's turns about its length were 9° off instead of 1.
 _SHAPE = ShapeSettings(gaussians=400, iterations=800)
@@ -60,11 +64,11 @@ class TurnSettings:
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """``world_from_thing`` (T, 4, 4), and the frames (T,) in which it was measured; the other present ones lie between
+    """``world_from_thing`` (T, 4, 4), and in which frames it was ``measured`` (T,); the other present ones lie between
     these."""
 
-    world_from_thing: np.ndarray
-    measured: np.ndarray
+    world_from_thing: Float[np.ndarray, "T 4 4"]
+    measured: Bool[np.ndarray, " T"]
 
 
 def turned(

@@ -12,11 +12,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.objects.residual import ROOM, ResidualRegion
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Radii of one thing in two cameras differ by at most this factor; of a region beside a person, which hides a part, by
 # more.
@@ -33,7 +37,7 @@ class Sighting:
     """A thing at one moment: its middle (3,), radius, and its region by view. ``free`` counts views in which nobody
     covers it."""
 
-    centre_m: np.ndarray
+    centre_m: Float[np.ndarray, " 3"]
     radius_m: float
     regions: Mapping[int, ResidualRegion]
 
@@ -44,7 +48,7 @@ class Sighting:
 
 def sightings(
     cameras: Sequence[Camera],
-    states: Sequence[np.ndarray],
+    states: Sequence[Integer[np.ndarray, "H W"]],
     regions: Sequence[Sequence[ResidualRegion]],
     gate_m: float,
     radius_m: tuple[float, float],
@@ -82,7 +86,7 @@ def sightings(
 
 def sphere(
     cameras: Sequence[Camera], sighting: Sighting, radius_m: float | None = None
-) -> tuple[np.ndarray, float, float]:
+) -> tuple[Float[np.ndarray, " 3"], float, float]:
     """Middle (3,) and radius of the sphere that the outlines of a sighting call for, and their root mean square error
     in pixels.
 

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from markupsafe import Markup, escape
 
 from studiorecon.pages.skeleton import filled, page
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 __all__ = ["bar", "figure", "film", "folded", "heading", "jpeg", "page", "row", "table", "text", "tiles"]
 
@@ -50,7 +54,7 @@ def tiles(entries: Sequence[tuple[str, str]]) -> str:
     return str(filled(_TILES, entries=entries))
 
 
-def jpeg(picture: np.ndarray, width: int, quality: int = 86) -> str:
+def jpeg(picture: Integer[np.ndarray, "H W 3"], width: int, quality: int = 86) -> str:
     """Data address of an (H, W, 3) uint8 picture, shrunk to ``width`` when it is wider."""
     if picture.shape[1] > width:
         size = (width, max(1, round(picture.shape[0] * width / picture.shape[1])))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.people.fitting.points import Triangulation, lift, observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
 
 # A landmark agrees when it lies this near to where the other cameras see the joint, as a share of the person's extent
 # in the picture (of somebody standing about 10 cm).
@@ -38,10 +42,10 @@ class Expected:
     layout; a landmark agrees within ``near_share`` of the person's extent."""
 
     person: str
-    pixels: np.ndarray
+    pixels: Float[np.ndarray, "T K 2"]
     near_share: float = _NEAR_SHARE
 
-    def at(self, frame: int, late_frames: np.ndarray | float = 0.0) -> np.ndarray | None:
+    def at(self, frame: int, late_frames: Float[np.ndarray, " K"] | float = 0.0) -> Float[np.ndarray, "K 2"] | None:
         """(K, 2) pixels so long after one frame (of all joints, or of each (K,); at most one frame), on the line to the
         frame beside it; None where too few joints are known."""
         pixels = self.pixels[frame]
@@ -78,7 +82,9 @@ def expected(
     return Expected(person, out)
 
 
-def agreement(keypoints: np.ndarray, pixels: np.ndarray, near_share: float = _NEAR_SHARE) -> float:
+def agreement(
+    keypoints: Num[np.ndarray, "K 3"], pixels: Num[np.ndarray, "K 2"], near_share: float = _NEAR_SHARE
+) -> float:
     """Share of the sure landmarks (K, 3) that lie where they are expected (K, 2), within that share of the extent; 0
     when too few can be compared."""
     known = (keypoints[:, 2] >= _SURE) & np.isfinite(pixels[:, 0])
@@ -88,7 +94,7 @@ def agreement(keypoints: np.ndarray, pixels: np.ndarray, near_share: float = _NE
     return float((np.linalg.norm(keypoints[known, :2] - pixels[known], axis=1) < near_share * extent).mean())
 
 
-def of_others(keypoints: np.ndarray, people: Sequence[np.ndarray], layout: str) -> float:
+def of_others(keypoints: Num[np.ndarray, "K 3"], people: Sequence[Num[np.ndarray, "K 2"]], layout: str) -> float:
     """Share of the sure landmarks (K, 3) that lie beside a limb of somebody of ``people`` (K, 2 each, NaN unknown); 0
     when there are too few."""
     sure = keypoints[keypoints[:, 2] >= _SURE, :2]
@@ -109,7 +115,7 @@ def of_others(keypoints: np.ndarray, people: Sequence[np.ndarray], layout: str) 
     return float((nearest < _BESIDE_SHARE).mean())
 
 
-def exchanged(layout: str, values: np.ndarray) -> np.ndarray:
+def exchanged(layout: str, values: Num[np.ndarray, "... K C"]) -> Num[np.ndarray, "... K C"]:
     """Values (..., K, C) of a layout's keypoints with left and right exchanged."""
     order = np.arange(values.shape[-2])
     for left, right in LAYOUTS[layout].pairs:
@@ -127,9 +133,9 @@ class Plan:
         looks: (frame, index of the person, detection to be replaced or -1) where the network is to look again.
     """
 
-    track: np.ndarray
-    swapped: np.ndarray
-    dropped: np.ndarray
+    track: Integer[np.ndarray, " D"]
+    swapped: Bool[np.ndarray, " D"]
+    dropped: Bool[np.ndarray, " D"]
     looks: list[tuple[int, int, int]]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.scene.readouts import read_readouts
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
 
 # Share of the fitted frames that must lie near their keypoints; chance agreements of wrong points pass in an eighth of
 # them.
@@ -254,7 +257,7 @@ def _say_filled(fitted: Person) -> None:
         )
 
 
-def frame_ranges(chosen: np.ndarray) -> str:
+def frame_ranges(chosen: Bool[np.ndarray, " T"]) -> str:
     """``"3–5, 9"``: the frames where ``chosen`` (T,) is true."""
     at = np.flatnonzero(chosen)
     runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, read_detections, write_detections
 from studiorecon.scene.spool import Slot, Spool
 from studiorecon.signature import Place, Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 _HIPS = ("left_hip", "right_hip")
 # A person's clothes and shadow reach this share of their height beyond their keypoints.
@@ -66,7 +70,7 @@ class Settings:
     lift: Lifting = setting(Lifting(), "Places of people by the scene's depth.")
 
 
-def pelvis_pixels(seen: Detections) -> np.ndarray:
+def pelvis_pixels(seen: Detections) -> Float[np.ndarray, "D 2"]:
     """(D, 2) pixel of each detection's pelvis: its body's own, else the middle of its hips; NaN where neither is
     known."""
     layout = LAYOUTS[seen.layout]
@@ -81,7 +85,7 @@ def pelvis_pixels(seen: Detections) -> np.ndarray:
     return pixels
 
 
-def still(hw: tuple[int, int], people: np.ndarray) -> np.ndarray:
+def still(hw: tuple[int, int], people: Num[np.ndarray, "P K 3"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: outside of the boxes about people's keypoints (P, K, 3), widened for what keypoints do not reach."""
     out = np.ones(hw, bool)
     for points in people:
@@ -93,7 +97,9 @@ def still(hw: tuple[int, int], people: np.ndarray) -> np.ndarray:
     return out
 
 
-def aligned_to_first(predicted: Mapping[int, np.ndarray], first_m: np.ndarray, seen: Detections) -> Alignment:
+def aligned_to_first(
+    predicted: Mapping[int, Float[np.ndarray, "H W"]], first_m: Float[np.ndarray, "H W"], seen: Detections
+) -> Alignment:
     """The one alignment that puts a monocular network's depth maps (H, W) by frame to the first moment's depth (H, W)
     in metres.
 
@@ -110,8 +116,8 @@ def aligned_to_first(predicted: Mapping[int, np.ndarray], first_m: np.ndarray, s
 
 def lifted(
     seen: Detections,
-    predicted: Mapping[int, np.ndarray],
-    first_m: np.ndarray,
+    predicted: Mapping[int, Float[np.ndarray, "H W"]],
+    first_m: Float[np.ndarray, "H W"],
     alignment: Alignment,
     camera: Camera,
     lifting: Lifting,
@@ -147,11 +153,11 @@ class DepthMaps(Mapping[int, np.ndarray]):
     def __init__(self, folder: Path) -> None:
         self._spool, self._slots = Spool(folder), dict[int, Slot]()
 
-    def put(self, frame: int, depth: np.ndarray) -> None:
+    def put(self, frame: int, depth: Float[np.ndarray, "H W"]) -> None:
         """Add one frame's."""
         self._slots[frame] = self._spool.put(depth)
 
-    def __getitem__(self, frame: int) -> np.ndarray:
+    def __getitem__(self, frame: int) -> Float[np.ndarray, "H W"]:
         return self._spool.get(self._slots[frame])
 
     def __iter__(self) -> Iterator[int]:

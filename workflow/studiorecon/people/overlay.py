@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -26,6 +27,9 @@ from studiorecon.scene.capture import read_manifest
 from studiorecon.scene.people import Detections, Person, read_detections, read_identities
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
 # cv2 draws in sixteenths of a pixel, counted from pixel centres.
 _SHIFT = 4
 # Lines are this thick per pixel of picture width.
@@ -33,20 +37,22 @@ _THICKNESS = 1 / 320
 _NEAR_M = 0.05
 
 
-def bones_px(camera: Camera, joints_m: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def bones_px(
+    camera: Camera, joints_m: Num[np.ndarray, "24 3"]
+) -> list[tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]]:
     """Both ends (2,) in pixels of every bone of (24, 3) joints that lies wholly in front of the camera."""
     pixels, depth = camera.project(joints_m)
     return [(pixels[a], pixels[b]) for a, b in LAYOUTS["smpl24"].edges if min(depth[a], depth[b]) > _NEAR_M]
 
 
 def drawn(
-    picture: np.ndarray,
+    picture: Integer[np.ndarray, "H W 3"],
     frame: int,
     camera: Camera,
     people: Sequence[Person],
     seen: Detections | None,
     identities: Mapping[tuple[str, int], str],
-) -> np.ndarray:
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8 picture with this frame's keypoints and skeletons drawn into a copy."""
     canvas = np.ascontiguousarray(picture).copy()
     width = max(1, round(_THICKNESS * canvas.shape[1]))

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,6 +49,9 @@ from studiorecon.scene.people import Detections, read_detections, read_identitie
 from studiorecon.scene.raw_detections import read_raw_detections, write_raw_detections
 from studiorecon.signature import Written
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
+
 
 @dataclass(frozen=True)
 class Settings(Triangulated):
@@ -63,12 +67,12 @@ class SecondLook:
     person: int
     replaces: int
     seen: Landmarks
-    keypoints: np.ndarray
+    keypoints: Float[np.ndarray, "K 3"]
 
 
 def looked_again(
     network: BlazePose,
-    pictures: Iterable[np.ndarray],
+    pictures: Iterable[Integer[np.ndarray, "H W 3"]],
     plan: Plan,
     people: Sequence[Expected],
     own: Detections,
@@ -113,18 +117,18 @@ class CameraPictures:
     worth: dict[str, list[float]]
     clocks: Clocks
 
-    def late_frames(self, frame: int, pixels: np.ndarray) -> np.ndarray:
+    def late_frames(self, frame: int, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
         """(K,) working frames by which the picture of ``frame`` shows each of the working pixels (K, 2) late: its own
         fraction, and its row's."""
         rows = np.nan_to_num(pixels[:, 1] / self.footage.wh[1], nan=0.5) - 0.5
         readout = self.clocks.of(self.footage.camera).readout_s * self.clocks.fps
         return self.clocks.late_frames(self.footage.camera)[frame] + readout * rows
 
-    def in_footage(self, pixels: np.ndarray) -> np.ndarray:
+    def in_footage(self, pixels: Num[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
         """Pixels of the footage of working pixels (K, 2)."""
         return video_from_working(pixels, self.lens, self.footage.source_wh, np.array(self.footage.intrinsics))
 
-    def working(self, seen: Landmarks) -> np.ndarray:
+    def working(self, seen: Landmarks) -> Float[np.ndarray, "K 3"]:
         """(K, 3) working pixels and confidence of landmarks; NaN and 0 where there are none."""
         keypoints = believed(seen, self.footage.source_wh, self.worth)
         there = keypoints[:, 2] > 0

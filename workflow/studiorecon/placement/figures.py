@@ -6,11 +6,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.placement.room import FEET_M, HEAD_M, HIPS_M, WIDTH_M, Room, blocked
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Deviation of a detector's point per coordinate, as a share of the person's height in the picture: networks look at a
 # crop of the person, so their error grows with the person. From BlazePose on four cameras (pose2sim_balancing): median
@@ -57,7 +61,7 @@ class Figures:
     cost_m: float
 
 
-def seen(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
+def seen(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Bool[np.ndarray, "V N"]:
     """(V, N) bool: the point is in the camera's picture, whatever stands between."""
     found = []
     for camera in cameras:
@@ -67,7 +71,7 @@ def seen(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def information(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
+def information(cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "V N 3 3"]:
     """(V, N, 3, 3) Fisher information of every camera about every point, 1/m², for the detector's noise at that
     distance."""
     result = np.empty((len(cameras), len(points_m), 3, 3))
@@ -85,7 +89,7 @@ def information(cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
     return result
 
 
-def errors_m(told: np.ndarray, sees: np.ndarray) -> np.ndarray:
+def errors_m(told: Float[np.ndarray, "V N 3 3"], sees: Bool[np.ndarray, "... V N"]) -> Float[np.ndarray, "... N"]:
     """(..., N) error that no unbiased estimate beats (Cramér, Rao): the root of the trace of the inverse of the
     information.
 
@@ -113,7 +117,9 @@ class Judge:
         apart = np.linalg.norm(self.points_m[None, :, :2] - self.bystanders_m[:, None], axis=-1)
         self.possible = apart > WIDTH_M
 
-    def sees(self, cameras: Sequence[Camera], points_m: np.ndarray, stands_m: np.ndarray | None) -> np.ndarray:
+    def sees(
+        self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], stands_m: Float[np.ndarray, " 2"] | None
+    ) -> Bool[np.ndarray, "V N"]:
         """(V, N) bool, with somebody standing at ``stands_m``, or nobody."""
         found = seen(cameras, points_m)
         if stands_m is None:
@@ -155,7 +161,7 @@ class Judge:
         """What plans are compared by."""
         return self.figures(cameras).cost_m
 
-    def errors_of(self, cameras: Sequence[Camera], points_m: np.ndarray) -> np.ndarray:
+    def errors_of(self, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
         """(N,) error of a joint at every point (N, 3), nobody being in the way."""
         return errors_m(information(cameras, points_m), self.sees(cameras, points_m, None))
 

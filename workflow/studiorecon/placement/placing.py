@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from studiorecon.geometry.camera_path import look_at
 from studiorecon.placement.figures import Judge
 from studiorecon.placement.room import Room
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # From the walls to a camera on its tripod or clamp, and below the ceiling.
 _FROM_WALLS_M, _FROM_CEILING_M = 0.15, 0.2
@@ -50,7 +54,7 @@ def lens(name: str, hfov_deg: float, wh: tuple[int, int]) -> Camera:
     return Camera(name, wh, np.array([[focal, 0, wh[0] / 2], [0, focal, wh[1] / 2], [0, 0, 1.0]]), np.eye(4))
 
 
-def stood(camera: Camera, eye_m: np.ndarray, world_from_camera: np.ndarray) -> Camera:
+def stood(camera: Camera, eye_m: Float[np.ndarray, " 3"], world_from_camera: Float[np.ndarray, "3 3"]) -> Camera:
     """The camera at another place (3,), turned by a rotation (3, 3)."""
     transform = np.eye(4)
     transform[:3, :3] = world_from_camera.T

@@ -6,11 +6,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # People keep this far from walls, where cameras stand, but use at least half of a small room.
 _MARGIN_M = 0.75
@@ -37,33 +41,33 @@ class Room:
     high_m: tuple[float, float, float]
 
     @property
-    def size_m(self) -> np.ndarray:
+    def size_m(self) -> Float[np.ndarray, " 3"]:
         """(3,) width, depth and height."""
         return np.subtract(self.high_m, self.low_m)
 
     @property
-    def middle_m(self) -> np.ndarray:
+    def middle_m(self) -> Float[np.ndarray, " 2"]:
         """(2,) middle of the floor."""
         return np.add(self.low_m, self.high_m)[:2] / 2
 
-    def stage_m(self) -> np.ndarray:
+    def stage_m(self) -> Float[np.ndarray, "N 2"]:
         """(N, 2) places of the floor where people may stand, on a grid that is symmetric about the middle."""
         half = self.size_m[:2] / 2
         reach = np.maximum(half - _MARGIN_M, half / 2)
         across = [np.linspace(-r, r, max(2 * round(r / _STEP_M) + 1, 3)) for r in reach]
         return self.middle_m + np.stack(np.meshgrid(*across, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def at_height(self, height_m: float) -> np.ndarray:
+    def at_height(self, height_m: float) -> Float[np.ndarray, "N 3"]:
         """(N, 3) the stage's places, so high above the floor."""
         stage = self.stage_m()
         return np.column_stack([stage, np.full(len(stage), self.low_m[2] + height_m)])
 
-    def bystanders_m(self) -> np.ndarray:
+    def bystanders_m(self) -> Float[np.ndarray, "K 2"]:
         """(K, 2) places where somebody may stand in the way: the stage's middle and half-way to its corners."""
         reach = self.stage_m().max(axis=0) - self.middle_m
         return self.middle_m + np.array([(0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1)]) * reach / 2
 
-    def surfaces_m(self) -> dict[str, np.ndarray]:
+    def surfaces_m(self) -> dict[str, Float[np.ndarray, "M 3"]]:
         """(M, 3) points of equal area each on "floor", "walls" and "ceiling"."""
         x, y, z = (
             low + (np.arange(count) + 0.5) * (high - low) / count
@@ -85,7 +89,7 @@ class Room:
             "ceiling": np.column_stack([flat, np.full(len(flat), self.high_m[2])]),
         }
 
-    def holds(self, place_m: np.ndarray, margin_m: float) -> bool:
+    def holds(self, place_m: Float[np.ndarray, " 3"], margin_m: float) -> bool:
         """Whether a place (3,) is inside, so far from every side."""
         return bool(
             (place_m >= np.add(self.low_m, margin_m)).all() and (place_m <= np.subtract(self.high_m, margin_m)).all()
@@ -122,7 +126,12 @@ def room_about(cameras: Sequence[Camera]) -> Room:
     return Room((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), max(float(high[2]), _CEILING_M)))
 
 
-def blocked(eyes_m: np.ndarray, points_m: np.ndarray, stands_m: np.ndarray, floor_m: float) -> np.ndarray:
+def blocked(
+    eyes_m: Float[np.ndarray, "V 3"],
+    points_m: Float[np.ndarray, "N 3"],
+    stands_m: Float[np.ndarray, " 2"],
+    floor_m: float,
+) -> Bool[np.ndarray, "V N"]:
     """(V, N) bool: somebody who stands at (x, y) ``stands_m`` hides point (N, 3) from the eye (V, 3).
 
     They are a cylinder, cut with each line of sight exactly: both are upright, so the hidden part of a line lies

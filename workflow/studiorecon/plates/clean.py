@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -32,6 +33,9 @@ from studiorecon.scene.camera import Lens
 from studiorecon.scene.capture import Footage, read_footage
 from studiorecon.scene.people import read_detections
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Grey levels by which a given plate must differ from the footage to show something else there, and how far (share of
 # the longer side) such a thing is taken to reach into pixels that the footage cannot confirm.
@@ -76,7 +80,9 @@ class Settings:
     max_difference: float = 25.0
 
 
-def temporal_plate(frames: np.ndarray, occupied: np.ndarray, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+def temporal_plate(
+    frames: Integer[np.ndarray, "T H W 3"], occupied: Bool[np.ndarray, "T H W"], settings: Settings
+) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"]]:
     """(H, W, 3) float32 colours 0..255 and (H, W) bool measured, of frames (T, H, W, 3) with people at ``occupied`` (T,
     H, W)."""
     free = ~occupied
@@ -90,13 +96,13 @@ def temporal_plate(frames: np.ndarray, occupied: np.ndarray, settings: Settings)
 
 
 def place_given(
-    given_rgb: np.ndarray,
-    given_measured: np.ndarray,
+    given_rgb: Float[np.ndarray, "h w 3"],
+    given_measured: Bool[np.ndarray, "h w"],
     lens: Lens,
     footage: Footage,
-    colour: np.ndarray,
-    measured: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, float]:
+    colour: Float[np.ndarray, "H W 3"],
+    measured: Bool[np.ndarray, "H W"],
+) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"], float]:
     """A given plate (h, w, 3) in [0, 1] in working pixels: colours 0..255, where it is known, and its median
     difference.
 
@@ -143,7 +149,9 @@ def _working_picture(
     return view.picture(rgb.astype(np.float32)) * 255, share > 0.99
 
 
-def showing(frames: np.ndarray, free: np.ndarray, colour: np.ndarray) -> np.ndarray:
+def showing(
+    frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"], colour: Float[np.ndarray, "H W 3"]
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 share of the pictures in which a pixel is ``free`` (T, H, W) that show ``colour`` (H, W, 3); 0 if
     never free."""
     shown = np.zeros(colour.shape[:2], np.float32)
@@ -152,7 +160,9 @@ def showing(frames: np.ndarray, free: np.ndarray, colour: np.ndarray) -> np.ndar
     return shown / np.maximum(free.sum(axis=0), 1).astype(np.float32)
 
 
-def matched_exposure(colour: np.ndarray, common: np.ndarray, given: np.ndarray) -> np.ndarray:
+def matched_exposure(
+    colour: Float[np.ndarray, "H W 3"], common: Bool[np.ndarray, "H W"], given: Float[np.ndarray, "H W 3"]
+) -> Float[np.ndarray, "H W 3"]:
     """A given plate (H, W, 3) 0..255 as the footage's camera would have taken it, from the pixels that both show
     (``common``).
 
@@ -197,14 +207,14 @@ def _toned(given: np.ndarray, colour: np.ndarray, common: np.ndarray) -> np.ndar
 
 
 def merge(
-    colour: np.ndarray,
-    measured: np.ndarray,
-    matched: np.ndarray,
-    known: np.ndarray,
-    seen: np.ndarray,
-    shown: np.ndarray,
-    usual: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    colour: Float[np.ndarray, "H W 3"],
+    measured: Bool[np.ndarray, "H W"],
+    matched: Float[np.ndarray, "H W 3"],
+    known: Bool[np.ndarray, "H W"],
+    seen: Bool[np.ndarray, "H W"],
+    shown: Float[np.ndarray, "H W"],
+    usual: Float[np.ndarray, "H W"],
+) -> tuple[Float[np.ndarray, "H W 3"], Bool[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """The footage's plate and a given one in its exposure (``matched``) as one: colours, where either knows, and where
     somebody moves.
 

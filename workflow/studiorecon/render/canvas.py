@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from studiorecon.splatting.conventions import BLOCK_FLOATS, LANES
 from studiorecon.splatting.cpu.blocks import BlockedGaussians, aligned, fill_blocks, padded_count
 from studiorecon.splatting.device import rasteriser
 from studiorecon.splatting.rendering import Rendering
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _FLOATS_PER_GAUSSIAN = BLOCK_FLOATS // LANES
 
@@ -36,8 +40,8 @@ class Layers:
     """
 
     rendering: Rendering
-    shares: np.ndarray
-    mattes: np.ndarray
+    shares: Float[np.ndarray, "H W 3"]
+    mattes: Float[np.ndarray, "H W M"]
 
 
 class Canvas:
@@ -64,7 +68,9 @@ class Canvas:
         self._classified: list[bytes] = [b""] * len(posed)
         self._shade = np.ones(0 if scene.shading is None else len(scene.shading.at), np.float32)
 
-    def draw(self, camera: Camera, frame: float, background_rgb: Sequence[float]) -> tuple[Rendering, np.ndarray]:
+    def draw(
+        self, camera: Camera, frame: float, background_rgb: Sequence[float]
+    ) -> tuple[Rendering, Float[np.ndarray, "H W 3"]]:
         """The rendering at a (fractional) frame, and each class's share of every pixel (H, W, 3)."""
         self._enter(frame)
         rendering = self._rasteriser.forward(self._blocked, camera, background_rgb, values=self._classes)

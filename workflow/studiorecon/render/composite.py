@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numba
 import numpy as np
@@ -14,6 +14,9 @@ import scipy
 from studiorecon.render.shading import Shading
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INFERRED, INVENTED, MEASURED
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Grey level of each class (measured, inferred, invented) in a truth video.
 TRUTH_LEVELS = np.array([255, 128, 0], np.uint8)
@@ -29,14 +32,14 @@ class Posed(Protocol):
     def person(self) -> str: ...
 
     @property
-    def provenance(self) -> np.ndarray: ...
+    def provenance(self) -> Integer[np.ndarray, " N"]: ...
 
     @property
-    def valid(self) -> np.ndarray: ...
+    def valid(self) -> Bool[np.ndarray, " T"]: ...
 
     def posed(self, frame: float) -> Gaussians: ...
 
-    def joints_m(self, frame: float) -> np.ndarray: ...
+    def joints_m(self, frame: float) -> Float[np.ndarray, "J 3"]: ...
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Composite:
     """
 
     background: Gaussians
-    classes: np.ndarray
+    classes: Integer[np.ndarray, " N"]
     people: Sequence[Posed]
     shading: Shading | None = None
     objects: Sequence[Posed] = ()
@@ -65,14 +68,14 @@ class Composite:
         return [*self.people, *self.objects]
 
 
-def classes_of(person: Posed, frame: float) -> np.ndarray:
+def classes_of(person: Posed, frame: float) -> Integer[np.ndarray, " N"]:
     """(N,) uint8 a person's or thing's classes at a frame: nothing of a body is measured in a frame whose pose was
     filled in."""
     measured = bool(person.valid[int(np.clip(round(frame), 0, len(person.valid) - 1))])
     return person.provenance if measured else np.maximum(person.provenance, INFERRED)
 
 
-def truth_levels(shares: np.ndarray) -> np.ndarray:
+def truth_levels(shares: Float[np.ndarray, "H W 3"]) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 truth map from class shares (H, W, 3): 255 measured, 128 inferred, 0 invented.
 
     The class with the largest share of the pixel wins; where more than half of the light comes from nothing at all, the
@@ -96,12 +99,12 @@ def _levels(shares, levels):
     return found
 
 
-def millimetres(depth_m: np.ndarray) -> np.ndarray:
+def millimetres(depth_m: Float[np.ndarray, "H W"]) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint16 millimetres; 0 stays unknown, anything beyond 65.535 m becomes 65535."""
     return np.clip(np.rint(np.nan_to_num(depth_m, nan=0.0, posinf=65.535) * 1000), 0, 65535).astype(np.uint16)
 
 
-def blocked(eyes_m: np.ndarray, background: Gaussians, clearance_m: float) -> np.ndarray:
+def blocked(eyes_m: Float[np.ndarray, "E 3"], background: Gaussians, clearance_m: float) -> Bool[np.ndarray, " E"]:
     """(E,) bool: camera positions with solid background within ``clearance_m``.
 
     Solid is a group of Gaussians of opacity above a half: a single floater must not push a camera path around.

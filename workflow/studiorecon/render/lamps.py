@@ -5,7 +5,7 @@ people."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import scipy
@@ -13,6 +13,9 @@ import scipy
 from studiorecon.render.occlusion import Groups, hidden, nearness, sky_hidden
 from studiorecon.render.room_light import Lamps
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Walls shine from this height on: below it hardly any lamp or window stands clear of people.
 _WALL_FROM_M = 1.2
@@ -28,7 +31,7 @@ _PIXELS = 256
 _LEAST_SHARE, _ROUNDS, _HUBER = 0.01, 5, 2.0
 
 
-def patches(room_box: RoomBox, spacing_m: float, seen_from_m: np.ndarray) -> Lamps:
+def patches(room_box: RoomBox, spacing_m: float, seen_from_m: Float[np.ndarray, " 3"]) -> Lamps:
     """Patches of the ceiling and of the upper walls about ``spacing_m`` apart, fewer and wider ones where they are far
     from ``seen_from_m`` (3,), and of the sky."""
     low, high = room_box.low_m, room_box.high_m
@@ -81,13 +84,17 @@ def _joined(lamps: Lamps, width_m: float, seen_from_m: np.ndarray) -> Lamps:
     )
 
 
-def losses(points: Groups, bodies: Sequence[np.ndarray], lamps: Lamps, contact_m: float) -> np.ndarray:
+def losses(
+    points: Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], lamps: Lamps, contact_m: float
+) -> Float[np.ndarray, "N M"]:
     """(N, 2 + K) float32: hidden share of the sky, nearness of a body, and the hidden share of every lamp."""
     beside = np.stack([sky_hidden(points, bodies), nearness(points, bodies, contact_m)], axis=1)
     return np.concatenate([beside, hidden(points, lamps.discs, bodies)], axis=1)
 
 
-def strengths(lost: np.ndarray, relative: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def strengths(
+    lost: Float[np.ndarray, "P T M"], relative: Float[np.ndarray, "P K"], ratio: Float[np.ndarray, "P T"]
+) -> Float[np.ndarray, " M"]:
     """(2 + K,) non-negative strengths of sky, contact and lamps, from what changes at each of P pixels over T pictures.
 
     ``lost`` (P, T, 2 + K) from ``losses``, ``relative`` (P, K) fall-off of every lamp over its mean, ``ratio`` (P, T)
@@ -148,7 +155,9 @@ def _with_rows(
     return cast(np.ndarray, np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 
-def own_levels(seen: np.ndarray, left: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def own_levels(
+    seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Float[np.ndarray, "P T"]
+) -> Float[np.ndarray, " P"]:
     """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1
     where unknown."""
     light = (weight * left).sum(axis=1)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from studiorecon.scene.path import read_path
 from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _CLASSES = ("measured", "inferred", "invented")
 
 
@@ -32,7 +36,7 @@ class Settings(Drawn):
     """What is drawn."""
 
 
-def channels(layers: Layers, people: Sequence[str]) -> dict[str, np.ndarray]:
+def channels(layers: Layers, people: Sequence[str]) -> dict[str, Float[np.ndarray, "H W"]]:
     """(H, W) channels by name: float16, depth float32."""
     rendering = layers.rendering
     if rendering.normals is None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -32,6 +33,9 @@ from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Person
 from studiorecon.scene.room import RoomBox, read_room
 from studiorecon.signature import Written
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Levels of 255 between which a ratio means something; a change of colour beyond this is no shadow (log).
 _DARKEST, _BRIGHTEST, _SAME_COLOUR = 12.0, 250.0, 0.08
@@ -73,11 +77,11 @@ class Observed:
     """P pixels of the floor that one camera sees: points (P, 3), and ratio (P, T) of pictures to the plate, NaN where
     unknown."""
 
-    points_m: np.ndarray
-    ratio: np.ndarray
+    points_m: Float[np.ndarray, "P 3"]
+    ratio: Float[np.ndarray, "P T"]
 
 
-def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np.ndarray]]:
+def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Float[np.ndarray, "C 7"]]]:
     """Per frame the capsules (C, 7) of every person; none of who was not measured there.
 
     Raises UserError when a body was fitted with another body model.
@@ -97,14 +101,14 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[np
 
 
 def ratios(
-    picture: np.ndarray,
-    plate: np.ndarray,
-    free: np.ndarray,
-    points_m: np.ndarray,
-    near_m: np.ndarray,
-    unsure_m: np.ndarray,
+    picture: Integer[np.ndarray, "H W 3"],
+    plate: Float[np.ndarray, "H W 3"],
+    free: Bool[np.ndarray, "H W"],
+    points_m: Float[np.ndarray, "H W 3"],
+    near_m: Float[np.ndarray, "A 2"],
+    unsure_m: Float[np.ndarray, "B 2"],
     reach_m: float,
-) -> np.ndarray:
+) -> Float[np.ndarray, "H W"]:
     """(H, W) ratio of a ``picture`` (H, W, 3) uint8 to the ``plate`` (H, W, 3) in 0..1, NaN where not ``free`` or of
     another colour.
 
@@ -124,7 +128,7 @@ def ratios(
 def estimate(
     observed: Sequence[Observed],
     frames: Sequence[int],
-    bodies: Sequence[Sequence[np.ndarray]],
+    bodies: Sequence[Sequence[Float[np.ndarray, "C 7"]]],
     room_box: RoomBox,
     settings: LightSettings,
 ) -> Light:

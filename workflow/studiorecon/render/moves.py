@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,12 @@ def dolly_zoom_steps(
 
 
 def oscillate_steps(
-    shot: Oscillate, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
+    shot: Oscillate,
+    name: str,
+    cameras: Sequence[Camera],
+    subjects: Subjects,
+    wh: tuple[int, int],
+    shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
     """The pictures of an oscillation; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
     furniture.
@@ -151,7 +159,12 @@ def oscillate_steps(
 
 
 def follow_steps(
-    shot: Follow, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
+    shot: Follow,
+    name: str,
+    cameras: Sequence[Camera],
+    subjects: Subjects,
+    wh: tuple[int, int],
+    shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
     """The pictures of a follow shot; ``shrink`` (pictures,) scales the distance of each, to get clear of walls and
     furniture.

@@ -35,7 +35,7 @@ from studiorecon.splatting.cpu.simd import (
 from studiorecon.splatting.cpu.simd_rows import load, lowest_bit, store
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Num
+    from jaxtyping import Float, Integer, Num
 
 # Directions that stand for light from everywhere above, spread by the cosine; each is seen this wide.
 _SKY, _SKY_TAN = 24, 0.32
@@ -57,10 +57,10 @@ class Groups:
         spheres: (G / 16 · 4 · 16,) float32 x, y, z and radius of the spheres around every heap's groups.
     """
 
-    order: np.ndarray
+    order: Integer[np.ndarray, " N"]
     count: int
-    places: np.ndarray
-    spheres: np.ndarray
+    places: Float[np.ndarray, " P"]
+    spheres: Float[np.ndarray, " S"]
 
     @classmethod
     def of(cls, points_m: Num[np.ndarray, "N 3"]) -> Groups:
@@ -76,7 +76,7 @@ class Groups:
         lanes = (np.ascontiguousarray(rows.transpose(0, 2, 1), np.float32).reshape(-1) for rows in (grouped, spheres))
         return cls(order, count, *lanes)
 
-    def grouped(self, values: np.ndarray) -> np.ndarray:
+    def grouped(self, values: Num[np.ndarray, "N K"]) -> Float[np.ndarray, " V"]:
         """(G · 16 · …,) float32, flat: values (N, K) of the points as kernels read them, (G, K, 16); padding is 0."""
         out = np.zeros((len(self.spheres) * LANES, values.shape[1]), np.float32)
         out[: len(self.order)] = values[self.order]
@@ -84,14 +84,16 @@ class Groups:
             -1
         )
 
-    def of_points(self, values: np.ndarray) -> np.ndarray:
+    def of_points(self, values: Float[np.ndarray, "P ..."]) -> Float[np.ndarray, "N ..."]:
         """(N, …) in the points' own order from (G · 16, …) in the groups'."""
         out = np.empty((len(self.order), *values.shape[1:]), values.dtype)
         out[self.order] = values[: len(self.order)]
         return out
 
 
-def capsules_of(bodies: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def capsules_of(
+    bodies: Sequence[Float[np.ndarray, "C 7"]],
+) -> tuple[Float[np.ndarray, "C 7"], Float[np.ndarray, "B 7"], Integer[np.ndarray, " B+1"]]:
     """Capsules (C, 7) of all bodies, a ball around each body (B, 7) as a capsule without length, and where each one's
     capsules start (B + 1,).
 
@@ -124,7 +126,7 @@ def sky_discs() -> Num[np.ndarray, "D 4"]:
 
 
 def hidden(
-    points_m: Num[np.ndarray, "N 3"] | Groups, lamps: Num[np.ndarray, "K 4"], bodies: Sequence[np.ndarray]
+    points_m: Num[np.ndarray, "N 3"] | Groups, lamps: Num[np.ndarray, "K 4"], bodies: Sequence[Float[np.ndarray, "C 7"]]
 ) -> Float[np.ndarray, "N K"]:
     """(N, K) float32 share of every lamp that the bodies hide from points (N, 3).
 
@@ -141,7 +143,12 @@ def hidden(
     return groups.of_points(shares.transpose(0, 2, 1).reshape(-1, len(lamps)))
 
 
-def lost(groups: Groups, parts: np.ndarray, lamps: np.ndarray, bodies: Sequence[np.ndarray]) -> np.ndarray:
+def lost(
+    groups: Groups,
+    parts: Float[np.ndarray, " P"],
+    lamps: Float[np.ndarray, "K 4"],
+    bodies: Sequence[Float[np.ndarray, "C 7"]],
+) -> Float[np.ndarray, " N"]:
     """(N,) float32 sum over lamps (K, 4) of ``parts`` times the hidden share; ``parts`` are those of ``grouped``."""
     out = np.zeros(groups.count * LANES, np.float32)
     discs = np.ascontiguousarray(lamps, np.float32)
@@ -149,12 +156,16 @@ def lost(groups: Groups, parts: np.ndarray, lamps: np.ndarray, bodies: Sequence[
     return groups.of_points(out)
 
 
-def sky_hidden(points_m: np.ndarray | Groups, bodies: Sequence[np.ndarray]) -> Float[np.ndarray, " N"]:
+def sky_hidden(
+    points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]]
+) -> Float[np.ndarray, " N"]:
     """(N,) float32 share of the light from everywhere above that the bodies hide from points (N, 3) that face up."""
     return hidden(points_m, sky_discs(), bodies).mean(axis=1)
 
 
-def nearness(points_m: np.ndarray | Groups, bodies: Sequence[np.ndarray], reach_m: float) -> Float[np.ndarray, " N"]:
+def nearness(
+    points_m: Float[np.ndarray, "N 3"] | Groups, bodies: Sequence[Float[np.ndarray, "C 7"]], reach_m: float
+) -> Float[np.ndarray, " N"]:
     """(N,) float32: 1 where a body touches a point (N, 3), exp(-1) at ``reach_m`` from its surface, and so on as a bell
     curve; 0 beyond four times that."""
     groups = points_m if isinstance(points_m, Groups) else Groups.of(points_m)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # A gap between neighbouring cameras beyond this leaves the ring open (the same limit as for the views' path, U18).
 _LARGEST_GAP = np.radians(150)
@@ -49,7 +52,9 @@ class Orbit:
     time: Time = "stretch"
 
 
-def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+def azimuths(
+    orbit: Orbit, cameras: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, " frames"]:
     """(frames,) azimuth of each picture about the centre: once around, or along the filmed arc and back."""
     filmed = _azimuth_of(cameras, centre_m)
     ordered = np.sort(filmed)
@@ -67,7 +72,12 @@ def azimuths(orbit: Orbit, cameras: Sequence[Camera], centre_m: np.ndarray) -> n
 
 
 def orbit_steps(
-    orbit: Orbit, name: str, cameras: Sequence[Camera], subjects: Subjects, wh: tuple[int, int], shrink: np.ndarray
+    orbit: Orbit,
+    name: str,
+    cameras: Sequence[Camera],
+    subjects: Subjects,
+    wh: tuple[int, int],
+    shrink: Float[np.ndarray, " pictures"],
 ) -> list[PathStep]:
     """The pictures of an orbit; ``shrink`` (pictures,) scales the radius of each once more, to get clear of walls and
     furniture.

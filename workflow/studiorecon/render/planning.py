@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from studiorecon.render.subjects import Subjects
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Where a path stands in something, its distance to the subject is tried with these factors, widest first.
 _SHRINK = (1.0, 0.95, 0.9, 0.85, 0.8, 0.75, 0.7)
@@ -70,7 +73,11 @@ def plan(
 
 
 def kept_clear(
-    path: Callable[[np.ndarray], list[PathStep]], pictures: int, shot: str, background: Gaussians, clearance_m: float
+    path: Callable[[Float[np.ndarray, " pictures"]], list[PathStep]],
+    pictures: int,
+    shot: str,
+    background: Gaussians,
+    clearance_m: float,
 ) -> list[PathStep]:
     """A path that comes closer to its subject where it would pass within ``clearance_m`` of solid background.
 
@@ -89,7 +96,7 @@ def kept_clear(
     return path(smooth_dips(factors))
 
 
-def smooth_dips(factors: np.ndarray) -> np.ndarray:
+def smooth_dips(factors: Float[np.ndarray, " pictures"]) -> Float[np.ndarray, " pictures"]:
     """A smooth closed curve that never exceeds ``factors`` (pictures,): how a path goes around what stands in its way.
 
     The least factor within a fourteenth of the film either side, then a Hann window of the same reach: a mean of values

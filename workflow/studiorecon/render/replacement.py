@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.provenance import INVENTED
 from studiorecon.scene.stand_ins import is_photo, stranger
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 NOBODY = "nobody"
 """In somebody's place: the room as it is without that person."""
 # Moments over which what the donor's colours do over time is averaged.
@@ -36,9 +40,9 @@ class Donor:
     """Whose looks are taken: canonical Gaussians of shape ``betas`` (B,) with joints (N, K) and weights (N, K)."""
 
     gaussians: Gaussians
-    bones: np.ndarray
-    weights: np.ndarray
-    betas: np.ndarray
+    bones: Integer[np.ndarray, "N K"]
+    weights: Float[np.ndarray, "N K"]
+    betas: Float[np.ndarray, " B"]
 
 
 def donor_of(person: Avatar) -> Donor:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from studiorecon.render.occlusion import Groups, lost, nearness, sky_discs
 from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written
 from studiorecon.scene.outside import read_json
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Shaped
 
 # However deep, a shadow leaves this much; the denominator stays above its own bound where lamps that are far off
 # dominate.
@@ -39,20 +43,20 @@ class Lamps:
         radius_m: (K,) of the disc that stands for the patch.
     """
 
-    positions_m: np.ndarray
-    facing: np.ndarray
-    radius_m: np.ndarray
+    positions_m: Float[np.ndarray, "K 3"]
+    facing: Float[np.ndarray, "K 3"]
+    radius_m: Float[np.ndarray, " K"]
 
     @property
-    def discs(self) -> np.ndarray:
+    def discs(self) -> Float[np.ndarray, "K 4"]:
         """(K, 4) position and radius."""
         return np.concatenate([self.positions_m, self.radius_m[:, None]], axis=1)
 
-    def take(self, index: np.ndarray) -> Lamps:
+    def take(self, index: Shaped[np.ndarray, " M"]) -> Lamps:
         """The lamps at ``index`` (integers or a boolean mask)."""
         return Lamps(self.positions_m[index], self.facing[index], self.radius_m[index])
 
-    def falloff(self, points_m: np.ndarray) -> np.ndarray:
+    def falloff(self, points_m: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N K"]:
         """(N, K) light on points (N, 3) that face up from lamps of equal strength: both cosines over distance squared;
         1 from the sky."""
         towards = self.positions_m[None] - np.asarray(points_m, np.float64)[:, None]
@@ -81,15 +85,17 @@ class Light:
     kept: bool
     reason: str
     lamps: Lamps
-    share: np.ndarray
-    usual: np.ndarray
+    share: Float[np.ndarray, " K"]
+    usual: Float[np.ndarray, " K"]
     sky: float
     contact: float
     contact_m: float
     floor_m: float
     figures: Mapping[str, float] = field(default_factory=dict)
 
-    def factor(self, points_m: np.ndarray, bodies: Sequence[np.ndarray]) -> np.ndarray:
+    def factor(
+        self, points_m: Float[np.ndarray, "N 3"], bodies: Sequence[Float[np.ndarray, "C 7"]]
+    ) -> Float[np.ndarray, " N"]:
         """(N,) float32 share of its light that is left to points (N, 3) that face up, beside bodies of capsules (C, 7)
         each."""
         return LitPoints(self, points_m).left(bodies)
@@ -98,7 +104,7 @@ class Light:
 class LitPoints:
     """N points that face up under a light, for whatever bodies come by: what does not depend on these, once."""
 
-    def __init__(self, light: Light, points_m: np.ndarray) -> None:
+    def __init__(self, light: Light, points_m: Float[np.ndarray, "N 3"]) -> None:
         part = light.share * light.lamps.falloff(points_m) / light.usual
         self._light, self._groups = light, Groups.of(points_m)
         self._total = np.maximum(1 + part.sum(axis=1) - light.share.sum(), _LEAST_TOTAL)
@@ -110,7 +116,7 @@ class LitPoints:
             part = np.concatenate([part, np.full((len(part), len(sky)), light.sky / len(sky))], axis=1)
         self._parts = self._groups.grouped(part)
 
-    def left(self, bodies: Sequence[np.ndarray]) -> np.ndarray:
+    def left(self, bodies: Sequence[Float[np.ndarray, "C 7"]]) -> Float[np.ndarray, " N"]:
         """(N,) float32 share of their light that is left to the points beside bodies of capsules (C, 7) each."""
         if not any(len(body) for body in bodies):
             return np.ones(len(self._total), np.float32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -19,6 +20,9 @@ from studiorecon.render.room_light import Light, LitPoints
 from studiorecon.scene.gaussians import SH_C0, Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, SH
 from studiorecon.splatting.rigid_object import RigidObject
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # The floor, whichever way its Gaussians are turned; above it up to low furniture what faces up.
 _FURNITURE_M = 1.0
@@ -40,13 +44,13 @@ class Shading:
     """
 
     lit: LitPoints
-    at: np.ndarray
-    facing: np.ndarray
-    usual: np.ndarray
+    at: Integer[np.ndarray, " M"]
+    facing: Float[np.ndarray, " M"]
+    usual: Float[np.ndarray, " M"]
     casters: Sequence[tuple[Avatar, Occluder]]
     things: Sequence[RigidObject] = ()
 
-    def factor(self, frame: float) -> np.ndarray:
+    def factor(self, frame: float) -> Float[np.ndarray, " M"]:
         """(M,) float32: what the colours of the Gaussians ``at``, as the plates show them, are multiplied by at a
         (fractional) frame; see ``dim``."""
         left = self.lit.left(_bodies(self.casters, self.things, frame)) / self.usual
@@ -84,7 +88,7 @@ def shading(
     )
 
 
-def most_agreed(left: np.ndarray) -> np.ndarray:
+def most_agreed(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
     """(M,) mean of the values that most moments of ``left`` (T, M) agree on, as a plate's colours are found; ties go to
     the brighter."""
     votes = np.stack([(np.abs(left - own) <= _SAME).sum(axis=0) for own in left])
@@ -102,7 +106,7 @@ def _bodies(
     return [*posed, *(thing.capsule(frame) for thing in things)]
 
 
-def facing_up(room: Gaussians, floor_m: float) -> np.ndarray:
+def facing_up(room: Gaussians, floor_m: float) -> Float[np.ndarray, " N"]:
     """(N,) float32: 1 on the floor, on low furniture the squared vertical part of the shortest axis, else 0.
 
     Shadows were measured on the floor: what does not face up as it does gets its light from elsewhere, and is left

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,6 +40,9 @@ from studiorecon.signature import Written
 from studiorecon.splatting.device import resolve
 from studiorecon.splatting.rigid_object import read_objects
 
+if TYPE_CHECKING:
+    from jaxtyping import Integer
+
 
 @dataclass(frozen=True)
 class Settings(Drawn):
@@ -68,7 +72,7 @@ def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int
 
 def picture(
     canvas: Canvas, step: PathStep, background_rgb: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Integer[np.ndarray, "H W 3"], Integer[np.ndarray, "H W"], Integer[np.ndarray, "H W"]]:
     """(H, W, 3) uint8 picture, (H, W) uint8 truth map and (H, W) uint16 depth in millimetres of one step."""
     rendering, shares = canvas.draw(step.camera, step.frame, background_rgb)
     return to_bytes(rendering.rgb), truth_levels(shares), millimetres(rendering.depth_m)

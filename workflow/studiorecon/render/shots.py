@@ -6,13 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.geometry.camera_path import look_at
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # How time advances over a film: ``stretch`` shows the capture once from start to end whatever the number of pictures,
 # ``loop`` shows it at its own speed and starts again, ``swing`` at its own speed there and back, ``hold`` its first
@@ -45,7 +48,7 @@ def usual_focal(cameras: Sequence[Camera], width: int) -> float:
     return width * float(np.mean([np.mean(camera.focal_px) / camera.wh[0] for camera in cameras]))
 
 
-def looking_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
+def looking_at(eye_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
     """(4, 4) camera_from_world of a level camera at ``eye_m`` whose optical axis meets ``target_m``."""
     transform = np.eye(4)
     transform[:3, :3] = look_at(eye_m, target_m).T
@@ -54,14 +57,19 @@ def looking_at(eye_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
 
 
 def level_step(
-    name: str, wh: tuple[int, int], focal_px: float, eye_m: np.ndarray, target_m: np.ndarray, frame: float
+    name: str,
+    wh: tuple[int, int],
+    focal_px: float,
+    eye_m: Float[np.ndarray, " 3"],
+    target_m: Float[np.ndarray, " 3"],
+    frame: float,
 ) -> PathStep:
     """One picture of size ``wh`` by a level camera with the target in its middle."""
     intrinsics = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1.0]])
     return PathStep(Camera(name, wh, intrinsics, looking_at(eye_m, target_m)), float(frame), "00")
 
 
-def film_times(kind: Time, pictures: int, frames: int) -> np.ndarray:
+def film_times(kind: Time, pictures: int, frames: int) -> Float[np.ndarray, " pictures"]:
     """(pictures,) frame of the capture that each picture shows, within 0 … frames - 1."""
     last = frames - 1
     if kind == "hold" or last == 0:

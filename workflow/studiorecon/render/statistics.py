@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.render.composite import TRUTH_LEVELS, Composite, blocked
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_table
 from studiorecon.scene.path import PathStep
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 LEDGER_COLUMNS = ("picture", "segment", "frame", "measured", "inferred", "invented", "angle_deg", "near")
 
@@ -38,13 +42,15 @@ class PictureStatistics:
     near: str
 
 
-def shares(truth: np.ndarray) -> tuple[float, float, float]:
+def shares(truth: Integer[np.ndarray, "H W"]) -> tuple[float, float, float]:
     """Measured, inferred and invented share of a truth map (H, W) uint8."""
     counted = np.bincount(truth.ravel(), minlength=256)[TRUTH_LEVELS] / truth.size
     return float(counted[0]), float(counted[1]), float(counted[2])
 
 
-def angles_deg(steps: Sequence[PathStep], training: Sequence[Camera], centre_m: np.ndarray) -> np.ndarray:
+def angles_deg(
+    steps: Sequence[PathStep], training: Sequence[Camera], centre_m: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, " pictures"]:
     """(pictures,) angle at the centre between each picture's camera and the nearest training camera, by atan2 (I13)."""
     eyes = np.array([step.camera.centre_m for step in steps]) - centre_m
     filmed = np.array([camera.centre_m for camera in training]) - centre_m

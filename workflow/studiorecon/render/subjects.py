@@ -5,11 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from studiorecon.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 # ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in
 # metres.
@@ -28,13 +32,13 @@ class Subjects:
         fps: frames per second of the capture.
     """
 
-    pelvis_m: Mapping[str, np.ndarray]
-    facing: Mapping[str, np.ndarray]
-    scene_m: np.ndarray
+    pelvis_m: Mapping[str, Float[np.ndarray, "T 3"]]
+    facing: Mapping[str, Float[np.ndarray, "T 2"]]
+    scene_m: Float[np.ndarray, " 3"]
     frames: int
     fps: float
 
-    def still(self, target: Target, shot: str) -> np.ndarray:
+    def still(self, target: Target, shot: str) -> Float[np.ndarray, " 3"]:
         """(3,) one point for a whole film: of people the median over all frames.
 
         Without people ``people`` means ``scene``. Raises UserError for a person who is not there.
@@ -47,7 +51,9 @@ class Subjects:
             return np.median(np.concatenate(list(self.pelvis_m.values())), axis=0)
         return np.median(self._of(self.pelvis_m, target, shot), axis=0)
 
-    def at(self, target: Target, times: np.ndarray, shot: str, smooth_s: float = 0.5) -> np.ndarray:
+    def at(
+        self, target: Target, times: Num[np.ndarray, " P"], shot: str, smooth_s: float = 0.5
+    ) -> Float[np.ndarray, "P 3"]:
         """(P, 3) where the target is at capture frames ``times`` (P,): a person wherever they go, smoothed over
         ``smooth_s`` seconds.
 
@@ -58,7 +64,9 @@ class Subjects:
             return np.tile(self.still(target, shot), (len(times), 1))
         return _sampled(_smooth(self._of(self.pelvis_m, target, shot), smooth_s * self.fps), times)
 
-    def facing_at(self, person: str, times: np.ndarray, shot: str, smooth_s: float) -> np.ndarray:
+    def facing_at(
+        self, person: str, times: Num[np.ndarray, " P"], shot: str, smooth_s: float
+    ) -> Float[np.ndarray, " P"]:
         """(P,) azimuth in radians that a person faces at capture frames ``times``; averaged as directions, never as
         angles."""
         smooth = _sampled(_smooth(self._of(self.facing, person, shot), smooth_s * self.fps), times)

@@ -11,19 +11,22 @@ import math
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.scene import outside
 
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
+
 _CURE = "delete it, and it is made again"
 
 
 def read_arrays(
     path: Path, names: Iterable[str] | None = None, *, but: Container[str] = (), gaps: Container[str] = ()
-) -> dict[str, np.ndarray]:
+) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of an npz that a step wrote: those of ``names``, or all but those of ``but``.
 
     Raises UserError that names the file and the array: missing, damaged, or with a number that is not finite where none

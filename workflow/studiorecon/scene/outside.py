@@ -29,6 +29,7 @@ from studiorecon.errors import UserError
 
 if TYPE_CHECKING:
     import numpy as np
+    from jaxtyping import Shaped
 
 MOST_TEXT_BYTES = 2**30
 """The largest text (JSON, YAML, TOML, table) that is read: keypoints of an hour of a crowd have less."""
@@ -194,7 +195,7 @@ def read_npz(
     names: Iterable[str] | None = None,
     but: Container[str] = (),
     remedy: str = _COPY,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of an npz by name: those of ``names`` (KeyError for one that is not there), or all but those of
     ``but``.
 
@@ -221,7 +222,7 @@ def read_npz(
         raise UserError(f"{path} is not a readable .npz ({first_line(error)}); {remedy}") from None
 
 
-def read_npy(path: Path) -> np.ndarray:
+def read_npy(path: Path) -> Shaped[np.ndarray, " ..."]:
     """The array of an npy file; raises UserError as ``read_npz`` does."""
     size = file_size(path)
     if size > MOST_ARRAY_BYTES:

@@ -11,8 +11,12 @@ import tempfile
 import weakref
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
 
 
 @dataclass(frozen=True)
@@ -33,20 +37,20 @@ class Spool:
         weakref.finalize(self, self._file.close)
         self._end = 0
 
-    def put(self, array: np.ndarray) -> Slot:
+    def put(self, array: Shaped[np.ndarray, " ..."]) -> Slot:
         """Append an array."""
         slot = Slot(self._end, array.shape, array.dtype)
         self._write(slot, array)
         self._end += array.nbytes
         return slot
 
-    def put_back(self, slot: Slot, array: np.ndarray) -> None:
+    def put_back(self, slot: Slot, array: Shaped[np.ndarray, " ..."]) -> None:
         """Write an array over another one. Raises ValueError for one of another shape or kind."""
         if (array.shape, array.dtype) != (slot.shape, slot.kind):
             raise ValueError(f"array is {array.shape} of {array.dtype}, its place is {slot.shape} of {slot.kind}")
         self._write(slot, array)
 
-    def get(self, slot: Slot) -> np.ndarray:
+    def get(self, slot: Slot) -> Shaped[np.ndarray, " ..."]:
         """The array, in memory of its own."""
         array = np.empty(slot.shape, slot.kind)
         rest = array.data.cast("B") if array.size else memoryview(b"")

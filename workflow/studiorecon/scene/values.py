@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MOST_SHOWN = 60
 """Of a value that is refused so many characters are shown."""
@@ -85,7 +88,7 @@ def whole(value: Any, where: str, low: int, high: int, what: str = "a whole numb
     return int(value)
 
 
-def numbers(value: Any, where: str, *, finite: bool = True) -> np.ndarray:
+def numbers(value: Any, where: str, *, finite: bool = True) -> Float[np.ndarray, " ..."]:
     """float64 array of a number, or of lists of numbers of one length, nested or not; missing ones (null) are NaN.
 
     With ``finite`` none of them may be NaN, infinite or missing.

@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.scene.gaussians import Gaussians, sh_from_rgb
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 
 def discs(
-    points_m: np.ndarray,
-    normals: np.ndarray,
-    rgb: np.ndarray,
-    width_m: np.ndarray | float,
+    points_m: Num[np.ndarray, "N 3"],
+    normals: Num[np.ndarray, "N 3"],
+    rgb: Num[np.ndarray, "N 3"],
+    width_m: Num[np.ndarray, " N"] | float,
     flatness: float,
     opacity: float,
     sh_degree: int,
@@ -30,7 +35,7 @@ def discs(
     return Gaussians(np.asarray(points_m), quaternions_facing(normals), log_scales, logits, sh)
 
 
-def quaternions_facing(normals: np.ndarray) -> np.ndarray:
+def quaternions_facing(normals: Num[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
     """(N, 4) unit quaternions (w, x, y, z) that turn the z axis to ± (N, 3) normals; a zero normal gives the
     identity."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.cpu.blocks import BlockedGaussians
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 Drawable = Gaussians | BlockedGaussians
 """A set, or one that is in blocks already."""
@@ -27,11 +31,11 @@ class Rendering:
         values: (H, W, C) float32, the caller's values of the Gaussians blended like colours. None unless given.
     """
 
-    rgb: np.ndarray
-    alpha: np.ndarray
-    depth_m: np.ndarray
-    normals: np.ndarray | None = None
-    values: np.ndarray | None = None
+    rgb: Float[np.ndarray, "H W 3"]
+    alpha: Float[np.ndarray, "H W"]
+    depth_m: Float[np.ndarray, "H W"]
+    normals: Float[np.ndarray, "H W 3"] | None = None
+    values: Float[np.ndarray, "H W C"] | None = None
 
 
 @dataclass(frozen=True)
@@ -44,18 +48,21 @@ class GaussianGradients:
         background_rgb: (3,) gradient by the colour behind the Gaussians.
     """
 
-    means_m: np.ndarray
-    quaternions: np.ndarray
-    log_scales: np.ndarray
-    logit_opacities: np.ndarray
-    sh: np.ndarray
-    screen: np.ndarray
-    background_rgb: np.ndarray
+    means_m: Float[np.ndarray, "N 3"]
+    quaternions: Float[np.ndarray, "N 4"]
+    log_scales: Float[np.ndarray, "N 3"]
+    logit_opacities: Float[np.ndarray, " N"]
+    sh: Float[np.ndarray, "N B 3"]
+    screen: Float[np.ndarray, " N"]
+    background_rgb: Float[np.ndarray, " 3"]
 
 
 def facing_normals(
-    means_m: np.ndarray, quaternions: np.ndarray, scales: np.ndarray, centre_m: np.ndarray
-) -> np.ndarray:
+    means_m: Float[np.ndarray, "N 3"],
+    quaternions: Float[np.ndarray, "N 4"],
+    scales: Float[np.ndarray, "N 3"],
+    centre_m: Float[np.ndarray, " 3"],
+) -> Float[np.ndarray, "N 3"]:
     """(N, 3) float32 unit shortest axes in the world, turned towards a camera at ``centre_m``."""
     with np.errstate(invalid="ignore", over="ignore"):
         q = quaternions.astype(np.float64)
@@ -72,14 +79,16 @@ def facing_normals(
     return np.where(away[:, None], -axes, axes).astype(np.float32)
 
 
-def checked_values(values: np.ndarray, count: int) -> np.ndarray:
+def checked_values(values: Num[np.ndarray, "N C"], count: int) -> Num[np.ndarray, "N C"]:
     """The values as given. Raises ValueError unless they are (count, C)."""
     if values.ndim != 2 or len(values) != count:
         raise ValueError(f"values of shape {values.shape} do not fit {count} Gaussians")
     return values
 
 
-def taken_apart(blended: np.ndarray, channels: int, normals: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
+def taken_apart(
+    blended: Float[np.ndarray, "H W C"], channels: int, normals: bool
+) -> tuple[Float[np.ndarray, "H W 3"] | None, Float[np.ndarray, "H W c"] | None]:
     """(H, W, C) of the caller's ``channels``, then normals if any → normals, values of a ``Rendering``."""
     return (
         unit_or_zero(blended[..., channels:]) if normals else None,
@@ -87,7 +96,7 @@ def taken_apart(blended: np.ndarray, channels: int, normals: bool) -> tuple[np.n
     )
 
 
-def unit_or_zero(normals: np.ndarray) -> np.ndarray:
+def unit_or_zero(normals: Float[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """Vectors (H, W, 3) at unit length; those shorter than 1e-4 become 0."""
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     return np.where(length < 1e-4, 0, normals / np.maximum(length, 1e-4)).astype(np.float32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -17,6 +18,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.intermediate import as_written, read_arrays
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # A logit that no rasteriser draws: opacity 1e-13.
 _ABSENT = -30.0
@@ -52,12 +56,12 @@ class RigidObject:
 
     person: str
     gaussians: Gaussians
-    provenance: np.ndarray
-    centres_m: np.ndarray
-    valid: np.ndarray
-    present: np.ndarray
+    provenance: Integer[np.ndarray, " N"]
+    centres_m: Float[np.ndarray, "T 3"]
+    valid: Bool[np.ndarray, " T"]
+    present: Bool[np.ndarray, " T"]
     radius_m: float
-    world_from_object: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    world_from_object: Float[np.ndarray, "T 3 3"] = field(default_factory=lambda: np.zeros((0, 3, 3)))
     turns: str = NO_TURNS
 
     def __post_init__(self) -> None:
@@ -66,7 +70,7 @@ class RigidObject:
         if self.turns == NO_TURNS:
             object.__setattr__(self, "world_from_object", np.tile(np.eye(3), (len(self.centres_m), 1, 1)))
 
-    def centre_at(self, frame: float) -> np.ndarray | None:
+    def centre_at(self, frame: float) -> Float[np.ndarray, " 3"] | None:
         """(3,) position at a 0-based, possibly fractional frame, metres; None where it is unknown.
 
         Beside a frame in which it is unknown, it stays where it was at the nearer of the two, if that one is known.
@@ -77,7 +81,7 @@ class RigidObject:
         near = high if share > 0.5 else low
         return self.centres_m[near] if self.present[near] else None
 
-    def turn_at(self, frame: float) -> np.ndarray:
+    def turn_at(self, frame: float) -> Float[np.ndarray, "3 3"]:
         """(3, 3) rotation world_from_object at a 0-based, possibly fractional frame; beside an unknown frame, that of
         the known one."""
         low, high, share = self._between(frame)
@@ -85,7 +89,7 @@ class RigidObject:
             return self.world_from_object[low if self.present[low] else high]
         return rotations.slerp(self.world_from_object[low], self.world_from_object[high], share)
 
-    def pose_at(self, frame: float) -> np.ndarray:
+    def pose_at(self, frame: float) -> Float[np.ndarray, "4 4"]:
         """(4, 4) world_from_object at a frame; its place is NaN where that is unknown."""
         pose, centre = np.eye(4), self.centre_at(frame)
         pose[:3, :3] = self.turn_at(frame)
@@ -107,12 +111,12 @@ class RigidObject:
         means, quaternions, sh = posing.out(own.means_m, own.quaternions, own.sh, bones)
         return Gaussians(means, quaternions, own.log_scales, own.logit_opacities, sh)
 
-    def joints_m(self, frame: float) -> np.ndarray:
+    def joints_m(self, frame: float) -> Float[np.ndarray, "1 3"]:
         """(1, 3) the middle as the only joint, infinitely far away where it is unknown."""
         centre = self.centre_at(frame)
         return np.full((1, 3), np.inf) if centre is None else centre[None]
 
-    def capsule(self, frame: float) -> np.ndarray:
+    def capsule(self, frame: float) -> Float[np.ndarray, "C 7"]:
         """(1, 7) a capsule for the thing, two ends and a radius, metres, as light meets it; (0, 7) where the position
         is unknown.
 
@@ -133,7 +137,7 @@ class RigidObject:
         ends = np.stack([middle - reach, middle + reach]) @ self.turn_at(frame).T + centre
         return np.concatenate([ends.ravel(), [radius]])[None]
 
-    def outline(self, camera: Camera, frame: int, grown: float = 1.0) -> np.ndarray:
+    def outline(self, camera: Camera, frame: int, grown: float = 1.0) -> Float[np.ndarray, "H W"]:
         """(H, W) float32 z-depth of the middle where the thing is seen, 0 elsewhere and when absent.
 
         Seen is the sphere of ``grown`` times the radius; of a thing whose turns were measured, its own outline,

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.studio.clothing import OUTFITS, dressed
 from studiorecon.studio.description import Description
 from studiorecon.studio.meshes import Mesh, Texture, lathe, sphere
 from studiorecon.studio.performance import PARTS, perform, shape
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 UNOWNED = 255  # mask value of what moves and is nobody: ball and stick
 _BALL_RADIUS_M, _BALL_PEAK_M, _BALL_PERIOD_S = 0.12, 0.95, 0.82
@@ -32,16 +36,16 @@ class Actor:
     """
 
     number: int
-    betas: np.ndarray
-    poses: np.ndarray
-    trans_m: np.ndarray
+    betas: Float[np.ndarray, " 10"]
+    poses: Float[np.ndarray, "T 72"]
+    trans_m: Float[np.ndarray, "T 3"]
     texture: Texture
 
 
 class Actors:
     """The people and props of a description, posed at the moments (T,) of one clock in seconds."""
 
-    def __init__(self, description: Description, body: BodyModel, times_s: np.ndarray) -> None:
+    def __init__(self, description: Description, body: BodyModel, times_s: Float[np.ndarray, " T"]) -> None:
         self.body = body
         self.times_s = times_s
         self.effects = description.effects
@@ -67,7 +71,7 @@ class Actors:
             values.append(UNOWNED)
         return solids, values
 
-    def soles_m(self) -> np.ndarray:
+    def soles_m(self) -> Float[np.ndarray, "T P 4 3"]:
         """(T, P, 4, 3) ankles and balls of everybody's feet, lowered to the sole: what darkens the floor beneath."""
         found = np.zeros((len(self.times_s), len(self.actors), len(_FEET), 3))
         for number, actor in enumerate(self.actors):
@@ -76,7 +80,7 @@ class Actors:
             found[:, number] = joints - [0, 0, 1] * rest[:, None]
         return found
 
-    def keypoints_m(self, names: tuple[str, ...]) -> np.ndarray:
+    def keypoints_m(self, names: tuple[str, ...]) -> Float[np.ndarray, "T P K 3"]:
         """(T, P, K, 3) world keypoints of everybody."""
         found = [self.body.keypoints(names, actor.poses, actor.betas, actor.trans_m) for actor in self.actors]
         return np.stack(found, axis=1) if found else np.zeros((len(self.times_s), 0, len(names), 3))

@@ -4,6 +4,8 @@ shuffled order."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.scene.camera import Lens
@@ -11,19 +13,22 @@ from studiorecon.studio.description import DetectionOptions
 from studiorecon.studio.film import centre_m, projected
 from studiorecon.studio.tracing import Tracer
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _OWN_BODY_M = 0.22  # a keypoint lies inside its body: the body's own surface may be this far in front of it
 _MIN_SEEN = 5
 _HIDDEN_NOISE = 3.0  # a detector guesses hidden points this much worse
 
 
 def detect(
-    points_m: np.ndarray,
+    points_m: Float[np.ndarray, "P K 3"],
     lens: Lens,
     tracer: Tracer,
     first_actor: int,
     options: DetectionOptions,
     rng: np.random.Generator,
-) -> list[np.ndarray]:
+) -> list[Float[np.ndarray, "K 3"]]:
     """People as one camera's detector sees them in one frame: (K, 3) pixels (centres at +0.5) and confidence each, 0 =
     missing.
 
@@ -56,7 +61,7 @@ def detect(
     return [people[i] for i in order] if options.shuffled else people
 
 
-def openpose_json(people: list[np.ndarray]) -> dict:
+def openpose_json(people: list[Float[np.ndarray, "K 3"]]) -> dict:
     """One frame in OpenPose's form, whose pixels count from 0 at the first pixel's centre."""
     entries = []
     for keypoints in people:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.rig import directions
 from studiorecon.studio.room import HEIGHT_M, LAMPS_M
 from studiorecon.studio.tracing import Tracer, lamp_points, radiance
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 _NEAR_M = 0.05
 _CONTACT_REACH_M, _CONTACT_HEIGHT_M, _CONTACT_DEPTH = 0.10, 0.07, 0.75
@@ -34,18 +38,18 @@ class Backdrop:
 
     lens: Lens
     solids: list[Mesh]
-    rays: np.ndarray
-    depth_m: np.ndarray
-    colour: np.ndarray
-    solid: np.ndarray
-    mean: np.ndarray
-    lamps: list[np.ndarray]
+    rays: Float[np.ndarray, "S N 3"]
+    depth_m: Float[np.ndarray, "S N"]
+    colour: Float[np.ndarray, "S N 3"]
+    solid: Integer[np.ndarray, "S N"]
+    mean: Float[np.ndarray, "N 3"]
+    lamps: list[Float[np.ndarray, "M 4"]]
 
     @property
-    def centre_m(self) -> np.ndarray:
+    def centre_m(self) -> Float[np.ndarray, " 3"]:
         return centre_m(self.lens)
 
-    def picture(self) -> np.ndarray:
+    def picture(self) -> Float[np.ndarray, "H W 3"]:
         """(H, W, 3) radiance of the empty room."""
         return self.mean.reshape(self.lens.wh[1], self.lens.wh[0], 3)
 
@@ -71,8 +75,13 @@ def backdrop(lens: Lens, solids: list[Mesh], supersampling: int) -> Backdrop:
 
 
 def exposed(
-    scene: Backdrop, tracer: Tracer, moving: list[Mesh], touched: np.ndarray, soles_m: np.ndarray, effects: Effects
-) -> np.ndarray:
+    scene: Backdrop,
+    tracer: Tracer,
+    moving: list[Mesh],
+    touched: Bool[np.ndarray, " N"],
+    soles_m: Float[np.ndarray, "P 4 3"],
+    effects: Effects,
+) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) radiance of one frame with the ``moving`` solids in the room.
 
     ``tracer`` holds room and moving solids, the room first; ``touched`` (N,) are the pixels of ``touched_pixels``.
@@ -118,7 +127,7 @@ def exposed(
     return picture.reshape(height, width, 3)
 
 
-def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> np.ndarray:
+def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> Bool[np.ndarray, " N"]:
     """(N,) bool: all pixels that the solids can cover, and a few around them.
 
     Vertices are marked and grown by the longest edge in pixels: no point of a triangle is farther from a vertex than
@@ -146,7 +155,9 @@ def touched_pixels(lens: Lens, moving: Sequence[Mesh]) -> np.ndarray:
     return touched.ravel() > 0
 
 
-def projected(lens: Lens, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def projected(
+    lens: Lens, points_m: Float[np.ndarray, "... 3"]
+) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
     """Pixels (..., 2) of world points through a lens with its distortion, and their z-depth; far off-screen behind the
     camera."""
     in_camera = points_m @ lens.camera_from_world[:3, :3].T + lens.camera_from_world[:3, 3]
@@ -158,12 +169,14 @@ def projected(lens: Lens, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.where((depth > _NEAR_M)[..., None], np.clip(pixels, -1e6, 1e6), -1e6), depth
 
 
-def centre_m(lens: Lens) -> np.ndarray:
+def centre_m(lens: Lens) -> Float[np.ndarray, " 3"]:
     """(3,) where the lens is."""
     return -lens.camera_from_world[:3, :3].T @ lens.camera_from_world[:3, 3]
 
 
-def contact_shade(points_m: np.ndarray, soles_m: np.ndarray, strength: float) -> np.ndarray:
+def contact_shade(
+    points_m: Float[np.ndarray, "N 3"], soles_m: Float[np.ndarray, "P 4 3"], strength: float
+) -> Float[np.ndarray, " N"]:
     """(N,) factor by which the floor darkens near soles (P, 4, 3): soft within a hand's width, gone when the foot is
     lifted."""
     shade = np.ones(len(points_m))

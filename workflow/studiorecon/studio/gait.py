@@ -8,8 +8,12 @@ A planted foot does not move, so nothing slides; the heel rises about the ball o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 STANCE = 0.62  # share of a stride during which a foot is down
 _MIDDLE = STANCE / 2
@@ -35,7 +39,9 @@ class Path:
     first_m: float
     last_m: float
 
-    def at(self, distance_m: np.ndarray, left_m: float | np.ndarray = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, distance_m: Float[np.ndarray, " T"], left_m: float | Float[np.ndarray, " T"] = 0.0
+    ) -> tuple[Float[np.ndarray, "T 2"], Float[np.ndarray, " T"]]:
         """Points (T, 2), ``left_m`` beside the path, and headings (T,) at distances walked (T,)."""
         heading = self.heading_rad + (distance_m / self.radius_m if self.radius_m else 0 * distance_m)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -58,13 +64,13 @@ class FootTrack:
         amplitude: (T,) length of the current stride over the full stride, 0 = standing.
     """
 
-    distance_m: np.ndarray
-    pitch_rad: np.ndarray
-    lift_m: np.ndarray
-    amplitude: np.ndarray
+    distance_m: Float[np.ndarray, " T"]
+    pitch_rad: Float[np.ndarray, " T"]
+    lift_m: Float[np.ndarray, " T"]
+    amplitude: Float[np.ndarray, " T"]
 
 
-def foot_track(clock: np.ndarray, phase: float, stride_m: float, path: Path) -> FootTrack:
+def foot_track(clock: Float[np.ndarray, " T"], phase: float, stride_m: float, path: Path) -> FootTrack:
     """The foot whose strides begin ``phase`` (0 or 0.5) before the clock (T,), counted in strides."""
     local = clock + phase
     stride = np.floor(local)
@@ -87,7 +93,7 @@ def foot_track(clock: np.ndarray, phase: float, stride_m: float, path: Path) -> 
     )
 
 
-def pelvis_distance(clock: np.ndarray, stride_m: float, path: Path) -> np.ndarray:
+def pelvis_distance(clock: Float[np.ndarray, " T"], stride_m: float, path: Path) -> Float[np.ndarray, " T"]:
     """(T,) where the pelvis is along the path: midway between the feet, smoothed over a third of a stride."""
     shifts = np.linspace(-0.4, 0.4, 17)
     weights = np.exp(-0.5 * (shifts / 0.17) ** 2)
@@ -104,8 +110,12 @@ def pelvis_distance(clock: np.ndarray, stride_m: float, path: Path) -> np.ndarra
 
 
 def reach_knee(
-    hip_m: np.ndarray, ankle_m: np.ndarray, thigh_m: float, shin_m: float, forward: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    hip_m: Float[np.ndarray, "T 3"],
+    ankle_m: Float[np.ndarray, "T 3"],
+    thigh_m: float,
+    shin_m: float,
+    forward: Float[np.ndarray, "T 3"],
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
     """Knee positions (T, 3) and hinge axes (T, 3) (to the body's left) for hips and ankles (T, 3); the knee bends
     ``forward``.
 
@@ -125,7 +135,7 @@ def reach_knee(
     return knee, -np.cross(along, bend)
 
 
-def frame(down: np.ndarray, left: np.ndarray) -> np.ndarray:
+def frame(down: Float[np.ndarray, "T 3"], left: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
     """(T, 3, 3) rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
     left = left - down * np.sum(left * down, axis=-1, keepdims=True)

@@ -5,8 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # (N, 3) points and (N, 3) unit normals in the solid's own frame → (N, 3) linear albedo.
 Texture = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -31,17 +35,17 @@ class Mesh:
     """
 
     name: str
-    vertices_m: np.ndarray
-    faces: np.ndarray
+    vertices_m: Float[np.ndarray, "V 3"]
+    faces: Integer[np.ndarray, "F 3"]
     texture: Texture
-    world_from_solid: np.ndarray
+    world_from_solid: Float[np.ndarray, "4 4"]
     emission: float = 0.0
     mirror: float = 0.0
-    texture_vertices: np.ndarray | None = None
-    vertex_normals: np.ndarray | None = None
+    texture_vertices: Float[np.ndarray, "V 3"] | None = None
+    vertex_normals: Float[np.ndarray, "V 3"] | None = None
 
 
-def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> np.ndarray:
+def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Float[np.ndarray, "4 4"]:
     """(4, 4) world_from_solid of something that stands upright at a place."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     world_from_solid = np.eye(4)
@@ -50,7 +54,7 @@ def placed(position_m: tuple[float, float, float], yaw_rad: float = 0.0) -> np.n
     return world_from_solid
 
 
-def transformed(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def transformed(points: Float[np.ndarray, "... 3"], matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "... 3"]:
     """(..., 3) points through a (4, 4) rigid transform."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
@@ -76,7 +80,7 @@ def plain(colour: tuple[float, float, float]) -> Texture:
     return paint
 
 
-def box(name: str, size_m: tuple[float, float, float], where: np.ndarray, texture: Texture) -> Mesh:
+def box(name: str, size_m: tuple[float, float, float], where: Float[np.ndarray, "4 4"], texture: Texture) -> Mesh:
     """A box standing on its origin: x and y centred, z from 0 to its height."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0, 1)]) * size_m
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -85,7 +89,7 @@ def box(name: str, size_m: tuple[float, float, float], where: np.ndarray, textur
 
 
 def lathe(
-    name: str, profile: list[tuple[float, float]], where: np.ndarray, texture: Texture, segments: int = 48
+    name: str, profile: list[tuple[float, float]], where: Float[np.ndarray, "4 4"], texture: Texture, segments: int = 48
 ) -> Mesh:
     """A surface of revolution about z through (radius, height) pairs from bottom to top; radius 0 closes an end."""
     angle = np.arange(segments) * (2 * np.pi / segments)
@@ -105,7 +109,7 @@ def quad(name: str, corners_m: list[list[float]], texture: Texture) -> Mesh:
     return Mesh(name, np.array(corners_m, dtype=np.float64), np.array([[0, 1, 2], [0, 2, 3]]), texture, np.eye(4))
 
 
-def sphere(name: str, radius_m: float, centre_m: np.ndarray, texture: Texture) -> Mesh:
+def sphere(name: str, radius_m: float, centre_m: Float[np.ndarray, " 3"], texture: Texture) -> Mesh:
     """A ball around a point."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, 25)
     where = np.eye(4)

@@ -7,12 +7,16 @@ Continuous in time, so that a camera with a clock offset films the moment it rea
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.studio.gait import FootTrack, Path, foot_track, frame, pelvis_distance, reach_knee
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 NEVER = float("inf")
 _HALF_STEP_M = 0.085  # feet beside the path
@@ -50,7 +54,7 @@ PARTS = (
 )
 
 
-def shape(seed: int, number: int) -> np.ndarray:
+def shape(seed: int, number: int) -> Float[np.ndarray, " 10"]:
     """(10,) betas of one person: people alternate between tall and short, the rest is drawn within one standard
     deviation."""
     rng = np.random.default_rng([seed, 21, number])
@@ -59,7 +63,9 @@ def shape(seed: int, number: int) -> np.ndarray:
     return betas
 
 
-def perform(part: MotionPart, body: BodyModel, betas: np.ndarray, times_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def perform(
+    part: MotionPart, body: BodyModel, betas: Float[np.ndarray, " 10"], times_s: Float[np.ndarray, " T"]
+) -> tuple[Float[np.ndarray, "T 72"], Float[np.ndarray, "T 3"]]:
     """Poses (T, 72) axis-angle and pelvis positions (T, 3) of one person at the given moments (T,)."""
     clock = part.clock + part.cadence_hz * times_s
     feet = [foot_track(clock, phase, part.stride_m, part.path) for phase in (0.0, 0.5)]

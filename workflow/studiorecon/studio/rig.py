@@ -5,12 +5,16 @@ gets."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.geometry.distortion import undistort
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.studio.description import Description
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _FIRST_AZIMUTH_DEG = 45.0
 
@@ -95,7 +99,7 @@ def sync_offsets_frames(description: Description) -> dict[str, float]:
     return {n: most * float(rng.uniform(-1, 1)) if n in description.training else 0.0 for n in description.names}
 
 
-def directions(lens: Lens, supersampling: int) -> np.ndarray:
+def directions(lens: Lens, supersampling: int) -> Float[np.ndarray, "S N 3"]:
     """(S, H·W, 3) world directions of the S = n² rays of every pixel, one metre of z-depth long; S = 1 is the pixel's
     centre."""
     width, height = lens.wh

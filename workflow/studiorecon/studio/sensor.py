@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.footage.video import to_bytes
 from studiorecon.studio.description import Description
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _GAMMA = 2.2
 
@@ -48,7 +52,7 @@ def sensor_of(description: Description, name: str) -> Sensor:
     return Sensor(gains, description.faults.noise_levels, (description.seed, 42, index))
 
 
-def developed(radiance: np.ndarray, sensor: Sensor, frame: int) -> np.ndarray:
+def developed(radiance: Float[np.ndarray, "H W 3"], sensor: Sensor, frame: int) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8 picture of a radiance map: gamma 2.2, then the gains, then noise that depends on the frame
     number."""
     picture = np.clip(radiance.astype(np.float32), 0, 1) ** np.float32(1 / _GAMMA)

@@ -6,12 +6,17 @@ All are pure functions of position and an integer seed, so that every camera see
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 Colour = tuple[float, float, float]
 
 
-def hashed(column: np.ndarray, row: np.ndarray, seed: int) -> np.ndarray:
+def hashed(column: Num[np.ndarray, " N"], row: Num[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
     """(N,) values in [0, 1) that depend on two integers and the seed only (an integer hash with two mixing rounds)."""
     x = column.astype(np.int64) * 374761393 + row.astype(np.int64) * 668265263 + seed * 1442695041
     x &= 0xFFFFFFFF
@@ -19,7 +24,7 @@ def hashed(column: np.ndarray, row: np.ndarray, seed: int) -> np.ndarray:
     return ((x ^ (x >> 16)) & 0xFFFF) / 65536.0
 
 
-def noise(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def noise(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, " N"]:
     """(N,) smooth value noise in [0, 1) on the unit lattice."""
     i, j = np.floor(u), np.floor(v)
     a, b = u - i, v - j
@@ -29,25 +34,33 @@ def noise(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return low * (1 - b) + high * b
 
 
-def clouds(u: np.ndarray, v: np.ndarray, seed: int, octaves: int = 3) -> np.ndarray:
+def clouds(
+    u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int, octaves: int = 3
+) -> Float[np.ndarray, " N"]:
     """(N,) sum of octaves of noise, in [0, 1)."""
     total = sum(noise(u * 2.0**k, v * 2.0**k, seed + k) * 0.5**k for k in range(octaves))
     return np.asarray(total / sum(0.5**k for k in range(octaves)))
 
 
-def mix(a: Colour | np.ndarray, b: Colour | np.ndarray, share_of_b: np.ndarray) -> np.ndarray:
+def mix(
+    a: Colour | Float[np.ndarray, "N 3"], b: Colour | Float[np.ndarray, "N 3"], share_of_b: Num[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 3"]:
     """(N, 3) colours between ``a`` and ``b``."""
     return np.asarray(a) * (1 - share_of_b[:, None]) + np.asarray(b) * share_of_b[:, None]
 
 
-def near_line(x: np.ndarray, period: float, half_width: float) -> np.ndarray:
+def near_line(x: Float[np.ndarray, " N"], period: float, half_width: float) -> Bool[np.ndarray, " N"]:
     """(N,) bool: closer than ``half_width`` to a multiple of ``period``."""
     return np.abs(x - np.round(x / period) * period) < half_width
 
 
 def planks(
-    u: np.ndarray, v: np.ndarray, seed: int, dark: Colour = (0.20, 0.105, 0.05), light: Colour = (0.44, 0.27, 0.14)
-) -> np.ndarray:
+    u: Float[np.ndarray, " N"],
+    v: Float[np.ndarray, " N"],
+    seed: int,
+    dark: Colour = (0.20, 0.105, 0.05),
+    light: Colour = (0.44, 0.27, 0.14),
+) -> Float[np.ndarray, "N 3"]:
     """Oak boards 14 cm wide and 1.4 m long, with grain and gaps."""
     width, length = 0.14, 1.4
     row = np.floor(v / width)
@@ -63,7 +76,7 @@ def planks(
     return np.where(gap[:, None], colour * 0.3, colour)
 
 
-def bricks(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def bricks(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """A running bond of red bricks with light joints."""
     height, length = 0.09, 0.26
     row = np.floor(v / height)
@@ -78,7 +91,7 @@ def bricks(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     )
 
 
-def tiles(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def tiles(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """Glazed 20 cm tiles, blue-green and cream, some with an ornament."""
     side = 0.2
     column, row = np.floor(u / side), np.floor(v / side)
@@ -91,13 +104,15 @@ def tiles(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return np.where(joint[:, None], 0.30, colour) * (0.88 + 0.24 * noise(u * 9, v * 9, seed + 7))[:, None]
 
 
-def plaster(u: np.ndarray, v: np.ndarray, seed: int, tint: Colour = (0.60, 0.54, 0.43)) -> np.ndarray:
+def plaster(
+    u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int, tint: Colour = (0.60, 0.54, 0.43)
+) -> Float[np.ndarray, "N 3"]:
     """Roughly painted plaster: low contrast, broad and fine mottling."""
     broad, fine = clouds(u * 1.3, v * 1.3, seed), clouds(u * 22, v * 22, seed + 4, 2)
     return np.asarray(tint) * (0.84 + 0.2 * broad + 0.14 * fine)[:, None]
 
 
-def wallpaper(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def wallpaper(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """Two-tone stripes with a row of printed leaves in every other one."""
     stripe = np.floor(u / 0.16)
     colour = mix((0.17, 0.27, 0.25), (0.47, 0.50, 0.40), (stripe % 2) * 0.9 + 0.1 * clouds(u * 12, v * 12, seed))
@@ -108,7 +123,7 @@ def wallpaper(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return np.where(vein[:, None], np.asarray((0.55, 0.50, 0.28)), colour)
 
 
-def picture(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def picture(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """An abstract painting: flat shapes of a few strong colours with brushwork, different for every seed."""
     warp = 0.12 * clouds(u * 4, v * 4, seed + 20, 2)
     level = np.floor(clouds(u * 3.1 + warp, v * 3.1 - warp, seed, 2) * 7)
@@ -121,7 +136,7 @@ def picture(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return colour * (0.82 + 0.36 * noise(u * 18, v * 70, seed + 8))[:, None]
 
 
-def fabric(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def fabric(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """Woven upholstery: a checked weave over a mottled base of one seeded hue."""
     base = np.asarray([hashed(np.array([k]), np.array([seed]), 5)[0] for k in range(3)]) ** 1.5
     base = (0.5 * base + 0.5 * base.mean()) * 0.40 + 0.05
@@ -130,7 +145,7 @@ def fabric(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return base * (0.55 + 0.5 * check + 0.55 * clouds(u * 7, v * 7, seed + 3) + 0.25 * thread)[:, None]
 
 
-def books(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def books(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """Shelves 33 cm apart with book backs of uneven height, gaps and title labels."""
     shelf = np.floor(v / 0.33)
     height = v - shelf * 0.33
@@ -149,7 +164,7 @@ def books(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     return np.where(board[:, None], planks(u, v, seed + 9) * 0.8, colour)
 
 
-def rug(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
+def rug(u: Float[np.ndarray, " N"], v: Float[np.ndarray, " N"], seed: int) -> Float[np.ndarray, "N 3"]:
     """A medallion rug in coordinates from its middle, ±1 at the edges: borders, diamonds, knotted texture."""
     edge = np.maximum(np.abs(u), np.abs(v))
     diamond = np.abs(((np.abs(u) + np.abs(v)) * 4) % 1 - 0.5) * 2

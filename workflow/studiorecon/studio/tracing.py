@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -12,6 +13,9 @@ from embreex.rtcore_scene import EmbreeScene
 
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.room import HALF_X_M, HALF_Y_M, HEIGHT_M, LAMP_BELOW_CEILING_M, LAMP_SHARES, LAMPS_M
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Shaped
 
 POINTS_PER_LAMP = 16
 _LAMP_WEIGHT = 9.4
@@ -32,18 +36,18 @@ class Hits:
         normal: (N, 3) unit geometric normal, as the mesh has it.
     """
 
-    distance: np.ndarray
-    solid: np.ndarray
-    face: np.ndarray
-    barycentric: np.ndarray
-    normal: np.ndarray
+    distance: Float[np.ndarray, " N"]
+    solid: Integer[np.ndarray, " N"]
+    face: Integer[np.ndarray, " N"]
+    barycentric: Float[np.ndarray, "N 2"]
+    normal: Float[np.ndarray, "N 3"]
 
     @property
-    def met(self) -> np.ndarray:
+    def met(self) -> Bool[np.ndarray, " N"]:
         """(N,) bool."""
         return self.solid >= 0
 
-    def take(self, rays: np.ndarray) -> Hits:
+    def take(self, rays: Shaped[np.ndarray, " M"]) -> Hits:
         """The hits of some rays, by index or mask."""
         return Hits(self.distance[rays], self.solid[rays], self.face[rays], self.barycentric[rays], self.normal[rays])
 
@@ -58,7 +62,7 @@ class Tracer:
             vertices = np.ascontiguousarray(solid.vertices_m, dtype=np.float32)
             TriangleMesh(self._scene, vertices, np.ascontiguousarray(solid.faces, dtype=np.int32))
 
-    def cast(self, origins_m: np.ndarray, directions: np.ndarray) -> Hits:
+    def cast(self, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]) -> Hits:
         """First hits of rays from (N, 3) or (3,) origins along (N, 3) directions of any length."""
         answer = self._scene.run(*_rays(origins_m, directions), output=True)
         met = answer["geomID"] >= 0
@@ -72,12 +76,14 @@ class Tracer:
             normal=normal,
         )
 
-    def blocked(self, origins_m: np.ndarray, targets_m: np.ndarray) -> np.ndarray:
+    def blocked(
+        self, origins_m: Float[np.ndarray, "... 3"], targets_m: Float[np.ndarray, "... 3"]
+    ) -> Bool[np.ndarray, " N"]:
         """(N,) bool: something stands between the points and their targets."""
         return self._scene.run(*_rays(origins_m, targets_m - origins_m), _TO_THE_TARGET, query="OCCLUDED") >= 0
 
 
-def lamp_points(subset: int, subsets: int) -> np.ndarray:
+def lamp_points(subset: int, subsets: int) -> Float[np.ndarray, "M 4"]:
     """(M, 4) points on the lamps and their strength, for one of ``subsets`` rays of a pixel: together they cover both
     lamps.
 
@@ -96,7 +102,12 @@ def lamp_points(subset: int, subsets: int) -> np.ndarray:
     return np.concatenate(lamps)
 
 
-def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps: np.ndarray, tracer: Tracer) -> np.ndarray:
+def lamp_light(
+    points_m: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    lamps: Float[np.ndarray, "M 4"],
+    tracer: Tracer,
+) -> Float[np.ndarray, " N"]:
     """(N,) irradiance from the lamp points (M, 4), shadows included: their mean of both cosines over distance
     squared."""
     gains = np.stack([lamp_gain(points_m, normals, lamp[:3]) * lamp[3] for lamp in lamps.astype(points_m.dtype)])
@@ -106,7 +117,9 @@ def lamp_light(points_m: np.ndarray, normals: np.ndarray, lamps: np.ndarray, tra
     return gains.mean(axis=0)
 
 
-def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> np.ndarray:
+def lamp_gain(
+    points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], lamp_m: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, " N"]:
     """(N,) irradiance that one lamp point would give without obstacles; 0 on the side that faces away."""
     towards = lamp_m - points_m
     squared = np.einsum("ij,ij->i", towards, towards)
@@ -114,7 +127,7 @@ def lamp_gain(points_m: np.ndarray, normals: np.ndarray, lamp_m: np.ndarray) -> 
     return 2 * _LAMP_WEIGHT * np.maximum(cosines, 0) / (squared * (squared + 0.3))
 
 
-def ambient_light(points_m: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def ambient_light(points_m: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
     """(N,) light bounced by the room: brighter on what faces up, darker in its edges and corners (closed form, no
     rays)."""
     light = _AMBIENT * (1 + 0.22 * normals[:, 2])
@@ -137,14 +150,16 @@ class TracedSurface:
     """The surfaces that rays met: points (N, 3), unit normals (N, 3) towards the ray's side, albedo (N, 3), emission
     and mirror (N,)."""
 
-    points_m: np.ndarray
-    normals: np.ndarray
-    albedo: np.ndarray
-    emission: np.ndarray
-    mirror: np.ndarray
+    points_m: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    albedo: Float[np.ndarray, "N 3"]
+    emission: Float[np.ndarray, " N"]
+    mirror: Float[np.ndarray, " N"]
 
 
-def surfaces(solids: Sequence[Mesh], hits: Hits, origins_m: np.ndarray, directions: np.ndarray) -> TracedSurface:
+def surfaces(
+    solids: Sequence[Mesh], hits: Hits, origins_m: Float[np.ndarray, "... 3"], directions: Float[np.ndarray, "N 3"]
+) -> TracedSurface:
     """What is at the hits, which must all have met something; solid by solid, so that each paints its own points at
     once."""
     points = origins_m + directions * hits.distance[:, None]
@@ -175,11 +190,11 @@ def radiance(
     solids: Sequence[Mesh],
     tracer: Tracer,
     hits: Hits,
-    origins_m: np.ndarray,
-    directions: np.ndarray,
-    lamps: np.ndarray,
+    origins_m: Float[np.ndarray, "... 3"],
+    directions: Float[np.ndarray, "N 3"],
+    lamps: Float[np.ndarray, "M 4"],
     bounces: int = 1,
-) -> np.ndarray:
+) -> Float[np.ndarray, "N 3"]:
     """(N, 3) light that comes back along the rays: diffuse under the lamps and the room's bounced light, plus one
     mirror bounce."""
     surface = surfaces(solids, hits, origins_m, directions)

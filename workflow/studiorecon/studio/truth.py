@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from studiorecon.studio.film import centre_m, projected
 from studiorecon.studio.meshes import Mesh
 from studiorecon.studio.rig import directions
 from studiorecon.studio.tracing import Tracer
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
 
 _DEPTH_UNITS_PER_M = 1000
 
@@ -44,7 +48,12 @@ class TruthFrames:
         self.flows: list[np.ndarray] = []
 
     def add(
-        self, tracer: Tracer, moving: list[Mesh], touched: np.ndarray, values: list[int], following: list[Mesh] | None
+        self,
+        tracer: Tracer,
+        moving: list[Mesh],
+        touched: Bool[np.ndarray, " N"],
+        values: list[int],
+        following: list[Mesh] | None,
     ) -> None:
         """Trace one frame at the pixels ``touched`` (N,); ``following`` are the ``moving`` solids one frame later."""
         touched = np.flatnonzero(touched)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from studiorecon.body.person_boxes import people_regions
 from studiorecon.footage.video import read_frames_from
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer
 
 # People's outlines grow by this share of their height, and hold for so many frames: clothes are wide, and detectors
 # blink.
@@ -37,9 +41,9 @@ class Film:
     """
 
     camera: Camera
-    times: np.ndarray
-    pictures: np.ndarray
-    free: np.ndarray
+    times: Integer[np.ndarray, " T"]
+    pictures: Integer[np.ndarray, "T h w 3"]
+    free: Bool[np.ndarray, "T h w"]
     scale: float
     step: int = 1
 
@@ -83,8 +87,13 @@ def read_film(
 
 
 def read_pictures(
-    path: Path, camera: Camera, wanted: np.ndarray, found: Detections | None, longest_px: int, step: int = 1
-) -> tuple[np.ndarray, np.ndarray, float]:
+    path: Path,
+    camera: Camera,
+    wanted: Integer[np.ndarray, " T"],
+    found: Detections | None,
+    longest_px: int,
+    step: int = 1,
+) -> tuple[Integer[np.ndarray, "T h w 3"], Bool[np.ndarray, "T h w"], float]:
     """The ``wanted`` frames (T,), rising: (T, h, w, 3) uint8 shrunk to ``longest_px``, where nobody stands, and pixels
     per pixel."""
     scale = max(max(camera.wh) / longest_px, 1.0)

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.images.exposure import Overlap, compare, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Every so many pixels a surface point is compared: neighbours share their errors, and count as one.
 _STRIDE = 4
@@ -25,9 +29,9 @@ class ExposureView:
     unknown."""
 
     camera: Camera
-    rgb: np.ndarray
-    measured: np.ndarray
-    depth_m: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    measured: Bool[np.ndarray, "H W"]
+    depth_m: Float[np.ndarray, "H W"]
 
 
 def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int) -> tuple[list[Overlap], list[float]]:
@@ -55,7 +59,9 @@ def overlaps(views: Sequence[ExposureView], tolerance: float, least_pixels: int)
     return found, errors
 
 
-def disagreement(cameras: int, found: Sequence[Overlap], errors: Sequence[float]) -> tuple[float, float, np.ndarray]:
+def disagreement(
+    cameras: int, found: Sequence[Overlap], errors: Sequence[float]
+) -> tuple[float, float, Float[np.ndarray, "V 3"]]:
     """Largest |gain − 1| over cameras and channels, that camera's standard error, and the gains (cameras, 3)."""
     gains = solve_gains(cameras, found)
     worst = int(np.abs(gains - 1).max(axis=1).argmax())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from studiorecon.geometry.statistics import NOTHING, Estimate, median, share
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.body_points import Tracks, in_world
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Metres from wrist to fingertips, and from chin to crown, of a mean adult.
 HAND_M, HEAD_M = 0.19, 0.22
@@ -24,7 +28,7 @@ _TOGETHER = 4
 
 
 def resolved_px(
-    points_m: np.ndarray, confidence: np.ndarray, cameras: Sequence[Camera], size_m: float
+    points_m: Float[np.ndarray, "N 3"], confidence: Float[np.ndarray, "V N"], cameras: Sequence[Camera], size_m: float
 ) -> tuple[Estimate, Estimate]:
     """Height in pixels of a part of ``size_m`` in its best view, and the share of frames in which two views are sure of
     it.
@@ -86,7 +90,7 @@ def part_height(
     return value, interval, reason
 
 
-def depth_spread(depth_m: np.ndarray) -> Estimate:
+def depth_spread(depth_m: Float[np.ndarray, "H W"]) -> Estimate:
     """Robust spread (1.48 MAD) of known static depths over their median, with the scatter of that between quarters of
     the picture."""
     known = np.isfinite(depth_m) & (depth_m > 0)

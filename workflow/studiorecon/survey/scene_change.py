@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +13,9 @@ from studiorecon.arrays import require
 from studiorecon.geometry.floor import beside, floor_points
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # A shadow darkens by this share, changes no channel's part by more than that, and lasts for so many frames on end.
 _DARKER, _SAME_COLOUR, _FRAMES = 0.05, 0.02, 5
@@ -26,7 +30,12 @@ _LEAST_RING_PX, _LEAST_FREE = 200, 0.3
 _LEAST_LEVEL, _VISIBLE_LEVELS = 4.0, 6.0
 
 
-def relative(pictures: np.ndarray, plate: np.ndarray, light_log: np.ndarray, free: np.ndarray) -> np.ndarray:
+def relative(
+    pictures: Integer[np.ndarray, "T H W 3"],
+    plate: Float[np.ndarray, "H W 3"],
+    light_log: Float[np.ndarray, " T"],
+    free: Bool[np.ndarray, "T H W"],
+) -> Float[np.ndarray, "T H W 3"]:
     """(T, H, W, 3) float32 log ratio of ``pictures`` (T, H, W, 3) uint8 to the ``plate`` (H, W, 3) in [0, 1], without
     ``light_log`` (T,).
 
@@ -46,7 +55,9 @@ def relative(pictures: np.ndarray, plate: np.ndarray, light_log: np.ndarray, fre
     return ratio - np.where(np.any(free, axis=0)[None, ..., None], usual, np.float32(0))
 
 
-def floor_ring(camera: Camera, depth_m: np.ndarray, floor_m: float, feet_m: np.ndarray) -> np.ndarray:
+def floor_ring(
+    camera: Camera, depth_m: Float[np.ndarray, "H W"], floor_m: float, feet_m: Float[np.ndarray, "P T 3"]
+) -> Bool[np.ndarray, "T H W"]:
     """(T, H, W) bool: floor within 1 m of anybody's foot. ``depth_m`` (H, W) of the empty room, ``feet_m`` (P, T, 3),
     NaN unknown.
 
@@ -60,7 +71,12 @@ def floor_ring(camera: Camera, depth_m: np.ndarray, floor_m: float, feet_m: np.n
     return ring
 
 
-def shadow_share(ratio: np.ndarray, free: np.ndarray, ring: np.ndarray, runs: Sequence[slice]) -> Estimate:
+def shadow_share(
+    ratio: Float[np.ndarray, "T H W 3"],
+    free: Bool[np.ndarray, "T H W"],
+    ring: Bool[np.ndarray, "T H W"],
+    runs: Sequence[slice],
+) -> Estimate:
     """Share of the floor around feet that darkens without changing its colour, for five frames on end.
 
     ``ratio`` (T, H, W, 3) log ratio to the empty room; ``free`` (T, H, W) outside people; ``ring`` (T, H, W) floor near
@@ -84,7 +100,11 @@ def shadow_share(ratio: np.ndarray, free: np.ndarray, ring: np.ndarray, runs: Se
 
 
 def moving_share(
-    ratio: np.ndarray, free: np.ndarray, usual: np.ndarray, noise: float, runs: Sequence[slice]
+    ratio: Float[np.ndarray, "T H W 3"],
+    free: Bool[np.ndarray, "T H W"],
+    usual: Float[np.ndarray, "H W"],
+    noise: float,
+    runs: Sequence[slice],
 ) -> Estimate:
     """Area of the largest thing that moves through the room, as a share of the picture, with how it varies while it
     does.

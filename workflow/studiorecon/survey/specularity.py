@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,6 +16,9 @@ from studiorecon.images.exposure import BRIGHTEST, DARKEST
 from studiorecon.images.warp import sample
 from studiorecon.survey.exposures import ExposureView
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _LIMIT = 0.99
 _LEAST_POINTS, _STRIDE = 200, 4
 # Depth and calibration misplace a sample by about this much; where colours change within it, they say nothing about
@@ -24,7 +28,7 @@ _MISPLACED_PX = 1.5
 _FLOOR = 0.01
 
 
-def varying_share(colours: np.ndarray, noise: np.ndarray) -> Estimate:
+def varying_share(colours: Float[np.ndarray, "V N 3"], noise: Float[np.ndarray, "V N"]) -> Estimate:
     """Share of points whose brightness varies between views more than its noise allows in one case out of a hundred.
 
     ``colours`` (V, N, 3) after exposure correction, NaN where a view does not see the point; ``noise`` (V, N) standard
@@ -47,8 +51,8 @@ def varying_share(colours: np.ndarray, noise: np.ndarray) -> Estimate:
 
 
 def covisible(
-    views: Sequence[ExposureView], gains: np.ndarray, noise: float, tolerance: float
-) -> tuple[np.ndarray, np.ndarray]:
+    views: Sequence[ExposureView], gains: Float[np.ndarray, "V 3"], noise: float, tolerance: float
+) -> tuple[Float[np.ndarray, "V N 3"], Float[np.ndarray, "V N"]]:
     """Colours (V, N, 3) of static points that several views see, divided by ``gains`` (V, 3), and their noise (V, N).
 
     ``noise`` is a plate's temporal standard deviation. Where colours change within ``_MISPLACED_PX`` the noise grows

@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.rig.residuals import Causes
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Pixels are meant at this width; working frames of another have as much less or more.
 AT_WIDTH = 1280.0
@@ -26,6 +30,6 @@ def too_slow(cameras: Sequence[Camera], found: Causes) -> str:
     )
 
 
-def by_camera(cameras: Sequence[Camera], values: np.ndarray) -> dict[str, float]:
+def by_camera(cameras: Sequence[Camera], values: Float[np.ndarray, " V"]) -> dict[str, float]:
     """Camera → its value (V,), rounded; those that are unknown are left out."""
     return {c.name: round(float(v), 4) for c, v in zip(cameras, values) if np.isfinite(v)}

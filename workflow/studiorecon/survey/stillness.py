@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.images.exposure import BRIGHTEST, DARKEST
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Blocks per side; texture in a block below this many grey levels per pixel holds no flow.
 _BLOCKS, _LEAST_BLOCKS, _LEAST_TEXTURE = 6, 6, 1.5
@@ -15,7 +20,9 @@ _BLOCKS, _LEAST_BLOCKS, _LEAST_TEXTURE = 6, 6, 1.5
 _STEPS = 3
 
 
-def block_shifts(reference: np.ndarray, picture: np.ndarray, free: np.ndarray) -> np.ndarray:
+def block_shifts(
+    reference: Integer[np.ndarray, "H W 3"], picture: Integer[np.ndarray, "H W 3"], free: Bool[np.ndarray, "H W"]
+) -> Float[np.ndarray, "B 2"]:
     """(B, 2) shift in px of every block of ``picture`` (H, W, 3) uint8 against ``reference``, where ``free`` (H, W);
     NaN without texture.
 
@@ -58,7 +65,7 @@ def block_shifts(reference: np.ndarray, picture: np.ndarray, free: np.ndarray) -
     return shifts
 
 
-def worst_shift(shifts: np.ndarray) -> tuple[float, float]:
+def worst_shift(shifts: Float[np.ndarray, "T B 2"]) -> tuple[float, float]:
     """Median shift of the picture that surely moved the most, of ``block_shifts`` (T, B, 2), and its error from the
     scatter of the blocks, px; NaN when too few blocks tell."""
     known = np.isfinite(shifts).all(-1)
@@ -73,7 +80,9 @@ def _median_vector(vectors: np.ndarray) -> tuple[float, float]:
     return float(np.hypot(*middle)), float(np.hypot(*error))
 
 
-def light(frames: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def light(
+    frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]
+) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
     """Log of the room's brightness against the first frame (T,), and its standard error (T,); NaN where too little of
     it is seen.
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer, Num
+    from jaxtyping import Float, Integer, Num, Shaped
 
 # Points that a Gaussian between them listens to.
 _NEAREST = 4
@@ -70,12 +70,12 @@ class ControlPoints:
         _gather(self.near, self.shares, np.ascontiguousarray(gradient, np.float32), out)
         return out
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
+    def to_arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """What a file needs to hold."""
         return {"points_m": self.points_m, "near": self.near, "shares": self.shares}
 
     @classmethod
-    def from_arrays(cls, held: Mapping[str, np.ndarray]) -> ControlPoints | None:
+    def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> ControlPoints | None:
         """The inverse of ``to_arrays``; None when nothing of it is held."""
         return cls(held["points_m"], held["near"], held["shares"]) if "points_m" in held else None
 

@@ -23,7 +23,7 @@ from studiorecon.body.avatar.control_points import ControlPoints
 from studiorecon.body.avatar.encoding import encode_position, encode_time, in_body_box
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Num
+    from jaxtyping import Bool, Float, Num, Shaped
 
 WIDTH, LAYERS, SKIP = 256, 8, 4
 _POSITION_INPUTS, _TIME_INPUTS, _OUTPUTS = 63, 21, 4
@@ -169,7 +169,7 @@ class TemporalNetwork:
                 back = (back @ matrix[-self.width :].T) * (fed[:, -self.width :] > 0)
         return found
 
-    def to_arrays(self) -> dict[str, np.ndarray]:
+    def to_arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Everything a file needs to hold."""
         shape = np.array([self.width, self.layers, self.frames])
         own = {"flat": self.flat, "shape": shape, "low_m": self.low_m, "high_m": self.high_m}
@@ -177,7 +177,7 @@ class TemporalNetwork:
         return own | (self.control.to_arrays() if self.control else {})
 
     @classmethod
-    def from_arrays(cls, held: Mapping[str, np.ndarray]) -> TemporalNetwork:
+    def from_arrays(cls, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> TemporalNetwork:
         """The inverse of ``to_arrays``."""
         width, layers, frames = (int(n) for n in held["shape"])
         control, papers = ControlPoints.from_arrays(held), [name in held for name in _PAPERS]

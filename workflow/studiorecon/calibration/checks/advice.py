@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from jaxtyping import Integer
 
 CLEAR_MARGIN = 1.5
 _LEAST_AGREEMENT = 0.3
@@ -224,7 +227,7 @@ def _footage(report: dict[str, Any]) -> list[str]:
     return found
 
 
-def light_of(pictures: Sequence[np.ndarray]) -> dict[str, float]:
+def light_of(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> dict[str, float]:
     """Mean grey 0..1 (``brightness``) and the share of white pixels (``burnt``) of some (H, W, 3) uint8 pictures of a
     camera, every fourth pixel of them."""
     grey = float(np.mean([p[::4, ::4].mean() for p in pictures]) / 255)

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.camera import Camera
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 _GRID = 24
 _ROOM_HEIGHT_M = 2.2
 
 
-def coverage(cameras: Sequence[Camera], middle_m: np.ndarray, radius_m: float) -> list[float]:
+def coverage(cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], radius_m: float) -> list[float]:
     """Share of the upright cylinder around ``middle_m`` (2,), 2.2 m high, that at least 1, 2, 3, 4 cameras have in
     their picture."""
     x, y, z = np.meshgrid(
@@ -33,7 +37,7 @@ def coverage(cameras: Sequence[Camera], middle_m: np.ndarray, radius_m: float) -
 
 
 def blind_sectors(
-    cameras: Sequence[Camera], middle_m: np.ndarray, least_deg: float = 90.0
+    cameras: Sequence[Camera], middle_m: Float[np.ndarray, " 2"], least_deg: float = 90.0
 ) -> list[tuple[float, float]]:
     """(from, to) in degrees, counter-clockwise from x, of directions around ``middle_m`` with no camera within the
     sector, widest first."""

@@ -5,10 +5,14 @@ elsewhere."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _FIELD_DEG = (8.0, 160.0)
 _OFF_CENTRE = 0.25
@@ -83,7 +87,7 @@ def _looking_elsewhere(cameras: Sequence[Camera]) -> list[str]:
     return found
 
 
-def common_point(cameras: Sequence[Camera]) -> np.ndarray | None:
+def common_point(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"] | None:
     """(3,) point with the least squared distance to all optical axes; None when they are parallel."""
     across = np.array([np.eye(3) - np.outer(c.forward, c.forward) for c in cameras])
     system = across.sum(0) / len(cameras)

@@ -6,12 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.depth.layout.votes import Votes
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Scores below this are other surfaces, not this one: they would drag the mean that places a plane.
 _SAME_SURFACE = 0.2
@@ -34,7 +38,10 @@ class Matching:
 
 
 def plane_support(
-    pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, how: Matching
+    pictures: Sequence[Picture],
+    voters: Sequence[Bool[np.ndarray, "H W"]],
+    plane: Float[np.ndarray, " 4"],
+    how: Matching,
 ) -> tuple[float, int]:
     """Mean score of a plane over the pixels that voted for it (all pairs that see it), and how many comparisons that
     is."""
@@ -53,8 +60,8 @@ def plane_support(
 
 def place_plane(
     pictures: Sequence[Picture],
-    voters: Sequence[np.ndarray],
-    normal: np.ndarray,
+    voters: Sequence[Bool[np.ndarray, "H W"]],
+    normal: Float[np.ndarray, " 3"],
     offset: float,
     span_m: float,
     step_m: float,
@@ -79,7 +86,11 @@ def place_plane(
 
 
 def turned_offset(
-    pictures: Sequence[Picture], voters: Sequence[np.ndarray], plane: np.ndarray, normal: np.ndarray, how: Matching
+    pictures: Sequence[Picture],
+    voters: Sequence[Bool[np.ndarray, "H W"]],
+    plane: Float[np.ndarray, " 4"],
+    normal: Float[np.ndarray, " 3"],
+    how: Matching,
 ) -> float:
     """Offset of a plane (4,) that is turned to ``normal`` about the middle of the surface that its voters see."""
     per_picture = [
@@ -91,7 +102,12 @@ def turned_offset(
 
 
 def strong_offsets(
-    planes: np.ndarray, votes: np.ndarray, normal: np.ndarray, beyond: float, side: int, least_votes: float
+    planes: Float[np.ndarray, "L 4"],
+    votes: Integer[np.ndarray, " L"],
+    normal: Float[np.ndarray, " 3"],
+    beyond: float,
+    side: int,
+    least_votes: float,
 ) -> list[float]:
     """Offsets of the most voted planes with this normal on the outer side of ``beyond``, best first; none below
     ``least_votes``.
@@ -118,7 +134,7 @@ def strong_offsets(
 def decide_face(
     pictures: Sequence[Picture],
     votes: Votes,
-    normal: np.ndarray,
+    normal: Float[np.ndarray, " 3"],
     offsets: Sequence[float],
     beyond: float,
     side: int,
@@ -152,7 +168,7 @@ def decide_face(
 
 def refine_yaw(
     pictures: Sequence[Picture],
-    walls: Sequence[tuple[np.ndarray, list[np.ndarray]]],
+    walls: Sequence[tuple[Float[np.ndarray, " 4"], list[Bool[np.ndarray, "H W"]]]],
     span_rad: float,
     step_rad: float,
     how: Matching,
@@ -177,7 +193,9 @@ def refine_yaw(
     return float(turns[int(value.argmax())]) if value.any() else 0.0
 
 
-def candidates(planes: np.ndarray, votes: np.ndarray, room_box: RoomBox, most: int, least_votes: int) -> np.ndarray:
+def candidates(
+    planes: Float[np.ndarray, "L 4"], votes: Integer[np.ndarray, " L"], room_box: RoomBox, most: int, least_votes: int
+) -> Float[np.ndarray, "K 4"]:
     """(K, 4) the room box's six faces, then the most voted planes inside it that are not near-copies of one another."""
     chosen = list(room_box.faces)
     for k in np.argsort(-votes, kind="stable"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -15,6 +16,9 @@ from studiorecon.depth.layout.visibility import kept_from
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MOST_MOVES = 8
@@ -27,7 +31,7 @@ _SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
 _HEAD, _CLIMBERS = 16, 2
 
 
-def moves(primitive: np.ndarray, step_m: float, turns: bool) -> np.ndarray:
+def moves(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
     """(M, 8) neighbours of a primitive: every face moved in or out, the whole moved, and turned if it may."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     found = []
@@ -62,7 +66,9 @@ def moves(primitive: np.ndarray, step_m: float, turns: bool) -> np.ndarray:
     return np.array(found)
 
 
-def allowed(primitives: np.ndarray, room_box: RoomBox, taken: np.ndarray) -> np.ndarray:
+def allowed(
+    primitives: Float[np.ndarray, "N 8"], room_box: RoomBox, taken: Float[np.ndarray, "M 4"]
+) -> Bool[np.ndarray, " N"]:
     """(N,) bool: of some size, inside the room, and away from ``taken`` (M, 4: points and the distance to keep from
     each, metres)."""
     large = (primitives[:, 4:6] >= _LEAST_SIDE_M).all(axis=1) & (primitives[:, 7] - primitives[:, 6] >= _LEAST_HEIGHT_M)
@@ -78,7 +84,7 @@ def allowed(primitives: np.ndarray, room_box: RoomBox, taken: np.ndarray) -> np.
 
 
 @njit(cache=True)
-def around(primitives: np.ndarray, points_m: np.ndarray) -> np.ndarray:
+def around(primitives: Float[np.ndarray, "N 8"], points_m: Float[np.ndarray, "M 4"]) -> Bool[np.ndarray, " N"]:
     """(N,) bool: any of the points is in the primitive (N, 8) grown by that point's distance; ``points_m`` (M, 4): x,
     y, z, distance."""
     found = np.zeros(len(primitives), np.bool_)
@@ -104,11 +110,11 @@ def around(primitives: np.ndarray, points_m: np.ndarray) -> np.ndarray:
 def climb(
     room: Explained,
     room_box: RoomBox,
-    taken: np.ndarray,
-    primitive: np.ndarray,
+    taken: Float[np.ndarray, "M 4"],
+    primitive: Float[np.ndarray, " 8"],
     gain: float,
     steps_m: tuple[float, ...],
-) -> tuple[np.ndarray, float]:
+) -> tuple[Float[np.ndarray, " 8"], float]:
     """The primitive moved face by face while that explains more, in steps down to centimetres, and what it gains."""
     # What stands along the walls stays along them: two faces seen do not tell a small turn from a wrong place.
     turns = abs((primitive[3] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
@@ -129,7 +135,7 @@ def climb(
 def furnish(
     pictures: Sequence[Picture],
     room_box: RoomBox,
-    free_m: np.ndarray,
+    free_m: Float[np.ndarray, "M 4"],
     *,
     window: int,
     mean_weight: float,
@@ -173,8 +179,8 @@ def furnish(
 
 
 def rounded(
-    room: Explained, room_box: RoomBox, taken: np.ndarray, primitive: np.ndarray, gain: float
-) -> tuple[np.ndarray, float]:
+    room: Explained, room_box: RoomBox, taken: Float[np.ndarray, "M 4"], primitive: Float[np.ndarray, " 8"], gain: float
+) -> tuple[Float[np.ndarray, " 8"], float]:
     """A cylinder in place of a nearly square box when it explains more; two numbers less, so a tie is its own.
 
     Of what one photo alone shows nobody knows how deep it is: it is as deep as it is wide, a cylinder, unless that

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -13,6 +14,9 @@ from numba import njit
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_json
 from studiorecon.scene.intermediate import as_written, read_content
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 KINDS = ("box", "cylinder")
 
@@ -40,18 +44,18 @@ class Primitive:
     evidence: float
 
     @property
-    def numbers(self) -> np.ndarray:
+    def numbers(self) -> Float[np.ndarray, " 8"]:
         """(8,) kind, x, y, yaw, both sizes, foot, top: what the kernels take."""
         return np.array(
             [KINDS.index(self.kind), *self.centre_m, self.yaw_rad, *self.size_m, self.low_m, self.high_m], np.float64
         )
 
     @staticmethod
-    def from_numbers(numbers: np.ndarray, evidence: float) -> Primitive:
+    def from_numbers(numbers: Float[np.ndarray, " 8"], evidence: float) -> Primitive:
         kind, x, y, yaw, along, across, low, high = (float(n) for n in numbers)
         return Primitive(KINDS[int(kind)], (x, y), yaw, (along, across), low, high, evidence)
 
-    def depth(self, camera: Camera) -> np.ndarray:
+    def depth(self, camera: Camera) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth at which a camera's rays enter the primitive; 0 where they miss it."""
         origin, rays = camera.rays()
         depth_m = np.zeros(camera.hw)
@@ -59,7 +63,9 @@ class Primitive:
         return depth_m
 
 
-def in_front(primitives: Sequence[Primitive], camera: Camera, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_front(
+    primitives: Sequence[Primitive], camera: Camera, depth_m: Float[np.ndarray, "H W"]
+) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """Depth (H, W) with every primitive that stands before it, in the type of ``depth_m``, and (H, W) bool: a
     primitive is what is seen.
 

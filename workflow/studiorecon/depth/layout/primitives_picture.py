@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -14,13 +15,16 @@ from studiorecon.footage.video import to_bytes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
+
 _WIDTH = 640
 _ROUND = 24
 _HIDDEN_SHARE = 0.02
 _PAPER, _INK = (245, 243, 238), (60, 60, 60)
 
 
-def edges(primitive: Primitive) -> np.ndarray:
+def edges(primitive: Primitive) -> Float[np.ndarray, "E 2 3"]:
     """(E, 2, 3) end points of a primitive's edges, metres; a cylinder's rims as many short ones, and four lines up its
     side."""
     if primitive.kind == "box":
@@ -36,7 +40,9 @@ def edges(primitive: Primitive) -> np.ndarray:
     return np.concatenate([np.stack(pair, axis=1) for pair in pairs])
 
 
-def outlined(picture: Picture, primitives: Sequence[Primitive], depth_m: np.ndarray) -> np.ndarray:
+def outlined(
+    picture: Picture, primitives: Sequence[Primitive], depth_m: Float[np.ndarray, "h w"]
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: the photo with the edges that no nearer surface of ``depth_m`` (h, w) hides, one colour a
     primitive."""
     height = round(_WIDTH * picture.camera.hw[0] / picture.camera.wh[0])
@@ -57,7 +63,9 @@ def outlined(picture: Picture, primitives: Sequence[Primitive], depth_m: np.ndar
     return canvas
 
 
-def plan(room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int) -> np.ndarray:
+def plan(
+    room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Primitive], height: int
+) -> Integer[np.ndarray, "height 640 3"]:
     """(height, 640, 3) uint8: the room's walls, every primitive with the height of its top in centimetres, cameras as
     dots."""
     canvas = np.full((height, _WIDTH, 3), _PAPER, np.uint8)
@@ -92,8 +100,11 @@ def plan(room_box: RoomBox, cameras: Sequence[Camera], primitives: Sequence[Prim
 
 
 def sheet(
-    pictures: Sequence[Picture], room_box: RoomBox, primitives: Sequence[Primitive], depths_m: Sequence[np.ndarray]
-) -> np.ndarray:
+    pictures: Sequence[Picture],
+    room_box: RoomBox,
+    primitives: Sequence[Primitive],
+    depths_m: Sequence[Float[np.ndarray, "h w"]],
+) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: all photos, two to a row, and the plan last."""
     shown = [outlined(picture, primitives, depth_m) for picture, depth_m in zip(pictures, depths_m)]
     shown.append(plan(room_box, [p.camera for p in pictures], primitives, shown[0].shape[0]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ import numpy as np
 from studiorecon.depth.stereo.kernels import UNSEEN
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 _CELL_M = 0.06
 _WINDOW = 5
@@ -38,7 +42,9 @@ _SLAB_M = 0.06
 _UNLIKE, _GAP_PX, _LEAST_AREA, _LEAST_ON_FLOOR = 0.2, (5, 3), 40, 3
 
 
-def advantage(room: Explained, points_m: np.ndarray, outward: np.ndarray) -> np.ndarray:
+def advantage(
+    room: Explained, points_m: Float[np.ndarray, "A B 3"], outward: Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "A B"]:
     """(A, B) float32: by how much more the best pair of cameras agrees on a grid of surface points (A, B, 3) than on
     what they show now.
 
@@ -77,7 +83,9 @@ def advantage(room: Explained, points_m: np.ndarray, outward: np.ndarray) -> np.
     return best
 
 
-def rectangles(value: np.ndarray, sides: tuple[int, ...], standing: bool) -> list[tuple[float, int, int, int, int]]:
+def rectangles(
+    value: Num[np.ndarray, "A B"], sides: tuple[int, ...], standing: bool
+) -> list[tuple[float, int, int, int, int]]:
     """Best (sum, top, left, rows, columns) of a map, overlapping ones reduced to the best; ``standing`` ones start at
     row 0."""
     total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
@@ -111,7 +119,7 @@ def _overlap(one: tuple[float, int, int, int, int], other: tuple[float, int, int
     return shared / (rows * columns + height * width - shared)
 
 
-def ground(room: Explained, room_box: RoomBox) -> tuple[np.ndarray, np.ndarray]:
+def ground(room: Explained, room_box: RoomBox) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     """(3,) least and (3,) greatest coordinates along the room box's axes between which furniture is looked for.
 
     That is the room; where a wall is a default, as far as furniture can be told from two cameras.
@@ -123,7 +131,7 @@ def ground(room: Explained, room_box: RoomBox) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes and slabs under every rectangle in plan that matches."""
     low_m, high_m = ground(room, room_box)
     middle, size = (low_m + high_m)[:2] / 2, (high_m - low_m)[:2]
@@ -165,7 +173,7 @@ def tops(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray
                     )
 
 
-def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(sum, primitive (8,)) of boxes behind every rectangle in elevation that matches."""
     low_m, high_m = ground(room, room_box)
     sides = tuple(round(s / _CELL_M) for s in _SIDES_M)
@@ -206,7 +214,7 @@ def fronts(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarr
                     )
 
 
-def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, np.ndarray]]:
+def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[np.ndarray, " 8"]]]:
     """(area, primitive (8,)) of what one camera alone sees unlike the wall and floor behind it, standing on its lowest
     point."""
     for v in range(len(room.known)):

@@ -8,11 +8,15 @@ cameras share little, a large box around everything agrees with more pixels than
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _CELL_M, _CLEARANCE_M = 0.2, 0.05
 # A line of sight is a point every so often; of the points in one cell one stays, where it was: rounded, lines would cut
@@ -27,7 +31,7 @@ _NEAR_SHARE = 0.03
 _LEAST_LINES = 3
 
 
-def walked(people: Sequence[Person]) -> np.ndarray:
+def walked(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
     """(M, 4) places, 20 cm apart along an axis, where a joint of somebody was measured at some time, and 5 cm to keep
     from it."""
     places = np.concatenate([np.zeros((0, 3)), *(person.joints[person.valid].reshape(-1, 3) for person in people)])
@@ -36,7 +40,7 @@ def walked(people: Sequence[Person]) -> np.ndarray:
     )
 
 
-def kept_from(places_m: np.ndarray, distance_m: float) -> np.ndarray:
+def kept_from(places_m: Float[np.ndarray, "M 3"], distance_m: float) -> Float[np.ndarray, "M 4"]:
     """(M, 4): places (M, 3) and the distance that primitives keep from each."""
     return np.column_stack([places_m, np.full(len(places_m), distance_m)])
 
@@ -46,7 +50,7 @@ def seen_through(
     people: Sequence[Person],
     found: Sequence[Detections],
     whose: Mapping[tuple[str, int], str],
-) -> np.ndarray:
+) -> Float[np.ndarray, "M 4"]:
     """(M, 4) places, one in ten centimetres, that at least three sure keypoints were seen through, and 0: a line may
     graze a primitive.
 

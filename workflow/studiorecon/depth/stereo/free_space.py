@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,12 +14,17 @@ from studiorecon.depth.stereo.passes import Labelled
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
 # Another camera looks through a point when its own surface there is further by this share; it confirms it within that
 # share.
 _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
 
 
-def looked_through(camera: Camera, depth_m: np.ndarray, others: Sequence[tuple[Camera, np.ndarray]]) -> np.ndarray:
+def looked_through(
+    camera: Camera, depth_m: Float[np.ndarray, "H W"], others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
+) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: a surface of ``depth_m`` (H, W) that at least one other camera (with its depth) sees past and none
     confirms.
 
@@ -39,7 +45,7 @@ def looked_through(camera: Camera, depth_m: np.ndarray, others: Sequence[tuple[C
 
 
 def back_to_room_box(
-    labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, np.ndarray]]
+    labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
 ) -> tuple[Labelled, float]:
     """The labelling with unconfirmed floating surfaces put on the room box, unjudged, and the share of pixels
     concerned.

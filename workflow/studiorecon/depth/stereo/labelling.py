@@ -4,16 +4,23 @@ lower."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 from numba import njit
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 # Colour difference (mean over channels) over which the penalty falls to 1/e, and the floor it never goes below.
 _EDGE_CONTRAST = 0.05
 _LEAST_PENALTY = 0.1
 
 
-def label(cost: np.ndarray, rgb: np.ndarray, change_penalty: float) -> np.ndarray:
+def label(
+    cost: Float[np.ndarray, "H W L"], rgb: Num[np.ndarray, "H W 3"], change_penalty: float
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) int index of the best plane, from costs (H, W, L) float32 and the photo (H, W, 3).
 
     Four paths (left, right, up, down), every change of plane costs ``change_penalty`` alike: the label is a plane, so

@@ -7,10 +7,15 @@ at all.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Variance (summed over channels) below which a window counts as flat: flat against flat correlates, and then the means
 # decide.
@@ -22,7 +27,7 @@ _MOST_DIFFERENCE = 0.6
 UNKNOWN = np.float32(-9)
 
 
-def plane_inverse_depth(camera: Camera, plane: np.ndarray) -> np.ndarray | None:
+def plane_inverse_depth(camera: Camera, plane: Float[np.ndarray, " 4"]) -> Float[np.ndarray, " 3"] | None:
     """(3,) w with 1/z = w·(column, row, 1) for points of a world plane (4,) n·p = o; None when the camera lies in the
     plane."""
     normal = camera.rotation_camera_from_world @ plane[:3]
@@ -32,7 +37,9 @@ def plane_inverse_depth(camera: Camera, plane: np.ndarray) -> np.ndarray | None:
     return np.linalg.solve(camera.intrinsics.T, normal) / offset
 
 
-def plane_depth(camera: Camera, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+def plane_depth(
+    camera: Camera, plane: Float[np.ndarray, " 4"], near_m: float, far_m: float
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float64 z-depth of a world plane (4,) seen from a camera; 0 where it is not between ``near_m`` and
     ``far_m``."""
     weights = plane_inverse_depth(camera, plane)
@@ -43,7 +50,7 @@ def plane_depth(camera: Camera, plane: np.ndarray, near_m: float, far_m: float) 
     return np.where(seen, 1 / np.where(seen, inverse, 1.0), 0.0)
 
 
-def plane_homography(camera: Camera, other: Camera, inverse_depth: np.ndarray) -> np.ndarray:
+def plane_homography(camera: Camera, other: Camera, inverse_depth: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """(3, 3) map of homogeneous pixels from ``camera`` to ``other`` through a plane.
 
     Its third output coordinate is the depth in ``other`` over the depth in ``camera``.
@@ -54,18 +61,18 @@ def plane_homography(camera: Camera, other: Camera, inverse_depth: np.ndarray) -
 
 
 def correlation(
-    rgb: np.ndarray,
-    known: np.ndarray,
+    rgb: Float[np.ndarray, "H W 3"],
+    known: Bool[np.ndarray, "H W"],
     camera: Camera,
-    other_rgb: np.ndarray,
-    other_known: np.ndarray,
+    other_rgb: Float[np.ndarray, "h w 3"],
+    other_known: Bool[np.ndarray, "h w"],
     other: Camera,
-    plane: np.ndarray,
+    plane: Float[np.ndarray, " 4"],
     window: int,
     mean_weight: float,
     near_m: float,
     far_m: float,
-) -> np.ndarray:
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 score of a plane for every pixel of ``camera``: correlation - mean_weight · difference of means, ≤
     1.
 

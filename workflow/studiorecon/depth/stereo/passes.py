@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,9 @@ from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.sweep_settings import Matching
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Another surface hides a point when it is nearer by this share of the depth plus this many metres.
 _HIDING_SHARE, _HIDING_M = 0.04, 0.05
@@ -45,13 +49,15 @@ class Labelled:
     """One picture explained: plane index (H, W), its depth (H, W), its cost (H, W), and (H, W) bool: another camera
     judged it."""
 
-    plane: np.ndarray
-    depth_m: np.ndarray
-    cost: np.ndarray
-    judged: np.ndarray
+    plane: Integer[np.ndarray, "H W"]
+    depth_m: Float[np.ndarray, "H W"]
+    cost: Float[np.ndarray, "H W"]
+    judged: Bool[np.ndarray, "H W"]
 
 
-def plane_depths(picture: Picture, planes: np.ndarray, room_box: RoomBox, settings: PassSettings) -> np.ndarray:
+def plane_depths(
+    picture: Picture, planes: Float[np.ndarray, "L 4"], room_box: RoomBox, settings: PassSettings
+) -> Float[np.ndarray, "L H W"]:
     """(L, H, W) float32 depth of every plane in a picture; 0 where it is out of range or outside the shell."""
     depths = np.zeros((len(planes), *picture.camera.hw), np.float32)
     pixels = picture.camera.pixel_centres()
@@ -66,8 +72,12 @@ def plane_depths(picture: Picture, planes: np.ndarray, room_box: RoomBox, settin
 
 
 def plane_scores(
-    picture: Picture, other: Picture, planes: np.ndarray, depths: np.ndarray, settings: PassSettings
-) -> np.ndarray:
+    picture: Picture,
+    other: Picture,
+    planes: Float[np.ndarray, "L 4"],
+    depths: Float[np.ndarray, "L H W"],
+    settings: PassSettings,
+) -> Float[np.ndarray, "L H W"]:
     """(L, H, W) float32 agreement of a picture with another through every plane that ``depths`` allows."""
     scores = np.full(depths.shape, UNKNOWN, np.float32)
     for k, plane in enumerate(planes):
@@ -84,10 +94,10 @@ def plane_scores(
 
 def explain(
     picture: Picture,
-    planes: np.ndarray,
-    depths: np.ndarray,
-    scores: Sequence[np.ndarray],
-    others: Sequence[tuple[Camera, np.ndarray]],
+    planes: Float[np.ndarray, "L 4"],
+    depths: Float[np.ndarray, "L H W"],
+    scores: Sequence[Float[np.ndarray, "L H W"]],
+    others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]],
     settings: PassSettings,
 ) -> Labelled:
     """Label one picture from its scores against every other camera, given those cameras and their latest depth (H',

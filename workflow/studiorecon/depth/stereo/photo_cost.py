@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, gains
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.depth.stereo.unlikeness import surface_odds
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 
 @dataclass
@@ -41,24 +45,24 @@ class Explained:
         primitives: (K, 8) those added so far.
     """
 
-    lens: np.ndarray
-    pose: np.ndarray
-    centre: np.ndarray
-    rgb: np.ndarray
-    known: np.ndarray
-    depth: np.ndarray
-    surface: np.ndarray
-    pair: np.ndarray
-    at: np.ndarray
-    z: np.ndarray
-    cost: np.ndarray
-    judges: np.ndarray
+    lens: Float[np.ndarray, "V 4"]
+    pose: Float[np.ndarray, "V 3 4"]
+    centre: Float[np.ndarray, "V 3"]
+    rgb: Float[np.ndarray, "V H W 3"]
+    known: Bool[np.ndarray, "V H W"]
+    depth: Float[np.ndarray, "V H W"]
+    surface: Integer[np.ndarray, "V H W"]
+    pair: Float[np.ndarray, "V V H W"]
+    at: Integer[np.ndarray, "V V H W"]
+    z: Float[np.ndarray, "V V H W"]
+    cost: Float[np.ndarray, "V H W"]
+    judges: Integer[np.ndarray, "V H W"]
     half: int
     mean_weight: float
     floor_m: float
-    bare: tuple[np.ndarray, np.ndarray]
-    odds: np.ndarray
-    primitives: np.ndarray
+    bare: tuple[Float[np.ndarray, "V H W"], Integer[np.ndarray, "V H W"]]
+    odds: Float[np.ndarray, "V H W"]
+    primitives: Float[np.ndarray, "K 8"]
 
     @staticmethod
     def by_room_box(pictures: Sequence[Picture], room_box: RoomBox, window: int, mean_weight: float) -> Explained:
@@ -106,7 +110,7 @@ class Explained:
             own[: unlike.shape[0], : unlike.shape[1]] = unlike
         return room
 
-    def gains(self, primitives: np.ndarray, looks: bool = True) -> np.ndarray:
+    def gains(self, primitives: Float[np.ndarray, "N 8"], looks: bool = True) -> Float[np.ndarray, " N"]:
         """(N,) by how much the cost of all pixels would fall with each of N primitives (N, 8) added alone; without
         ``looks`` only what cameras agree on counts."""
         return gains(
@@ -128,7 +132,7 @@ class Explained:
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         return self.lens, self.pose, self.centre, self.rgb, self.known
 
-    def replace_all(self, primitives: np.ndarray) -> None:
+    def replace_all(self, primitives: Float[np.ndarray, "K 8"]) -> None:
         """Explain the room anew with these primitives (K, 8) and no other."""
         self.primitives = np.ascontiguousarray(primitives, np.float64).reshape(-1, 8)
         self.depth[:], self.surface[:] = self.bare
@@ -147,6 +151,6 @@ class Explained:
             self.mean_weight,
         )
 
-    def add(self, primitive: np.ndarray) -> None:
+    def add(self, primitive: Float[np.ndarray, " 8"]) -> None:
         """Add one primitive (8,)."""
         self.replace_all(np.concatenate([self.primitives, np.asarray(primitive, np.float64)[None]]))

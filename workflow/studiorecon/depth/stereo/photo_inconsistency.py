@@ -5,6 +5,7 @@ cost too much."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +13,9 @@ import numpy as np
 from studiorecon.depth.stereo.patches import UNSEEN
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.images.warp import sample
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Superpixels are this share of the picture's width wide: one texture's detail, and a piece of furniture's side.
 SIZES = (1 / 20, 1 / 10)
@@ -24,8 +28,12 @@ _FLAT_VARIANCE, _MOST_DIFFERENCE, _MOST_COST, _LEAST_SHARE = 4e-4, 0.6, 1.2, 0.3
 
 
 def surface_cost(
-    picture: Picture, depth_m: np.ndarray, others: Sequence[tuple[Picture, np.ndarray]], window: int, mean_weight: float
-) -> tuple[np.ndarray, np.ndarray]:
+    picture: Picture,
+    depth_m: Float[np.ndarray, "H W"],
+    others: Sequence[tuple[Picture, Float[np.ndarray, "h w"]]],
+    window: int,
+    mean_weight: float,
+) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """(H, W) float32 cost of a surface in the mean over the other pictures (with their depths) that see it, and (H, W)
     bool: one does."""
     total, judges = np.zeros(depth_m.shape, np.float32), np.zeros(depth_m.shape, np.float32)
@@ -64,7 +72,7 @@ def _correlation(a: np.ndarray, b: np.ndarray, usable: np.ndarray, window: int, 
     return np.where(usable & (share >= _LEAST_SHARE), score, -np.inf)
 
 
-def superpixels(rgb: np.ndarray, size: int) -> np.ndarray:
+def superpixels(rgb: Float[np.ndarray, "H W 3"], size: int) -> Integer[np.ndarray, "H W"]:
     """(H, W) int: pieces of one colour, about ``size`` pixels wide."""
     lab = cv2.cvtColor(np.clip(rgb, 0, 1).astype(np.float32), cv2.COLOR_RGB2Lab)
     pieces = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, size, _COMPACTNESS)
@@ -73,7 +81,7 @@ def superpixels(rgb: np.ndarray, size: int) -> np.ndarray:
     return pieces.getLabels()
 
 
-def unexplained(picture: Picture, cost: np.ndarray, window: int) -> list[np.ndarray]:
+def unexplained(picture: Picture, cost: Float[np.ndarray, "H W"], window: int) -> list[Bool[np.ndarray, "H W"]]:
     """Masks (H, W) of the regions whose pixels are known and textured but cost too much as they are."""
     found = []
     textured = picture.textured(window)

@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Num
 
 # Offsets are dense within this distance of the rig's centre and thin out with its square beyond, as stereo's precision
 # does.
@@ -17,13 +21,13 @@ _DENSE_M = 4.5
 _BIN_RAD = np.radians(0.5)
 
 
-def rig_centre(cameras: Sequence[Camera]) -> np.ndarray:
+def rig_centre(cameras: Sequence[Camera]) -> Float[np.ndarray, " 3"]:
     """(3,) mean of the camera centres: offsets of wall hypotheses are laid out around it."""
     return np.mean([camera.centre_m for camera in cameras], axis=0)
 
 
 def wall_yaw(
-    cameras: Sequence[Camera], pictures: Sequence[np.ndarray], known: Sequence[np.ndarray]
+    cameras: Sequence[Camera], pictures: Sequence[Num[np.ndarray, "H W 3"]], known: Sequence[Bool[np.ndarray, "H W"]]
 ) -> tuple[float, float]:
     """Yaw in [0, pi/2) of the horizontal direction most straight lines run along, and the share of line length that
     supports it.
@@ -76,7 +80,7 @@ def wall_yaw(
 
 
 def hypotheses(
-    centre_m: np.ndarray,
+    centre_m: Float[np.ndarray, " 3"],
     yaw_rad: float,
     floor_m: float,
     *,
@@ -85,7 +89,7 @@ def hypotheses(
     furniture_m: float,
     ceiling_m: tuple[float, float],
     reach_m: float,
-) -> np.ndarray:
+) -> Float[np.ndarray, "L 4"]:
     """(L, 4) planes n·p = o: horizontals from the floor to ``furniture_m`` and through the ceiling's range, then the
     walls.
 

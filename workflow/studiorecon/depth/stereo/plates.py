@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ from studiorecon.images.exposure import compare, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import one_each
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 # Correlation above which a floor pixel is believed to show the floor in both views, as measured on synthetic rooms.
 _SAME_SURFACE = 0.6
@@ -34,14 +38,14 @@ class Picture:
     """One training camera's plate: its camera at this size, (H, W, 3) float32 RGB and (H, W) bool ``known``."""
 
     camera: Camera
-    rgb: np.ndarray
-    known: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    known: Bool[np.ndarray, "H W"]
 
-    def depth(self, plane: np.ndarray, near_m: float, far_m: float) -> np.ndarray:
+    def depth(self, plane: Float[np.ndarray, " 4"], near_m: float, far_m: float) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of a plane in this picture; 0 out of range."""
         return plane_depth(self.camera, plane, near_m, far_m)
 
-    def depth_of(self, planes: np.ndarray) -> np.ndarray:
+    def depth_of(self, planes: Float[np.ndarray, "H W 4"]) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of a plane (H, W, 4) of its own for every pixel; 0 where the ray does not meet it."""
         origin, rays = self.camera.rays()
         along = (planes[..., :3] * rays).sum(axis=-1)
@@ -49,14 +53,20 @@ class Picture:
         depth_m = ahead / np.where(np.abs(along) < 1e-9, np.inf, along)
         return np.maximum(depth_m, 0.0)
 
-    def textured(self, window: int) -> np.ndarray:
+    def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
         """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
         return (square - mean * mean).sum(axis=-1) > _LEAST_VARIANCE
 
     def score(
-        self, other: Picture, plane: np.ndarray, window: int, mean_weight: float, near_m: float, far_m: float
-    ) -> np.ndarray:
+        self,
+        other: Picture,
+        plane: Float[np.ndarray, " 4"],
+        window: int,
+        mean_weight: float,
+        near_m: float,
+        far_m: float,
+    ) -> Float[np.ndarray, "H W"]:
         """(H, W) agreement with another picture through a plane; ``UNKNOWN`` where they cannot be compared."""
         return correlation(
             self.rgb,
@@ -92,7 +102,7 @@ def read_pictures(cameras: Sequence[Camera], plates: Sequence[Path], width: int)
 
 def floor_and_gains(
     pictures: Sequence[Picture], window: int, near_m: float, far_m: float
-) -> tuple[float, np.ndarray, int]:
+) -> tuple[float, Float[np.ndarray, "V 3"], int]:
     """Height of the floor near z = 0, exposure gains (V, 3), and the number of camera pairs that shared floor.
 
     The floor is the one surface whose place is known beforehand, so colours seen through z = floor compare like with
@@ -124,7 +134,9 @@ def floor_and_gains(
     return floor_m, solve_gains(len(pictures), overlaps), len(overlaps)
 
 
-def surface_gains(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray], window: int) -> tuple[np.ndarray, int]:
+def surface_gains(
+    pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H W"]], window: int
+) -> tuple[Float[np.ndarray, "V 3"], int]:
     """Gains (V, 3) that the pictures still differ by on every surface two of them see, and how many pairs saw one.
 
     The floor may be hidden or featureless; once depth is agreed, walls and furniture compare as well. A pixel counts
@@ -152,6 +164,6 @@ def surface_gains(pictures: Sequence[Picture], depths_m: Sequence[np.ndarray], w
     return solve_gains(len(pictures), overlaps), len(overlaps)
 
 
-def equalised(pictures: Sequence[Picture], gains: np.ndarray) -> list[Picture]:
+def equalised(pictures: Sequence[Picture], gains: Float[np.ndarray, "V 3"]) -> list[Picture]:
     """The pictures with their exposure gains divided out."""
     return [replace(p, rgb=np.clip(p.rgb / gain, 0, 1).astype(np.float32)) for p, gain in zip(pictures, gains)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ from studiorecon.depth.stereo.plates import Picture
 from studiorecon.footage.stills import shrink
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # By how much a plane's cost must be lower at least, however little there is to explain.
 _LEAST_GAIN = 0.15
@@ -45,8 +49,8 @@ class RegionView:
     there."""
 
     picture: Picture
-    depth_m: np.ndarray
-    firm: np.ndarray
+    depth_m: Float[np.ndarray, "H W"]
+    firm: Bool[np.ndarray, "H W"]
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,13 @@ class Regions:
     """Planes (K, 4) n·p = o of regions, and per pixel (H, W) the number of its plane counted from 1 (0 = as it was),
     cost, and judged."""
 
-    planes: np.ndarray
-    chosen: np.ndarray
-    cost: np.ndarray
-    judged: np.ndarray
+    planes: Float[np.ndarray, "K 4"]
+    chosen: Integer[np.ndarray, "H W"]
+    cost: Float[np.ndarray, "H W"]
+    judged: Bool[np.ndarray, "H W"]
 
 
-def directions(camera: Camera, room_box: RoomBox) -> np.ndarray:
+def directions(camera: Camera, room_box: RoomBox) -> Float[np.ndarray, "M 3"]:
     """(M, 3) unit normals in the camera's axes: upright ones all around from the walls' own, leaning ones, and up."""
     normals = []
     for elevation_deg, count in _ELEVATIONS:
@@ -79,8 +83,15 @@ class Others:
     w.
     """
 
-    photos: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-    seats: np.ndarray
+    photos: tuple[
+        Float[np.ndarray, "O H W 3"],
+        Bool[np.ndarray, "O H W"],
+        Float[np.ndarray, "O H W"],
+        Bool[np.ndarray, "O H W"],
+        Float[np.ndarray, "O 3 3"],
+        Float[np.ndarray, "O 3"],
+    ]
+    seats: Float[np.ndarray, "O 3"]
 
     @staticmethod
     def around(picture: Picture, others: Sequence[RegionView]) -> Others:
@@ -118,11 +129,11 @@ def propose(
     me: RegionView,
     others: Sequence[RegionView],
     room_box: RoomBox,
-    regions: Sequence[np.ndarray],
+    regions: Sequence[Bool[np.ndarray, "H W"]],
     mean_weight: float,
     most_share: float,
     near_m: float,
-) -> list[tuple[np.ndarray, int, float]]:
+) -> list[tuple[Float[np.ndarray, " 3"], int, float]]:
     """Per plane that explains its region clearly better: w (3,) in this picture, the region's number, and the gain.
 
     Clearly: its disagreement with the other photos is at most ``most_share`` of what it is as things are.
@@ -180,7 +191,7 @@ def _pixels(mask: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.argwhere(mask)[:, ::-1])
 
 
-def world_plane(camera: Camera, w: np.ndarray) -> np.ndarray:
+def world_plane(camera: Camera, w: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 4"]:
     """(4,) n·p = o of the plane with inverse depth w·(column, row, 1)."""
     along = camera.intrinsics.T @ w
     length = np.linalg.norm(along)
@@ -190,7 +201,7 @@ def world_plane(camera: Camera, w: np.ndarray) -> np.ndarray:
 def explain_regions(
     pictures: Sequence[Picture],
     index: int,
-    depths: Sequence[np.ndarray],
+    depths: Sequence[Float[np.ndarray, "H W"]],
     room_box: RoomBox,
     *,
     window: int,

@@ -9,6 +9,7 @@ them; a poster is unlike its wall too, but it does not reach the floor.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -16,6 +17,9 @@ from scipy.ndimage import distance_transform_edt
 
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.room import Face, RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Cells that a face is laid out in, and half the side of a piece of it.
 _CELL_M, _HALF = 0.06, 2
@@ -30,7 +34,7 @@ _LEAST_PIECES = 200
 _USUAL, _NOISE = 1.5, 0.01
 
 
-def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[np.ndarray]:
+def surface_odds(pictures: Sequence[Picture], room_box: RoomBox) -> list[Float[np.ndarray, "H W"]]:
     """(H, W) float32 in [-1, 1] of every picture: 1 where it looks nothing like the rest of the face of the room box
     behind it, -1 where just like it, 0 where that cannot be told.
 

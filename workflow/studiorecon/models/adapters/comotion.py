@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from studiorecon.models.adapters.pi3 import probability
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Bodies
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num, Shaped
 
 CARD = Card(
     name="comotion",
@@ -70,7 +73,9 @@ _STORED = ("id", "frame_idx", "pose", "betas", "trans", "pred_2d", "pred_3d")
 _FIELDS = {"id": (), "pose": (72,), "betas": (10,), "trans": (3,), "pred_3d": (JOINTS, 3), "pred_2d": (JOINTS, 2)}
 
 
-def preprocess(frame: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def preprocess(
+    frame: Integer[np.ndarray, "H W 3"], intrinsics: Num[np.ndarray, "3 3"]
+) -> tuple[Integer[np.ndarray, "3 H W"], Float[np.ndarray, "2 3"]]:
     """(3, H, W) uint8 RGB and (2, 3) float32 intrinsics; upstream's default principal point is W/2, so centres are at
     +0.5 as here."""
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
@@ -78,7 +83,9 @@ def preprocess(frame: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, n
     return np.ascontiguousarray(frame.transpose(2, 0, 1)), np.asarray(intrinsics, dtype=np.float32)[:2]
 
 
-def postprocess(tracks: dict[str, np.ndarray], detected_px: np.ndarray, logits: np.ndarray) -> Bodies:
+def postprocess(
+    tracks: dict[str, Shaped[np.ndarray, " ..."]], detected_px: Num[np.ndarray, "n 27 2"], logits: Num[np.ndarray, " n"]
+) -> Bodies:
     """The bodies of one frame from the state of all track slots, of which those with id 0 are empty.
 
     ``detected_px`` (n, 27, 2) and ``logits`` (n,) are the frame's detections: a track is as sure as the detection it
@@ -112,7 +119,7 @@ def postprocess(tracks: dict[str, np.ndarray], detected_px: np.ndarray, logits: 
     )
 
 
-def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
     """(frame, bodies) from arrays with one row per person and frame; ``where`` names them in messages.
 
     Needed: id, frame_idx, pose (72), betas (10), trans (3), pred_2d (27, 2) in working pixels, pred_3d (27, 3); conf
@@ -176,11 +183,13 @@ class Comotion:
         self._network.to(self._device).eval()
 
     @staticmethod
-    def stored(rows: Mapping[str, np.ndarray], where: str) -> list[tuple[int, Bodies]]:
+    def stored(rows: Mapping[str, Shaped[np.ndarray, " ..."]], where: str) -> list[tuple[int, Bodies]]:
         """See ``models.protocols.BodyEstimator``."""
         return stored(rows, where)
 
-    def bodies(self, frames: Iterable[np.ndarray], intrinsics: np.ndarray) -> Iterator[Bodies]:
+    def bodies(
+        self, frames: Iterable[Integer[np.ndarray, "H W 3"]], intrinsics: Num[np.ndarray, "3 3"]
+    ) -> Iterator[Bodies]:
         """See ``models.protocols.BodyEstimator``."""
         started = False
         for frame in frames:
@@ -191,8 +200,8 @@ class Comotion:
 
 
 def estimated(
-    network: Any, picture: np.ndarray, intrinsics: np.ndarray
-) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    network: Any, picture: Integer[np.ndarray, "3 H W"], intrinsics: Float[np.ndarray, "2 3"]
+) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], Num[np.ndarray, "n 27 2"], Num[np.ndarray, " n"]]:
     """State of the track slots, and points and logits of the detections, of the next frame of a clip."""
     import torch
 

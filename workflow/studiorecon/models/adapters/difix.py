@@ -8,7 +8,7 @@ gets a generator of its own and the same picture the same result.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from studiorecon.images.sizes import as_float, grown, resampled
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Moment
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 # Brings the whole repository, whose code the client runs.
 _BRINGS_ALL = "model_index.json"
@@ -73,7 +76,9 @@ _LOWER = "set enhance.enhancer to residual"
 _LARGEST_SHIFT = 0.25
 
 
-def preprocess(image: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def preprocess(
+    image: Num[np.ndarray, "H W 3"], reference: Num[np.ndarray, "r c 3"]
+) -> tuple[Float[np.ndarray, "1 3 h w"], Float[np.ndarray, "1 3 h w"]]:
     """Two (1, 3, h, w) float32 tensors in [0, 1], sides multiples of 8, of a render (H, W, 3) and a photo of any
     size."""
     picture, photo = as_float(image), as_float(reference)
@@ -85,7 +90,9 @@ def _tensor(picture: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(grown(picture, MULTIPLE_PX).transpose(2, 0, 1)[None])
 
 
-def postprocess(made: np.ndarray, image: np.ndarray, card: Card = CARD) -> np.ndarray:
+def postprocess(
+    made: Float[np.ndarray, "1 3 h w"], image: Num[np.ndarray, "H W 3"], card: Card = CARD
+) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float32 picture in [0, 1] from the network's (1, 3, h, w); UserError when it made nothing of the
     picture."""
     height, width = image.shape[:2]
@@ -124,12 +131,16 @@ class Difix:
         self._pipeline.to(self._device)
         self._pipeline.set_progress_bar_config(disable=True)
 
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+    def enhance(
+        self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
+    ) -> Float[np.ndarray, "H W 3"]:
         """See ``models.protocols.Enhancer``; the camera and the depth of ``moment`` are not used."""
         return postprocess(denoised(self._pipeline, *preprocess(image, reference), self._seed, self._device), image)
 
 
-def denoised(pipeline: Any, picture: np.ndarray, photo: np.ndarray, seed: int, where: Any) -> np.ndarray:
+def denoised(
+    pipeline: Any, picture: Float[np.ndarray, "1 3 h w"], photo: Float[np.ndarray, "1 3 h w"], seed: int, where: Any
+) -> Float[np.ndarray, "1 3 h w"]:
     """(1, 3, h, w) float32 from upstream's pipeline; the generator starts anew, so a picture's result does not depend
     on those before."""
     import torch

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from studiorecon.models.adapters import difix
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Moment
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 CARD = Card(
     name="fixer",
@@ -42,7 +46,7 @@ HW, STEP = (576, 1024), 250
 _LOWER = "set enhance.enhancer to residual"
 
 
-def preprocess(image: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
+def preprocess(image: Num[np.ndarray, "H W 3"]) -> tuple[Float[np.ndarray, "1 3 576 1024"], tuple[int, int]]:
     """(1, 3, 576, 1024) float32 in [-1, 1] of a picture scaled to fit, its border repeated beside it, and its size (h,
     w) there."""
     picture = as_float(image)
@@ -53,7 +57,9 @@ def preprocess(image: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
     return np.ascontiguousarray(full.transpose(2, 0, 1)[None]) * 2 - 1, taken
 
 
-def postprocess(made: np.ndarray, taken: tuple[int, int], image: np.ndarray) -> np.ndarray:
+def postprocess(
+    made: Float[np.ndarray, "1 3 576 1024"], taken: tuple[int, int], image: Num[np.ndarray, "H W 3"]
+) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float32 picture in [0, 1] from Fixer's (1, 3, 576, 1024) in [-1, 1]."""
     if made.shape != (1, 3, *HW):
         raise UserError(f"Fixer returned shape {made.shape}, expected {(1, 3, *HW)}; use upstream at its pin")
@@ -83,7 +89,9 @@ class Fixer:
                 batch_size=1,
             ).to(device=self._device, dtype=torch.bfloat16)
 
-    def enhance(self, image: np.ndarray, reference: np.ndarray, moment: Moment) -> np.ndarray:
+    def enhance(
+        self, image: Float[np.ndarray, "H W 3"], reference: Num[np.ndarray, "h w 3"], moment: Moment
+    ) -> Float[np.ndarray, "H W 3"]:
         """See ``models.protocols.Enhancer``."""
         import torch
 

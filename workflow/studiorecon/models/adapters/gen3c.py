@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 from studiorecon.models.catalogue.preflight import arrays_alone, attribute, device, staged, upstream
 from studiorecon.models.protocols import KeyFrame
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Shaped
 
 _TOKENIZER, _REVISION = "Cosmos-Tokenize1-CV8x8x8-720p", "b6af495317c76f287a4131e9299936b1533f5f9f"
 CARD = Card(
@@ -86,7 +89,7 @@ _WITHOUT_OFFLOAD_GB = 80.0
 _LOWER = "set views.gen3c.offload to true, or views.synthesizer to warp"
 
 
-def depth_scale(depths: Sequence[np.ndarray]) -> float:
+def depth_scale(depths: Sequence[Float[np.ndarray, "H W"]]) -> float:
     """Factor that brings the median of all known depths into [1, 10], 1 when it lies there; UserError when nothing is
     known."""
     known = np.concatenate([d[np.isfinite(d) & (d > 0)].ravel() for d in depths])
@@ -117,7 +120,7 @@ def order(key_frames: Sequence[KeyFrame], start: Camera) -> list[int]:
     return [first, *(i for i in range(len(key_frames)) if i != first)]
 
 
-def preprocess(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, np.ndarray]:
+def preprocess(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
     """The arrays of gen3c_multiview's npz for key frames and a path of cameras, all at 704×1280; ``scene_scale`` is
     ours and ignored there.
 
@@ -169,7 +172,7 @@ def _pose(camera: Camera, scale: float) -> np.ndarray:
     return pose.astype(np.float32)
 
 
-def postprocess(film: np.ndarray, frames: int) -> np.ndarray:
+def postprocess(film: Integer[np.ndarray, "T 704 1280 3"], frames: int) -> Integer[np.ndarray, "T 704 1280 3"]:
     """The film (T, 704, 1280, 3) uint8, checked; UserError for one of another size, or one without any content."""
     if film.dtype != np.uint8 or film.shape != (frames, *HW, 3):
         raise UserError(
@@ -234,17 +237,17 @@ class Gen3c:
             )
 
     @staticmethod
-    def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, np.ndarray]:
+    def request(key_frames: Sequence[KeyFrame], path: Sequence[Camera]) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """See ``models.protocols.ViewSynthesizer``."""
         return preprocess(key_frames, path)
 
     @staticmethod
-    def check(request: dict[str, np.ndarray]) -> None:
+    def check(request: dict[str, Shaped[np.ndarray, " ..."]]) -> None:
         """See ``models.protocols.ViewSynthesizer``."""
         check_form(request)
 
     @staticmethod
-    def evidence(request: dict[str, np.ndarray]) -> str:
+    def evidence(request: dict[str, Shaped[np.ndarray, " ..."]]) -> str:
         """See ``models.protocols.ViewSynthesizer``."""
         found = evidence(request)
         check_evidence(found)
@@ -254,13 +257,13 @@ class Gen3c:
             f"{found.depth_agreement:.1%}, and {found.coverage.min():.0%} or more of every view is shown by one"
         )
 
-    def views(self, request: dict[str, np.ndarray]) -> Iterator[np.ndarray]:
+    def views(self, request: dict[str, Shaped[np.ndarray, " ..."]]) -> Iterator[Integer[np.ndarray, "t 704 1280 3"]]:
         """The film in parts (t, 704, 1280, 3) uint8 as they are made, without the frames that chunks share."""
         cache = warp_cache(self._cache, request, self._device, self._filter_points)
         yield from chunks(self._pipeline.generate, cache, request, self._device)
 
 
-def warp_cache(selector: Any, request: dict[str, np.ndarray], where: Any, filter_points: float) -> Any:
+def warp_cache(selector: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any, filter_points: float) -> Any:
     """Upstream's 3D cache (``Cache3D_BufferSelector``) of a request's key frames on a torch device."""
     import torch
 
@@ -280,7 +283,9 @@ def warp_cache(selector: Any, request: dict[str, np.ndarray], where: Any, filter
     )
 
 
-def chunks(generate: Any, cache: Any, request: dict[str, np.ndarray], where: Any) -> Iterator[np.ndarray]:
+def chunks(
+    generate: Any, cache: Any, request: dict[str, Shaped[np.ndarray, " ..."]], where: Any
+) -> Iterator[Shaped[np.ndarray, " ..."]]:
     """Chunk after chunk through upstream's ``generate``: the first seeded with key frame 0, each further one with the
     frame before it."""
     import torch

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 from studiorecon.models.catalogue.pickles import vetted
 from studiorecon.models.catalogue.preflight import device, staged, upstream
 from studiorecon.scene.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer
 
 MODEL = "LHM-1B-HF"
 # Where upstream looks before it would fetch anything.
@@ -79,7 +82,7 @@ _LOWER = "use another canonical .ply (a trained person of another capture)"
 _HEIGHTS_M = (1.2, 2.3)
 
 
-def preprocess(photo: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def preprocess(photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Integer[np.ndarray, "h w 3"]:
     """(h, w, 3) uint8 picture of the person alone on white, h ≥ 1.25 w, from a uint8 photo and the (H, W) bool mask of
     the person in it.
 
@@ -161,7 +164,7 @@ class Lhm:
         device(card, where, _LOWER)
         self._checkout = Path(next(iter(module.__path__))).parent
 
-    def avatar(self, photo: np.ndarray, mask: np.ndarray) -> Gaussians:
+    def avatar(self, photo: Integer[np.ndarray, "H W 3"], mask: Bool[np.ndarray, "H W"]) -> Gaussians:
         """See ``models.protocols.CanonicalAvatar``."""
         import tempfile
 

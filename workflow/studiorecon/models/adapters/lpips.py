@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from studiorecon.errors import UserError
 from studiorecon.machine.libraries import remedy
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.protocols import SMALLEST_MEASURED_PX
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 
 def _card(name: str, title: str, net: str, file: str, weights: str, download: str, size_gb: float, sha256: str) -> Card:
@@ -173,7 +176,7 @@ class Lpips:
             taken.append(x)
         return taken
 
-    def measured(self, prediction: np.ndarray, truth: np.ndarray) -> float | None:
+    def measured(self, prediction: Integer[np.ndarray, "H W 3"], truth: Integer[np.ndarray, "H W 3"]) -> float | None:
         """LPIPS of two (H, W, 3) uint8 pictures, without a gradient; None when a side is under 64 pixels.
 
         Raises ValueError when they differ in size.
@@ -186,7 +189,9 @@ class Lpips:
         with torch.inference_mode():
             return self.distance(*(self._tensor(picture) / 255 for picture in (prediction, truth))).item()
 
-    def __call__(self, rendered: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray]:
+    def __call__(
+        self, rendered: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
+    ) -> tuple[float, Float[np.ndarray, "h w 3"]]:
         """Distance of two (h, w, 3) float32 RGB pictures in [0, 1], and its gradient (h, w, 3) by ``rendered``."""
         import torch
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from studiorecon.models.adapters.pi3 import LOWER, postprocess, preprocess
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Reconstruction
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _REVISION = "00f9c245bbcb60522d1ed7f9e9d88462c6e3f38a"
 CARD = Card(
@@ -71,7 +74,7 @@ class MapAnything:
             raise UserError(f"{folder} does not fit {card.title} ({str(error).splitlines()[0]})") from None
         self._network = made.to(self._device).eval()
 
-    def reconstruct(self, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Reconstruction:
+    def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """See ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
@@ -103,7 +106,9 @@ def encoder_from(checkout: Path) -> Iterator[None]:
         hub.load = fetched
 
 
-def inferred(network: Any, tensor: np.ndarray, where: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def inferred(
+    network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
+) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
     """Camera-frame points, confidence and world-from-camera poses of (N, 3, h, w) pictures; the confidence c ≥ 1
     (upstream: 1 + exp(x)) becomes (c - 1) / c, which is the sigmoid of x, and 0 outside its mask."""
     import torch

@@ -9,7 +9,7 @@ centred principal point and square pixels are assumed there.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from studiorecon.errors import UserError
 from studiorecon.images.sizes import as_float
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, staged, upstream
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 MOGE = Card(
     name="moge",
@@ -70,7 +73,7 @@ CARDS = (MOGE, MOGE3)
 _MODULES = {"moge": "moge.model.v2", "moge3": "moge.model.v3"}
 
 
-def preprocess(picture: np.ndarray) -> np.ndarray:
+def preprocess(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "3 H W"]:
     """(3, H, W) float32 RGB in [0, 1]; any size, upstream makes its own grid of tokens."""
     return np.ascontiguousarray(as_float(picture).transpose(2, 0, 1))
 
@@ -80,7 +83,9 @@ def fov_deg(focal_px: float, width: int) -> float:
     return float(np.degrees(2 * np.arctan(width / (2 * focal_px))))
 
 
-def postprocess(depth: np.ndarray, mask: np.ndarray, card: Card = MOGE) -> np.ndarray:
+def postprocess(
+    depth: Float[np.ndarray, "H W"], mask: Bool[np.ndarray, "H W"], card: Card = MOGE
+) -> Float[np.ndarray, "H W"]:
     """(H, W) float32 depth, 0 where it is infinite, not positive or outside the mask; UserError when nothing is left or
     much is NaN."""
     if depth.shape != mask.shape or depth.ndim != 2:
@@ -112,15 +117,15 @@ class Moge:
                 f"{file} is not a checkpoint of {card.title} ({str(error).splitlines()[0]}); run snakemake weights"
             ) from None
 
-    def depth(self, picture: np.ndarray, focal_px: float | None) -> np.ndarray:
+    def depth(self, picture: Integer[np.ndarray, "H W 3"], focal_px: float | None) -> Float[np.ndarray, "H W"]:
         """See ``models.protocols.MonocularDepth``."""
         field = fov_deg(focal_px, picture.shape[1]) if focal_px else None
         return postprocess(*inferred(self._network, preprocess(picture), field, self._device), self._card)
 
 
 def inferred(
-    network: Any, picture: np.ndarray, field_deg: float | None, where: Any, **options: Any
-) -> tuple[np.ndarray, np.ndarray]:
+    network: Any, picture: Float[np.ndarray, "3 H W"], field_deg: float | None, where: Any, **options: Any
+) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
     """(H, W) depth, +inf outside the mask, and the mask, from upstream's ``infer``; half precision on a GPU only."""
     import torch
 

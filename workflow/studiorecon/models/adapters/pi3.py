@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
 from studiorecon.models.protocols import Reconstruction
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
 
 PI3 = Card(
     name="pi3",
@@ -115,7 +118,7 @@ class Inset:
     width: int
 
 
-def preprocess(pictures: Sequence[np.ndarray]) -> tuple[np.ndarray, list[Inset]]:
+def preprocess(pictures: Sequence[Integer[np.ndarray, "H W 3"]]) -> tuple[Float[np.ndarray, "N 3 h w"], list[Inset]]:
     """(N, 3, h, w) float32 RGB in [0, 1], sides multiples of 14, and where in it each picture lies.
 
     Pictures keep their shape: one that is shaped otherwise than the frame has its border repeated beside it, never
@@ -138,13 +141,13 @@ def preprocess(pictures: Sequence[np.ndarray]) -> tuple[np.ndarray, list[Inset]]
     return np.stack(tensors), taken
 
 
-def probability(logits: np.ndarray) -> np.ndarray:
+def probability(logits: Num[np.ndarray, " ..."]) -> Float[np.ndarray, " ..."]:
     """Sigmoid that does not overflow."""
     small = np.exp(-np.abs(logits.astype(np.float64)))
     return np.where(logits >= 0, 1 / (1 + small), small / (1 + small)).astype(np.float32)
 
 
-def edges(depth: np.ndarray) -> np.ndarray:
+def edges(depth: Float[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: a neighbour (of eight) lies nearer or farther by more than ``EDGE`` of this depth.
 
     Upstream's newer rule asks for a jump of the normal as well; this one drops more of floors seen at a grazing angle.
@@ -154,7 +157,7 @@ def edges(depth: np.ndarray) -> np.ndarray:
     return cv2.morphologyEx(depth, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > EDGE * np.abs(depth)
 
 
-def focal(points: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+def focal(points: Float[np.ndarray, "h w 3"], weight: Num[np.ndarray, "h w"]) -> tuple[float, float]:
     """Focal length in pixels that carries (h, w, 3) camera-frame points to their own pixels, principal point in the
     middle.
 
@@ -170,9 +173,9 @@ def focal(points: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
 
 
 def postprocess(
-    points: np.ndarray,
-    confidence: np.ndarray,
-    poses: np.ndarray,
+    points: Float[np.ndarray, "N h w 3"],
+    confidence: Float[np.ndarray, "N h w"],
+    poses: Float[np.ndarray, "N 4 4"],
     taken: Sequence[Inset],
     names: Sequence[str],
     metric: bool,
@@ -241,7 +244,7 @@ class Pi3:
             raise UserError(f"{file} does not fit {card.title} ({str(error).splitlines()[0]})") from None
         self._network.to(self._device).eval()
 
-    def reconstruct(self, pictures: Sequence[np.ndarray], names: Sequence[str]) -> Reconstruction:
+    def reconstruct(self, pictures: Sequence[Integer[np.ndarray, "H W 3"]], names: Sequence[str]) -> Reconstruction:
         """See ``models.protocols.PoseAndDepth``."""
         tensor, taken = preprocess(pictures)
         made = inferred(self._network, tensor, self._device)
@@ -250,7 +253,9 @@ class Pi3:
         return postprocess(*made, taken, names, metric=self._card is PI3X)
 
 
-def inferred(network: Any, tensor: np.ndarray, where: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def inferred(
+    network: Any, tensor: Float[np.ndarray, "N 3 h w"], where: Any
+) -> tuple[Float[np.ndarray, "N h w 3"], Float[np.ndarray, "N h w"], Float[np.ndarray, "N 4 4"]]:
     """Camera-frame points, confidence after the sigmoid and world-from-camera poses of (N, 3, h, w) pictures, by Pi3 or
     Pi3X."""
     import torch

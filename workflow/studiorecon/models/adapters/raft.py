@@ -6,13 +6,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, finite, staged, upstream
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 CARD = Card(
     name="raft",
@@ -54,7 +57,9 @@ class Fitted:
     before: tuple[int, int]
 
 
-def preprocess(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, Fitted]:
+def preprocess(
+    first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+) -> tuple[Float[np.ndarray, "2 3 h w"], Fitted]:
     """(2, 3, h, w) float32 in [-1, 1] for the network from two uint8 RGB pictures (H, W, 3), and how to come back.
 
     Pictures under 128 px a side are enlarged by a whole number, by repeating pixels; the rest up to multiples of 8 is
@@ -76,7 +81,7 @@ def preprocess(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, Fitte
     )
 
 
-def postprocess(flow: np.ndarray, fitted: Fitted) -> np.ndarray:
+def postprocess(flow: Float[np.ndarray, "2 h w"], fitted: Fitted) -> Float[np.ndarray, "H W 2"]:
     """(H, W, 2) float32 flow in pixels of the pictures from the network's (2, h, w): cropped, averaged over enlarged
     pixels, rescaled.
 
@@ -110,13 +115,17 @@ class Raft:
             ) from None
         self._network.eval().to(self._device)
 
-    def flow(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    def flow(
+        self, first: Integer[np.ndarray, "H W 3"], second: Integer[np.ndarray, "H W 3"]
+    ) -> Float[np.ndarray, "H W 2"]:
         """See ``models.protocols.Flow``."""
         pair, fitted = preprocess(first, second)
         return postprocess(finite(CARD, "flow", estimated(self._network, pair, self._device)), fitted)
 
 
-def estimated(network: Any, pair: np.ndarray, where: Any, updates: int = 12) -> np.ndarray:
+def estimated(
+    network: Any, pair: Float[np.ndarray, "2 3 h w"], where: Any, updates: int = 12
+) -> Float[np.ndarray, "2 h w"]:
     """(2, h, w) float32 flow from the first to the second of (2, 3, h, w) float32 pictures in [-1, 1], after
     ``updates`` refinements."""
     import torch

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from studiorecon.errors import UserError
 from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms, WeightFile
 from studiorecon.models.catalogue.preflight import attribute, device, staged, upstream
 from studiorecon.progress import warn
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Shaped
 
 _REVISION = "3c879f39826c281e95690f02c7821c4de09afae7"
 CARD = Card(
@@ -65,7 +68,9 @@ _LOWER = "lower masks.sam3.chunk, or set masks.source to embedded"
 _SAME = 0.5
 
 
-def preprocess(frames: Iterable[np.ndarray], chunk: int) -> Iterator[list[np.ndarray]]:
+def preprocess(
+    frames: Iterable[Integer[np.ndarray, "H W 3"]], chunk: int
+) -> Iterator[list[Integer[np.ndarray, "H W 3"]]]:
     """Lists of at most ``chunk`` + 1 uint8 RGB frames; each starts with the last frame of the one before."""
     if chunk < 1:
         raise ValueError(f"chunk is {chunk}, expected at least 1")
@@ -83,7 +88,12 @@ def preprocess(frames: Iterable[np.ndarray], chunk: int) -> Iterator[list[np.nda
         yield held
 
 
-def postprocess(ids: np.ndarray, scores: np.ndarray, masks: np.ndarray, hw: tuple[int, int]) -> np.ndarray:
+def postprocess(
+    ids: Integer[np.ndarray, " P"],
+    scores: Float[np.ndarray, " P"],
+    masks: Shaped[np.ndarray, "P h w"],
+    hw: tuple[int, int],
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) int64: 0 = nobody, else 1 + the network's id; where masks overlap the surer one is in front. UserError for
     another size."""
     if masks.shape != (len(ids), *hw) or scores.shape != ids.shape:
@@ -96,7 +106,7 @@ def postprocess(ids: np.ndarray, scores: np.ndarray, masks: np.ndarray, hw: tupl
     return labels
 
 
-def linked(known: np.ndarray, again: np.ndarray) -> dict[int, int]:
+def linked(known: Integer[np.ndarray, "H W"], again: Integer[np.ndarray, "H W"]) -> dict[int, int]:
     """label in ``again`` → label in ``known`` for the people of one frame seen twice, best agreement first, one to
     one."""
     pairs = []
@@ -111,7 +121,7 @@ def linked(known: np.ndarray, again: np.ndarray) -> dict[int, int]:
     return found
 
 
-def joined(chunks: Iterable[list[np.ndarray]]) -> Iterator[np.ndarray]:
+def joined(chunks: Iterable[list[Integer[np.ndarray, "H W"]]]) -> Iterator[Integer[np.ndarray, "H W"]]:
     """(H, W) uint16 per frame of the clip from label maps of chunks that share a frame: 0 = nobody, else the person's
     number from 1 on."""
     last, numbered = None, 0
@@ -149,7 +159,7 @@ class Sam3:
             "may come under two numbers, which both count as the body that they lie on"
         )
 
-    def segment(self, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    def segment(self, frames: Iterable[Integer[np.ndarray, "H W 3"]]) -> Iterator[Integer[np.ndarray, "H W"]]:
         """See ``models.protocols.PersonSegmenter``."""
         return joined(
             tracked(self._network, self._processor, part, self._prompt, self._device)
@@ -157,7 +167,9 @@ class Sam3:
         )
 
 
-def tracked(network: Any, processor: Any, frames: list[np.ndarray], prompt: str, where: Any) -> list[np.ndarray]:
+def tracked(
+    network: Any, processor: Any, frames: list[Integer[np.ndarray, "H W 3"]], prompt: str, where: Any
+) -> list[Integer[np.ndarray, "H W"]]:
     """(H, W) int64 label map of every frame of one chunk, by upstream's video session; its frames wait in main
     memory."""
     import torch
@@ -172,7 +184,7 @@ def tracked(network: Any, processor: Any, frames: list[np.ndarray], prompt: str,
 
 def labelled(
     network: Any, processor: Any, session: Any, count: int, hw: tuple[int, int], torch: Any
-) -> list[np.ndarray]:
+) -> list[Integer[np.ndarray, "H W"]]:
     """Label maps of a session's ``count`` frames, in order; the network may report them late, and frames without
     anybody not at all."""
     labels = [np.zeros(hw, np.int64) for _ in range(count)]

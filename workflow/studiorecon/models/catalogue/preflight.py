@@ -12,7 +12,7 @@ import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from studiorecon.models.catalogue.card import Card
 from studiorecon.models.catalogue.checksums import PINS, code_in, read_pins, verified, write_pins
 from studiorecon.models.catalogue.confined import confine
 from studiorecon.progress import say, warn
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 
 def staged(card: Card, folder: Path) -> Path:
@@ -124,7 +127,7 @@ def device(card: Card, wanted: str, lower: str, needed: float | None = None) -> 
     return torch.device("cuda")
 
 
-def finite(card: Card, what: str, values: np.ndarray) -> np.ndarray:
+def finite(card: Card, what: str, values: Num[np.ndarray, " ..."]) -> Num[np.ndarray, " ..."]:
     """``values``; UserError when a network has returned something that is no number."""
     bad = int(np.size(values) - np.isfinite(values).sum())
     if bad:

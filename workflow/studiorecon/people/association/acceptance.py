@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from studiorecon.people.association.proportions import why_no_person
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _ENOUGH_CAMERAS = 3
 
@@ -70,7 +74,7 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
 
 def supports(
     groups: Sequence[Group], cameras: Sequence[Camera], videos: Sequence[Path], fps: float, limits: EvidenceLimits
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "G V"], Float[np.ndarray, "G V 4"]]:
     """Share of the places every group's joints left or reached that changed in the pictures, NaN where too little
     moved: of all joints (G, V), and of each arm and leg (G, V, 4)."""
     picked = [sampled_frames(group.frames, limits.frames) for group in groups]

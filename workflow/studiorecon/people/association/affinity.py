@@ -10,11 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.configuration.setting import setting
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 
 @dataclass(frozen=True)
@@ -88,14 +91,16 @@ class AssociationLimits:
     reentry_s: float = 3.0
 
 
-def gated(distance: np.ndarray, gate: float) -> np.ndarray:
+def gated(distance: Num[np.ndarray, " ..."], gate: float) -> Float[np.ndarray, " ..."]:
     """``distance`` where it is finite and below ``gate``, else NaN: what is past its gate was never a candidate (A02,
     A03)."""
     with np.errstate(invalid="ignore"):
         return np.where(np.isfinite(distance) & (distance < gate), distance, np.nan)
 
 
-def affinities(distance_m: np.ndarray, pose_rad: np.ndarray, gate_m: float, limits: AssociationLimits) -> np.ndarray:
+def affinities(
+    distance_m: Float[np.ndarray, " ..."], pose_rad: Float[np.ndarray, " ..."], gate_m: float, limits: AssociationLimits
+) -> Float[np.ndarray, " ..."]:
     """The paper's affinity in [0, 1] of gated pairs (any shape); exactly 0 for pairs that must not be matched (A02,
     A03, A13).
 
@@ -108,7 +113,12 @@ def affinities(distance_m: np.ndarray, pose_rad: np.ndarray, gate_m: float, limi
     return combined(position, np.exp(-alike / limits.sigma_rad), gated(pose_rad, limits.pose_gate_rad), limits)
 
 
-def combined(position: np.ndarray, pose: np.ndarray, pose_rad: np.ndarray, limits: AssociationLimits) -> np.ndarray:
+def combined(
+    position: Float[np.ndarray, " ..."],
+    pose: Float[np.ndarray, " ..."],
+    pose_rad: Float[np.ndarray, " ..."],
+    limits: AssociationLimits,
+) -> Float[np.ndarray, " ..."]:
     """Weighted sum of similarities, NaN = unknown or refused; ``pose_rad`` is the gated angle, which decides alone for
     ``pose``."""
     if limits.affinity == "pose":
@@ -120,7 +130,7 @@ def combined(position: np.ndarray, pose: np.ndarray, pose_rad: np.ndarray, limit
     return np.nan_to_num(np.where(np.isfinite(pose), both, position))
 
 
-def window_distances(positions_m: Sequence[np.ndarray]) -> np.ndarray:
+def window_distances(positions_m: Sequence[Float[np.ndarray, "T 3"]]) -> Float[np.ndarray, "M M"]:
     """(M, M) distance of M tracks' positions (T, 3), NaN where unseen, averaged over the frames they share (A11); NaN
     where none.
 

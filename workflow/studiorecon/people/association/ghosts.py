@@ -5,7 +5,7 @@ found twice."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Who stands where another person stands, within this in the median over joints and shared frames, metres, is found
 # twice.
@@ -37,14 +40,14 @@ _OTHER_SIDE = [
 ]
 
 
-def found_twice(points_m: np.ndarray, other_m: np.ndarray) -> bool:
+def found_twice(points_m: Float[np.ndarray, "T 12 3"], other_m: Float[np.ndarray, "T 12 3"]) -> bool:
     """Whether two skeletons (T, 12, 3) are at the same place wherever both are known."""
     apart = np.linalg.norm(points_m - other_m, axis=-1)
     apart = apart[np.isfinite(apart)]
     return len(apart) >= _LEAST_JOINTS and float(np.median(apart)) < _SAME_PLACE_M
 
 
-def flatness_m(points_m: np.ndarray, fps: float) -> float:
+def flatness_m(points_m: Float[np.ndarray, "T K 3"], fps: float) -> float:
     """RMS distance of joints (T, K, 3) of the whole clip from the one plane that fits them best; NaN where too few are
     known."""
     length = max(1, round(_CALM_S * fps))
@@ -60,7 +63,7 @@ def flatness_m(points_m: np.ndarray, fps: float) -> float:
     return float(np.linalg.svd(joints - joints.mean(0), compute_uv=False)[2] / np.sqrt(len(joints)))
 
 
-def is_flat(points_m: np.ndarray, deep_m: np.ndarray, fps: float) -> bool:
+def is_flat(points_m: Float[np.ndarray, "T 12 3"], deep_m: Float[np.ndarray, "T D 3"], fps: float) -> bool:
     """Whether all joints (T, 12, 3) and what stands out from them (T, D, 3) lie in one plane in all frames: a picture,
     or a screen.
 
@@ -76,7 +79,7 @@ def deep_points_m(
     cameras: Sequence[Camera],
     frames: int,
     agree: Limits,
-) -> np.ndarray:
+) -> Float[np.ndarray, "T 7 3"]:
     """(T, 7, 3) nose, ears, heels and toes of the tracks ``members`` (view, track), NaN where two cameras do not
     tell."""
     pixels = np.full((len(cameras), frames, len(_DEEP), 3), [np.nan, np.nan, 0.0])
@@ -92,7 +95,12 @@ def deep_points_m(
     return triangulate(flat[..., :2], flat[..., 2], cameras, agree).points_m.reshape(frames, len(_DEEP), 3)
 
 
-def is_image_of(points_m: np.ndarray, other_m: np.ndarray, centres_m: np.ndarray, fps: float) -> bool:
+def is_image_of(
+    points_m: Float[np.ndarray, "T 12 3"],
+    other_m: Float[np.ndarray, "T 12 3"],
+    centres_m: Float[np.ndarray, "V 3"],
+    fps: float,
+) -> bool:
     """Whether ``points_m`` (T, 12, 3) are what a plane mirror makes of ``other_m``, left for right, with all cameras on
     the latter's side.
 
@@ -120,11 +128,11 @@ def is_image_of(points_m: np.ndarray, other_m: np.ndarray, centres_m: np.ndarray
 
 
 def why_nobody(
-    points_m: np.ndarray,
-    deep_m: np.ndarray,
-    people_m: Sequence[np.ndarray],
-    others_m: Sequence[np.ndarray],
-    centres_m: np.ndarray,
+    points_m: Float[np.ndarray, "T 12 3"],
+    deep_m: Float[np.ndarray, "T D 3"],
+    people_m: Sequence[Float[np.ndarray, "T 12 3"]],
+    others_m: Sequence[Float[np.ndarray, "T 12 3"]],
+    centres_m: Float[np.ndarray, "V 3"],
     fps: float,
 ) -> str:
     """Why a skeleton is not somebody, as the end of a sentence; "" when it may be.

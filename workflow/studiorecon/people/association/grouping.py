@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from studiorecon.people.association.reference_view import star_groups
 from studiorecon.people.association.track_pairs import TrackPairs, margins, sights, track_pairs
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Tracks with detections for less than this time, seconds, found no group; they join where their keypoints lie on a
 # group's points.
@@ -39,17 +43,17 @@ class Group:
     """
 
     members: tuple[tuple[int, int], ...]
-    points_m: np.ndarray
-    agreement: np.ndarray
-    seen: np.ndarray
+    points_m: Float[np.ndarray, "T K 3"]
+    agreement: Float[np.ndarray, " V"]
+    seen: Bool[np.ndarray, "V T"]
 
     @property
-    def frames(self) -> np.ndarray:
+    def frames(self) -> Integer[np.ndarray, " F"]:
         """Frames in which at least two cameras agree."""
         return np.flatnonzero(self.seen.sum(0) >= 2)
 
     @property
-    def centres_m(self) -> np.ndarray:
+    def centres_m(self) -> Float[np.ndarray, "T 3"]:
         """(T, 3) median of the determined keypoints, NaN where there are none."""
         known = np.isfinite(self.points_m).all(-1)
         centres = np.full((len(self.points_m), 3), np.nan)

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +22,9 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Num
 
 _BLUR_PX = 1.5
 # Between noise, of which a change must be this many deviations, and what anybody would see: grey levels of 255.
@@ -82,7 +86,7 @@ class EvidenceLimits:
     presence: float = 0.9
 
 
-def sampled_frames(frames: np.ndarray, wanted: int) -> np.ndarray:
+def sampled_frames(frames: Integer[np.ndarray, " N"], wanted: int) -> Integer[np.ndarray, " M"]:
     """At most ``wanted`` of the distinct ``frames``, evenly spread."""
     distinct = np.unique(frames)
     if not len(distinct) or not wanted:
@@ -90,7 +94,7 @@ def sampled_frames(frames: np.ndarray, wanted: int) -> np.ndarray:
     return distinct[evenly_spread(len(distinct), wanted)]
 
 
-def steps_m(points_m: np.ndarray, fps: float, limits: EvidenceLimits) -> np.ndarray:
+def steps_m(points_m: Float[np.ndarray, "T K 3"], fps: float, limits: EvidenceLimits) -> Float[np.ndarray, " K"]:
     """(K,) how far each of the points (T, K, 3) must have moved to count, metres: well beyond how it wanders, whatever
     the frame rate.
 
@@ -107,13 +111,13 @@ def steps_m(points_m: np.ndarray, fps: float, limits: EvidenceLimits) -> np.ndar
 
 
 def motion_support(
-    pictures: Sequence[np.ndarray],
-    points_m: np.ndarray,
+    pictures: Sequence[Integer[np.ndarray, "H W 3"]],
+    points_m: Float[np.ndarray, "G F 12 3"],
     who: int,
-    step_m: np.ndarray,
+    step_m: Float[np.ndarray, " 12"],
     camera: Camera,
     limits: EvidenceLimits,
-) -> np.ndarray:
+) -> Num[np.ndarray, "12 2"]:
     """(12, 2) how many places that each joint of person ``who`` left or reached show a change, and how many places
     there are.
 
@@ -145,19 +149,21 @@ def motion_support(
     return counts
 
 
-def even(picture: np.ndarray) -> np.ndarray:
+def even(picture: Integer[np.ndarray, "H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) float32 of a picture (H, W, 3) uint8 after a little blur, without its median colour (exposure)."""
     blurred = cv2.GaussianBlur(picture, (0, 0), _BLUR_PX).astype(np.float32)
     return blurred - np.median(blurred[::4, ::4], axis=(0, 1))
 
 
-def threshold_of(apart: np.ndarray, limits: EvidenceLimits) -> float:
+def threshold_of(apart: Float[np.ndarray, "H W"], limits: EvidenceLimits) -> float:
     """Grey levels from which a difference (H, W) of two pictures, NaN where unknown, is a change."""
     usual = float(np.nanmedian(apart[::4, ::4])) if np.isfinite(apart[::4, ::4]).any() else 0.0
     return float(np.clip(_NOISES * 1.4826 * usual, _FAINTEST, limits.difference))
 
 
-def places_changed(apart: np.ndarray, points_m: np.ndarray, camera: Camera, limits: EvidenceLimits) -> np.ndarray:
+def places_changed(
+    apart: Float[np.ndarray, "H W"], points_m: Float[np.ndarray, "N 3"], camera: Camera, limits: EvidenceLimits
+) -> Num[np.ndarray, "N 2"]:
     """(N, 2) of points (N, 3), NaN unknown: whether the difference ``apart`` (H, W; NaN unknown) of two pictures of
     ``camera`` shows a change there, and whether it can tell, as 0 and 1."""
     pixels, depth = camera.project(points_m)
@@ -192,7 +198,9 @@ def _outside(places: np.ndarray, skeletons: np.ndarray, metre_px: np.ndarray) ->
     return free
 
 
-def changed(apart: np.ndarray, places: np.ndarray, radius: int, threshold: float) -> np.ndarray:
+def changed(
+    apart: Float[np.ndarray, "H W"], places: Num[np.ndarray, "N 2"], radius: int, threshold: float
+) -> Num[np.ndarray, "N 2"]:
     """(N, 2) whether the difference ``apart`` (H, W; NaN unknown) exceeds ``threshold`` within ``radius`` pixels of
     each place (N, 2), and whether anything is known there, as 0 and 1."""
     counts = np.zeros((len(places), 2), dtype=int)
@@ -205,18 +213,18 @@ def changed(apart: np.ndarray, places: np.ndarray, radius: int, threshold: float
     return counts
 
 
-def view_shares(counts: np.ndarray) -> np.ndarray:
+def view_shares(counts: Num[np.ndarray, "... 2"]) -> Float[np.ndarray, " ..."]:
     """(...,) supported share from (..., 2) counts; NaN with fewer than twenty places to judge."""
     judged = counts[..., 1] >= _LEAST_PLACES
     return np.where(judged, counts[..., 0] / np.maximum(counts[..., 1], 1), np.nan)
 
 
-def limb_counts(counts: np.ndarray) -> np.ndarray:
+def limb_counts(counts: Num[np.ndarray, "... 12 2"]) -> Num[np.ndarray, "... 4 2"]:
     """(..., 4, 2) counts of arms and legs, from those of the joints (..., 12, 2): elbow and wrist, knee and ankle."""
     return np.stack([counts[..., list(ends), :].sum(-2) for ends in _LIMB_ENDS], axis=-2)
 
 
-def absent(shares: np.ndarray, limbs: np.ndarray, limits: EvidenceLimits) -> list[bool]:
+def absent(shares: Float[np.ndarray, "G V"], limbs: Float[np.ndarray, "G V 4"], limits: EvidenceLimits) -> list[bool]:
     """For every person, from the shares of every view, of all joints (G, V) and of each limb (G, V, 4), whether the
     pictures say that nobody is there.
 

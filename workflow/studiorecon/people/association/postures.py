@@ -45,18 +45,24 @@ def limb_directions(found: Detections, camera: Camera) -> Float[np.ndarray, "D 1
     return along @ np.swapaxes(_world_from_guess(found, camera), -1, -2)
 
 
-def joint_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def joint_differences_rad(
+    first: Float[np.ndarray, "... J 3 3"], second: Float[np.ndarray, "... J 3 3"]
+) -> Float[np.ndarray, " ..."]:
     """Mean angle between body rotations (…, J, 3, 3) and (…, J, 3, 3), broadcast, the root not among them (A06-A08)."""
     return rotations.angle(first, second).mean(-1)
 
 
-def parameter_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def parameter_differences_rad(
+    first: Float[np.ndarray, "... J 3"], second: Float[np.ndarray, "... J 3"]
+) -> Float[np.ndarray, " ..."]:
     """‖θa − θb‖ of axis-angles (…, J, 3) and (…, J, 3), broadcast, over √J: as large as the mean angle where all joints
     differ alike, and larger where one axis-angle goes round the other way (paper, Eq. 1)."""
     return np.linalg.norm(first - second, axis=(-2, -1)) / np.sqrt(first.shape[-2])
 
 
-def limb_differences_rad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def limb_differences_rad(
+    first: Float[np.ndarray, "... 12 3"], second: Float[np.ndarray, "... 12 3"]
+) -> Float[np.ndarray, " ..."]:
     """Mean angle between limb directions (…, 12, 3) and (…, 12, 3), broadcast; NaN where either has none."""
     sine = np.linalg.norm(np.cross(first, second), axis=-1)
     return np.arctan2(sine, (first * second).sum(-1)).mean(-1)

@@ -9,10 +9,14 @@ hides a shoulder, but not in two.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 # Shares of the trunk (middle of the shoulders to that of the hips). The real man and the made studio's people: 0.65 to
 # 0.71, 0.35 to 0.41, 0.47 to 0.57, 0.44 to 0.52, 0.71 to 0.87, 0.68 to 0.88; dogs on four legs: 0.15 to 0.35, 0.09 to
@@ -41,7 +45,7 @@ _MOST_OUTSIDE = 1
 _LEAST_FRAMES = 3
 
 
-def lengths_m(points_m: np.ndarray) -> dict[str, list[np.ndarray]]:
+def lengths_m(points_m: Float[np.ndarray, "T 12 3"]) -> dict[str, list[Float[np.ndarray, " F"]]]:
     """Lengths of a skeleton's bones (T, 12, 3; NaN unknown), metres, in the frames in which they are known; "trunk" as
     well. What is hardly ever known is left out."""
     at = {name: k for k, name in enumerate(STABLE_KEYPOINTS)}
@@ -58,7 +62,7 @@ def lengths_m(points_m: np.ndarray) -> dict[str, list[np.ndarray]]:
     return {part: kept for part, values in long.items() if (kept := [v for v in values if len(v) >= least])}
 
 
-def shares(lengths: Mapping[str, Sequence[np.ndarray]]) -> dict[str, float]:
+def shares(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> dict[str, float]:
     """Medians over time as shares of the trunk, {} where that is not known; of a pair of limbs the one with the less
     likely length counts."""
     if "trunk" not in lengths:
@@ -72,13 +76,13 @@ def shares(lengths: Mapping[str, Sequence[np.ndarray]]) -> dict[str, float]:
     return found
 
 
-def unsteadiness(lengths: Mapping[str, Sequence[np.ndarray]]) -> float:
+def unsteadiness(lengths: Mapping[str, Sequence[Float[np.ndarray, " F"]]]) -> float:
     """By which share of its own median a bone's length usually differs from it; 0 where none is known."""
     own = [np.median(np.abs(v - np.median(v))) / np.median(v) for values in lengths.values() for v in values]
     return float(np.median(own)) if own else 0.0
 
 
-def why_no_person(points_m: np.ndarray) -> str:
+def why_no_person(points_m: Float[np.ndarray, "T 12 3"]) -> str:
     """Why a skeleton (T, 12, 3) has not a person's proportions, as the end of a sentence; "" when it has."""
     lengths = lengths_m(points_m)
     told = [

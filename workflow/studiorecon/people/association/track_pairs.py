@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,6 +42,9 @@ from studiorecon.people.association.postures import (
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
 _MIN_SHARED = 4
 _BY_PELVIS = ("pelvis", "scene")
 
@@ -59,14 +63,14 @@ class Sights:
     """
 
     camera: Camera
-    frame: np.ndarray
-    track: np.ndarray
-    directions: np.ndarray
-    present: np.ndarray
-    pelvis_m: np.ndarray
-    pose: np.ndarray
-    limbs: np.ndarray
-    parameters: np.ndarray | None = None
+    frame: Integer[np.ndarray, " D"]
+    track: Integer[np.ndarray, " D"]
+    directions: Float[np.ndarray, "D K 3"]
+    present: Bool[np.ndarray, "D K"]
+    pelvis_m: Float[np.ndarray, "D 3"]
+    pose: Float[np.ndarray, "D 23 3 3"]
+    limbs: Float[np.ndarray, "D 12 3"]
+    parameters: Float[np.ndarray, "D 23 3"] | None = None
 
     @property
     def postures(self) -> bool:
@@ -74,7 +78,9 @@ class Sights:
         return bool(np.isfinite(self.pose).any() or np.isfinite(self.limbs).any())
 
 
-def postures_apart(first: Sights, i: np.ndarray, second: Sights, j: np.ndarray) -> np.ndarray:
+def postures_apart(
+    first: Sights, i: Integer[np.ndarray, " ..."], second: Sights, j: Integer[np.ndarray, " ..."]
+) -> Float[np.ndarray, " ..."]:
     """Angle in radians between the postures of detections ``i`` of one camera and ``j`` of another, broadcast against
     one another: of body joints where both have bodies, else of where limbs point; NaN where neither is known."""
     limbs = limb_differences_rad(first.limbs[i], second.limbs[j])
@@ -139,8 +145,8 @@ def _some(values: np.ndarray | None) -> bool:
 
 
 def detection_affinities(
-    first: Sights, i: np.ndarray, second: Sights, j: np.ndarray, limits: AssociationLimits
-) -> np.ndarray:
+    first: Sights, i: Integer[np.ndarray, " A"], second: Sights, j: Integer[np.ndarray, " B"], limits: AssociationLimits
+) -> Float[np.ndarray, "A B"]:
     """(A, B) affinity of the detections ``i`` (A,) of one camera and ``j`` (B,) of another, in the paper's form."""
     if not len(i) or not len(j):
         return np.zeros((len(i), len(j)))
@@ -169,12 +175,12 @@ class TrackPairs:
         forbidden: (M, M) bool: these two are not one person.
     """
 
-    view: np.ndarray
-    track: np.ndarray
-    detections: np.ndarray
-    measured: np.ndarray
-    affinity: np.ndarray
-    forbidden: np.ndarray
+    view: Integer[np.ndarray, " M"]
+    track: Integer[np.ndarray, " M"]
+    detections: Integer[np.ndarray, " M"]
+    measured: Bool[np.ndarray, "M M"]
+    affinity: Float[np.ndarray, "M M"]
+    forbidden: Bool[np.ndarray, "M M"]
 
 
 def track_pairs(
@@ -207,7 +213,7 @@ def track_pairs(
     )
 
 
-def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> np.ndarray:
+def margins(pairs: TrackPairs, groups: Sequence[Sequence[int]]) -> Float[np.ndarray, " M"]:
     """(M,) a node's mean affinity to its own group less that to the best other group (A12); NaN for nodes in no
     group."""
     out = np.full(len(pairs.view), np.nan)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from studiorecon.geometry import rotations
 from studiorecon.people.fitting.surface_points import surest
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 _INSTEAD = "set people.fit.solver to levenberg_marquardt"
 
@@ -34,11 +38,11 @@ class Fused:
         cameras: (T,) how many cameras saw the person; 0 = not measured.
     """
 
-    local: np.ndarray
-    trans_m: np.ndarray
-    betas: np.ndarray
-    sigma_m: np.ndarray
-    cameras: np.ndarray
+    local: Float[np.ndarray, "T 24 3 3"]
+    trans_m: Float[np.ndarray, "T 3"]
+    betas: Float[np.ndarray, " B"]
+    sigma_m: Float[np.ndarray, "T 24"]
+    cameras: Integer[np.ndarray, " T"]
 
 
 def fused(

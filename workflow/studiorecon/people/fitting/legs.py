@@ -8,11 +8,16 @@ deviations say so.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.body.model import BodyModel
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 _SIDES = ("left", "right")
 _BELOW = ("knee", "ankle", "heel", "big_toe", "small_toe")
@@ -23,8 +28,13 @@ _SOLE_M = 0.07
 
 
 def seated(
-    local: np.ndarray, trans_m: np.ndarray, betas: np.ndarray, names: list[str], points_m: np.ndarray, body: BodyModel
-) -> tuple[np.ndarray, np.ndarray]:
+    local: Float[np.ndarray, "T 24 3 3"],
+    trans_m: Float[np.ndarray, "T 3"],
+    betas: Float[np.ndarray, " B"],
+    names: list[str],
+    points_m: Float[np.ndarray, "T K 3"],
+    body: BodyModel,
+) -> tuple[Float[np.ndarray, "T 24 3 3"], Bool[np.ndarray, "T 2"]]:
     """``local`` (T, 24, 3, 3) with unseen legs bent where they would hang through the floor z = 0, and (T, 2) which
     legs those are.
 

@@ -18,7 +18,7 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
 if TYPE_CHECKING:
-    from jaxtyping import Num
+    from jaxtyping import Float, Integer, Num
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Points:
     """
 
     names: list[str]
-    points_m: np.ndarray
-    sigma_m: np.ndarray
-    cameras: np.ndarray
+    points_m: Float[np.ndarray, "T K 3"]
+    sigma_m: Float[np.ndarray, "T K"]
+    cameras: Integer[np.ndarray, " T"]
 
 
 def observations(
@@ -88,11 +88,11 @@ def off_m(names: Sequence[str], detections: Sequence[Detections]) -> Num[np.ndar
 
 def lift(
     names: list[str],
-    keypoints: np.ndarray,
+    keypoints: Num[np.ndarray, "V T K 3"],
     cameras: list[Camera],
     settings: Triangulation,
     unverified_sigma_m: float,
-    off: np.ndarray | float = 0.0,
+    off: Num[np.ndarray, " K"] | float = 0.0,
 ) -> Points:
     """World points of all frames at once from keypoints (V, T, K, 3); those of two cameras only get
     ``unverified_sigma_m`` on top (T13), all of them ``off`` (``off_m``)."""

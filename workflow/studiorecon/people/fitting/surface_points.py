@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from studiorecon.people.fitting.points import Triangulation, lift
 from studiorecon.progress import say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Points that are triangulated at once: what those of a minute take would fill gigabytes.
 _AT_ONCE = 500_000
@@ -88,7 +92,9 @@ def surest(
     return surest
 
 
-def skin_px(found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: np.ndarray) -> np.ndarray:
+def skin_px(
+    found: Detections, detection: int, camera: Camera, body: BodyModel, vertices: Integer[np.ndarray, " S"]
+) -> Float[np.ndarray, "S 2"]:
     """(S, 2) pixels of some ``vertices`` (S,) of the body that a network saw as one ``detection``; NaN for those behind
     the camera."""
     assert found.body_root is not None

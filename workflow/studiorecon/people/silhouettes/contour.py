@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -24,6 +25,9 @@ from studiorecon.geometry import rotations
 from studiorecon.images.silhouette import mesh_depth
 from studiorecon.people.silhouettes.foreground import FOREGROUND, UNKNOWN
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # Weight of an outline's direction in the matching, pixels per unit normal; least agreement of two normals (cosine).
 _NORMAL_PX, _SAME_WAY = 12.0, 0.4
@@ -66,15 +70,15 @@ class Before:
 class Outline:
     """Points (N, 2) of a contour and their outward normals (N, 2), in pixels."""
 
-    points: np.ndarray
-    normals: np.ndarray
+    points: Float[np.ndarray, "N 2"]
+    normals: Float[np.ndarray, "N 2"]
 
     @property
-    def features(self) -> np.ndarray:
+    def features(self) -> Float[np.ndarray, "N 4"]:
         return np.concatenate([self.points, _NORMAL_PX * self.normals], axis=1)
 
 
-def outline(region: np.ndarray, silent: np.ndarray) -> Outline:
+def outline(region: Bool[np.ndarray, "H W"], silent: Bool[np.ndarray, "H W"]) -> Outline:
     """The outline of ``region`` (H, W) bool, without what lies at the picture's border or beside ``silent`` (H, W)
     pixels."""
     height, width = region.shape
@@ -102,11 +106,11 @@ def outline(region: np.ndarray, silent: np.ndarray) -> Outline:
 class Targets:
     """Silhouettes of one frame: per camera the labels (H, W) and the foreground's outline."""
 
-    labels: tuple[np.ndarray, ...]
+    labels: tuple[Integer[np.ndarray, "H W"], ...]
     outlines: tuple[Outline, ...]
 
     @staticmethod
-    def of(labels: Sequence[np.ndarray]) -> Targets:
+    def of(labels: Sequence[Integer[np.ndarray, "H W"]]) -> Targets:
         return Targets(tuple(labels), tuple(outline(m == FOREGROUND, m == UNKNOWN) for m in labels))
 
 
@@ -125,11 +129,11 @@ class Silhouette:
         self.basis = Basis(body, share, share[:, :, None, None] * surface[:, None], ancestors, False)
         self.precision = prior.precision() * settings.pose_weight
 
-    def joints(self, state: State) -> np.ndarray:
+    def joints(self, state: State) -> Float[np.ndarray, "24 3"]:
         """(24, 3) joints in the world, metres."""
         return self.basis.placed(state)[2][0] + state.trans[0]
 
-    def regions(self, state: State) -> list[np.ndarray]:
+    def regions(self, state: State) -> list[Bool[np.ndarray, "H W"]]:
         """(H, W) bool per camera: where the body is seen."""
         points = self.basis.points(state)[0]
         return [mesh_depth(points, self.body.proxy_faces, c) > 0 for c in self.cameras]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -23,6 +24,9 @@ from studiorecon.people.silhouettes.contour import Silhouette, Targets
 from studiorecon.people.silhouettes.foreground import FOREGROUND, UNKNOWN
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Differences of agreement worth one nat: of the whole outline, and around the feet.
 _OUTLINE_UNIT, _FEET_UNIT = 0.01, 0.03
@@ -95,7 +99,7 @@ def witness(
     surface: Silhouette,
     targets: Mapping[int, Targets],
     followed: Mapping[int, tuple[State, float]],
-    sides: Mapping[int, np.ndarray] | None = None,
+    sides: Mapping[int, Float[np.ndarray, "N 3"]] | None = None,
 ) -> Witness:
     """What speaks for the facing of a body ``followed`` (frame → state, agreement) over some frames; ``sides``: frame
     → (N, 3) from right to left by the detector."""
@@ -109,18 +113,18 @@ def witness(
     return Witness(outline, float(np.mean(known)) if known else 0.0, ahead_m(states), guess)
 
 
-def left_of(state: State) -> np.ndarray:
+def left_of(state: State) -> Float[np.ndarray, " 3"]:
     """(3,) level unit vector from a body's right to its left."""
     left = (state.local[0, 0] @ np.array([1.0, 0.0, 0.0])) * [1, 1, 0]
     return left / max(float(np.linalg.norm(left)), 1e-9)
 
 
 def across_of(
-    shown: Mapping[int, Sequence[np.ndarray]],
+    shown: Mapping[int, Sequence[Integer[np.ndarray, "H W"]]],
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
     sizes: Sequence[tuple[int, int]],
-) -> dict[int, np.ndarray]:
+) -> dict[int, Float[np.ndarray, "N 3"]]:
     """Frame → (N, 3) level unit vectors from right to left by the detector, of those whom it saw in the silhouettes
     ``shown`` (frame → V pictures of ``cameras``); its detections, one of each camera that has any, are in pictures of
     ``sizes``."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -20,6 +21,9 @@ from studiorecon.footage.video import read_frames, to_float
 from studiorecon.images.difference import plate_difference
 from studiorecon.images.regions import without_holes
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 BACKGROUND, FOREGROUND, UNKNOWN = 0, 1, 2
 # Gaps in an outline that are closed, as a share of the longer side; enclosed gaps that are filled, as a share of the
@@ -54,8 +58,8 @@ class SilhouetteView:
 
     camera: Camera
     video: Path
-    rgb: np.ndarray
-    measured: np.ndarray
+    rgb: Float[np.ndarray, "H W 3"]
+    measured: Bool[np.ndarray, "H W"]
 
 
 def open_view(camera: Camera, video: Path, plate: Path, settings: ForegroundSettings) -> SilhouetteView:
@@ -65,7 +69,7 @@ def open_view(camera: Camera, video: Path, plate: Path, settings: ForegroundSett
     return SilhouetteView(small, video, *shrink(rgb, measured, small.wh))
 
 
-def pictures(views: Sequence[SilhouetteView], step: int) -> Iterator[tuple[int, list[np.ndarray]]]:
+def pictures(views: Sequence[SilhouetteView], step: int) -> Iterator[tuple[int, list[Float[np.ndarray, "H W 3"]]]]:
     """Every ``step``-th frame: its number and the pictures (H, W, 3) float32 of all views, decoded side by side."""
     for t, frames in enumerate(zip(*(read_frames(v.video) for v in views), strict=True)):
         if t % step == 0:
@@ -80,7 +84,9 @@ def pictures(views: Sequence[SilhouetteView], step: int) -> Iterator[tuple[int, 
             )
 
 
-def labels(rgb: np.ndarray, view: SilhouetteView, known: np.ndarray, settings: ForegroundSettings) -> np.ndarray:
+def labels(
+    rgb: Float[np.ndarray, "H W 3"], view: SilhouetteView, known: Bool[np.ndarray, "H W"], settings: ForegroundSettings
+) -> Integer[np.ndarray, "H W"]:
     """(H, W) uint8 labels of a picture (H, W, 3) in [0, 1]; ``known`` (H, W) bool: where people with keypoints
     stand."""
     picture, plate = cv2.GaussianBlur(rgb, (3, 3), 0), cv2.GaussianBlur(view.rgb, (3, 3), 0)

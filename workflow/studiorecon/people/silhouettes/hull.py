@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numba
@@ -21,6 +22,9 @@ import scipy
 from studiorecon.people.silhouettes import MIN_CAMERAS
 from studiorecon.people.silhouettes.foreground import BACKGROUND, FOREGROUND
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
 
 # How far around the middle of the cameras' views people are looked for, how high, and how deep the floor may lie;
 # metres.
@@ -69,10 +73,10 @@ class HullPart:
     """One part of the hull at one frame: where it stands (2,), cells (N, 3), cameras (V,) that show it or deny a cell
     (N, V)."""
 
-    place_m: np.ndarray
-    cells_m: np.ndarray
-    seen_by: np.ndarray
-    denied: np.ndarray
+    place_m: Float[np.ndarray, " 2"]
+    cells_m: Float[np.ndarray, "N 3"]
+    seen_by: Bool[np.ndarray, " V"]
+    denied: Bool[np.ndarray, "N V"]
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,14 @@ class HullTrack:
     """One part of the hull over time: ``frames`` (F,), ``places_m`` (F, 2), cameras ``seen_by`` (V,) in most of
     them."""
 
-    frames: np.ndarray
-    places_m: np.ndarray
-    seen_by: np.ndarray
+    frames: Integer[np.ndarray, " F"]
+    places_m: Float[np.ndarray, "F 2"]
+    seen_by: Bool[np.ndarray, " V"]
 
 
-def watched_cells(cameras: Sequence[Camera], voxel_m: float, least: int) -> tuple[np.ndarray, tuple[int, int, int]]:
+def watched_cells(
+    cameras: Sequence[Camera], voxel_m: float, least: int
+) -> tuple[Float[np.ndarray, "N 3"], tuple[int, int, int]]:
     """(N, 3) centres of the cells of a box around all that ``least`` cameras see, and the box's cells along x, y, z."""
     centre = _middle(cameras)
     coarse = _box(np.append(centre - _REACH_M, -_BELOW_M), np.append(centre + _REACH_M, _TOP_M), 0.2)[0]
@@ -96,16 +102,18 @@ def watched_cells(cameras: Sequence[Camera], voxel_m: float, least: int) -> tupl
     return _box(low, high, voxel_m)
 
 
-def cells_around(place_m: np.ndarray, voxel_m: float, radius_m: float = 1.1) -> tuple[np.ndarray, tuple[int, int, int]]:
+def cells_around(
+    place_m: Float[np.ndarray, " 2"], voxel_m: float, radius_m: float = 1.1
+) -> tuple[Float[np.ndarray, "N 3"], tuple[int, int, int]]:
     """(N, 3) centres of the cells of a box around a person who stands at ``place_m`` (2,)."""
     return _box(np.append(place_m - radius_m, -_BELOW_M), np.append(place_m + radius_m, _TOP_M), voxel_m)
 
 
 def parts(
-    cells_m: np.ndarray,
+    cells_m: Float[np.ndarray, "N 3"],
     shape: tuple[int, int, int],
     cameras: Sequence[Camera],
-    labels: Sequence[np.ndarray],
+    labels: Sequence[Integer[np.ndarray, "H W"]],
     voxel_m: float,
 ) -> list[HullPart]:
     """Parts of the hull of one frame, largest first; ``labels`` are the cameras' pictures (H, W) of
@@ -122,12 +130,12 @@ def parts(
 
 
 def whole_person(
-    cells_m: np.ndarray,
+    cells_m: Float[np.ndarray, "N 3"],
     shape: tuple[int, int, int],
     cameras: Sequence[Camera],
-    labels: Sequence[np.ndarray],
+    labels: Sequence[Integer[np.ndarray, "H W"]],
     voxel_m: float,
-    place_m: np.ndarray,
+    place_m: Float[np.ndarray, " 2"],
     radius_m: float,
 ) -> HullPart | None:
     """Everything connected to the parts within ``radius_m`` of ``place_m`` (2,), arms included; None when nothing

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,6 +13,9 @@ import numpy as np
 from studiorecon.people.silhouettes.foreground import BACKGROUND, FOREGROUND, UNKNOWN
 from studiorecon.people.silhouettes.hull import HullPart
 from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # How far apart the edges of a hole in a silhouette may lie, as a share of the longer side.
 _HOLE_SHARE = 0.03
@@ -25,12 +29,12 @@ _LIMB_M, _ARM_M = 0.35, 0.9
 
 def silhouettes(
     people: Sequence[HullPart],
-    places_m: Sequence[np.ndarray],
+    places_m: Sequence[Float[np.ndarray, " 2"]],
     view: int,
     camera: Camera,
-    label: np.ndarray,
+    label: Integer[np.ndarray, "H W"],
     voxel_m: float,
-) -> list[np.ndarray]:
+) -> list[Integer[np.ndarray, "H W"]]:
     """(H, W) uint8 labels of camera number ``view`` for everybody, who stand at ``places_m`` (2,): foreground where the
     person is.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_npz
 from studiorecon.scene.intermediate import as_written, read_arrays
 from studiorecon.scene.people import Detections, Person
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer
 
 # Parts of the hull whose middle is this near to a person's are the person's: a leg apart; metres.
 _APART_M = 0.5
@@ -70,12 +73,12 @@ class SilhouettePerson:
     name: str
     cameras: tuple[str, ...]
     seen_by: tuple[str, ...]
-    places_m: np.ndarray
+    places_m: Float[np.ndarray, "F 2"]
     labels: LabelFilm
     start: upright.UprightFit
 
     @property
-    def frames(self) -> np.ndarray:
+    def frames(self) -> Integer[np.ndarray, " F"]:
         """(F,) frames that have silhouettes."""
         return np.array(list(self.labels), dtype=np.int64)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from studiorecon.body.fitting.basis import State
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, OTHER_SIDE
 from studiorecon.people.silhouettes.contour import Before, Silhouette, Targets
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _SIDES = ("left", "right")
 _ARM = {side: [JOINT_NAMES.index(f"{side}_{joint}") for joint in ("shoulder", "elbow")] for side in _SIDES}
@@ -49,7 +52,7 @@ class Walk(Protocol):
     @property
     def fps(self) -> float: ...
 
-    def place_m(self, frame: int) -> np.ndarray: ...
+    def place_m(self, frame: int) -> Float[np.ndarray, " 2"]: ...
 
 
 @dataclass(frozen=True)

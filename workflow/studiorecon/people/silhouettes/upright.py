@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from studiorecon.keypoints.layouts import JOINT_NAMES, OTHER_SIDE
 from studiorecon.people.silhouettes.contour import Silhouette, Targets
 from studiorecon.people.silhouettes.facing import Facing, compare, witness
 from studiorecon.people.silhouettes.tracking import arms_settled, follow
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 _YAWS = 12
 # Arms hanging, and arms half raised; radians about the shoulder's z.
@@ -42,11 +46,11 @@ class UprightWalk:
     the detector saw somebody in them."""
 
     targets: Mapping[int, Targets]
-    places_m: Mapping[int, np.ndarray]
+    places_m: Mapping[int, Float[np.ndarray, " 2"]]
     fps: float
-    sides: Mapping[int, np.ndarray] = field(default_factory=dict)
+    sides: Mapping[int, Float[np.ndarray, "N 3"]] = field(default_factory=dict)
 
-    def place_m(self, frame: int) -> np.ndarray:
+    def place_m(self, frame: int) -> Float[np.ndarray, " 2"]:
         return self.places_m[int(frame)]
 
     def around(self, frame: int) -> UprightWalk:
@@ -75,7 +79,9 @@ class UprightFit:
     facing: Facing
 
 
-def upright(place_m: np.ndarray, floor_m: float, height_m: float, yaw_rad: float, arms_rad: float) -> State:
+def upright(
+    place_m: Float[np.ndarray, " 2"], floor_m: float, height_m: float, yaw_rad: float, arms_rad: float
+) -> State:
     """The relaxed body standing at ``place_m`` (2,) with its pelvis where that of somebody of ``height_m`` is."""
     local = prior.middle()[None].copy()
     local[0, 0] = rotations.exp(upright_global_orientation(yaw_rad))
@@ -87,7 +93,7 @@ def upright(place_m: np.ndarray, floor_m: float, height_m: float, yaw_rad: float
 
 
 def cold_start(
-    surface: Silhouette, targets: Targets, place_m: np.ndarray, floor_m: float, height_m: float
+    surface: Silhouette, targets: Targets, place_m: Float[np.ndarray, " 2"], floor_m: float, height_m: float
 ) -> list[tuple[float, State]]:
     """Agreement and state of the best facings, best first: every yaw and two arm poses by the root alone, the best ones
     in full."""

@@ -11,12 +11,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import float32, njit, prange
 
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import BLOCK_FLOATS, KERNEL, LANES, MEAN, OPACITY, QUATERNION, SCALE, SH
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Integer, Shaped
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class BlockedGaussians:
         degree: spherical harmonics degree; higher rows are neither read nor written.
     """
 
-    parameters: np.ndarray
+    parameters: Float[np.ndarray, " P"]
     count: int
     degree: int
 
@@ -38,7 +42,7 @@ class BlockedGaussians:
         return len(self.parameters) // BLOCK_FLOATS * LANES
 
 
-def aligned(count: int, dtype: type = np.float32) -> np.ndarray:
+def aligned(count: int, dtype: type = np.float32) -> Shaped[np.ndarray, " C"]:
     """Zeros that start at a cache line."""
     size = count * np.dtype(dtype).itemsize
     raw = np.zeros(size + 64, np.uint8)
@@ -51,7 +55,9 @@ def padded_count(count: int) -> int:
     return max(LANES, -(-count // LANES) * LANES)
 
 
-def block(gaussians: Gaussians, order: np.ndarray | None = None, within: np.ndarray | None = None) -> BlockedGaussians:
+def block(
+    gaussians: Gaussians, order: Integer[np.ndarray, " N"] | None = None, within: Float[np.ndarray, " P"] | None = None
+) -> BlockedGaussians:
     """Parameter blocks of the Gaussians, in ``order`` (a permutation; the given order when None), in the memory
     ``within`` where that has their size."""
     order = np.arange(gaussians.count) if order is None else order
@@ -63,7 +69,7 @@ def block(gaussians: Gaussians, order: np.ndarray | None = None, within: np.ndar
     return blocked
 
 
-def morton_order(means_m: np.ndarray) -> np.ndarray:
+def morton_order(means_m: Float[np.ndarray, "N 3"]) -> Integer[np.ndarray, " N"]:
     """Permutation (N,) that sorts means (N, 3) along a Z-order curve of 1024³ cells over their middle 98 %; non-finite
     ones go last."""
     finite = np.isfinite(means_m).all(axis=1)

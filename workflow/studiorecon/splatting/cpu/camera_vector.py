@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from studiorecon.scene.camera import Camera
 from studiorecon.splatting.conventions import CAMERA_FLOATS, COMPENSATED, FRAME_MARGIN, LIMITS
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
-def camera_vector(camera: Camera, near_m: float, antialias: bool = False) -> np.ndarray:
+
+def camera_vector(camera: Camera, near_m: float, antialias: bool = False) -> Float[np.ndarray, " 27"]:
     """The camera as kernels take it, (27,) float32; the centre is computed in float64."""
     (fx, fy), (cx, cy), (width, height) = camera.focal_px, camera.principal_px, camera.wh
     margin_x, margin_y = float(FRAME_MARGIN) * width / fx, float(FRAME_MARGIN) * height / fy

@@ -4,10 +4,15 @@ other colours."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit, prange
 
 from studiorecon.splatting.conventions import KERNEL, RECORD
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
 
 
 @njit(parallel=True, **KERNEL)
@@ -29,7 +34,7 @@ def collect(planes, first, image):
                 image[y, x, first + channel] = planes[channel, y, x]
 
 
-def in_threes(values: np.ndarray) -> list[np.ndarray]:
+def in_threes(values: Num[np.ndarray, "N C"]) -> list[Float[np.ndarray, "N 3"]]:
     """(N, C) → arrays (N, 3) of float32, the last padded with zeros."""
     count, channels = values.shape
     if channels % 3 == 0:

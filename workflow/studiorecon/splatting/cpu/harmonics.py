@@ -6,12 +6,17 @@ How many bands the cameras can tell apart is ``degree_supported``'s to say.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import njit
 
 from studiorecon.splatting.conventions import INLINE, LANES, SH
 from studiorecon.splatting.cpu.simd import broadcast, madd, where
 from studiorecon.splatting.cpu.simd_rows import load, store
+
+if TYPE_CHECKING:
+    from jaxtyping import Num
 
 C0 = np.float32(0.28209479177387814)
 C1 = np.float32(0.4886025119029199)
@@ -27,7 +32,7 @@ DISTINCT_DEG = 5.0
 """Directions closer than this show the same colour of every band up to degree 3, so they count once."""
 
 
-def degree_supported(directions: np.ndarray) -> int:
+def degree_supported(directions: Num[np.ndarray, "N 3"]) -> int:
     """The largest degree d, at most 3, for which there are (d + 1)² distinct viewing directions (G15).
 
     ``directions`` (N, 3) point from what is seen to the cameras, any length; zeros and NaN do not count. With fewer

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -45,6 +46,9 @@ from studiorecon.splatting.rendering import (
     taken_apart,
 )
 
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
 __all__ = ["GaussianGradients", "Rasteriser", "Rendering"]
 
 
@@ -74,7 +78,7 @@ class Rasteriser:
         pair_count: splat–tile pairs of the last view.
     """
 
-    planes: np.ndarray
+    planes: Float[np.ndarray, "5 H W"]
     _grid: tuple[int, int]
     _cursor: np.ndarray
     _starts: np.ndarray
@@ -104,7 +108,7 @@ class Rasteriser:
         background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
         *,
         normals: bool = False,
-        values: np.ndarray | None = None,
+        values: Num[np.ndarray, "N C"] | None = None,
     ) -> Rendering:
         """One view as fresh arrays; blocks are drawn as they are, Gaussians are put into blocks in their order first.
 
@@ -171,7 +175,10 @@ class Rasteriser:
         return image
 
     def backward(
-        self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
+        self,
+        grad_rgb: Num[np.ndarray, "H W 3"] | None,
+        grad_alpha: Num[np.ndarray, "H W"] | None = None,
+        grad_depth: Num[np.ndarray, "H W"] | None = None,
     ) -> GaussianGradients:
         """Gradients of a scalar by the Gaussians of the last ``forward``, from its gradients by rgb (H, W, 3), alpha
         and depth (H, W).
@@ -199,14 +206,14 @@ class Rasteriser:
 
     def forward_planes(
         self, gaussians: Gaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> np.ndarray:
+    ) -> Float[np.ndarray, "5 H W"]:
         """``draw`` of Gaussians that are others at every call, for a training that poses them; the next call overwrites
         everything."""
         self._own_blocks = blocks.block(gaussians, within=self._own_blocks).parameters
         blocked = BlockedGaussians(self._own_blocks, gaussians.count, gaussians.sh_degree)
         return self.draw(blocked, camera, background_rgb)
 
-    def backward_planes(self, plane_gradients: np.ndarray) -> GaussianGradients:
+    def backward_planes(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> GaussianGradients:
         """``backward`` of gradients (5, H, W) as ``gather`` takes them; that by the background's colour stays 0."""
         blocked = self._blocked
         assert blocked is not None, "backward_planes needs a forward pass first"
@@ -233,8 +240,8 @@ class Rasteriser:
         blocked: BlockedGaussians,
         camera: Camera,
         background_rgb: Sequence[float],
-        three: np.ndarray | None = None,
-    ) -> np.ndarray:
+        three: Float[np.ndarray, "N 3"] | None = None,
+    ) -> Float[np.ndarray, "5 H W"]:
         """Inner loop of training: fills and returns ``planes`` (5, H, W): red, green, blue, depth sum, transmittance.
 
         ``three`` (N, 3) are values that are blended in the same pass. The next call overwrites everything. Raises
@@ -282,7 +289,7 @@ class Rasteriser:
             blend_more(*tables, self._more, self._ticket)
         return self.planes
 
-    def gather(self, plane_gradients: np.ndarray) -> np.ndarray:
+    def gather(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> Float[np.ndarray, " P"]:
         """Inner loop of training: fills and returns ``gradient`` (blocks; by activated scale and opacity) from
         gradients (5, H, W).
 

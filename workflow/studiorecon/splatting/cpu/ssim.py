@@ -8,6 +8,8 @@ statistics of the target alone are computed once.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float32, int64, njit, prange
 
@@ -17,12 +19,15 @@ from studiorecon.splatting.conventions import INLINE, KERNEL, LANES
 from studiorecon.splatting.cpu.simd import above, below, broadcast, madd, magnitude, select, where, zeros
 from studiorecon.splatting.cpu.simd_rows import load, store
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 TAPS = WINDOW
 PAD = LANES
 C1, C2 = np.float32(K_1**2), np.float32(K_2**2)
 
 
-def window() -> np.ndarray:
+def window() -> Float[np.ndarray, " 11"]:
     """(11,) float32, the window that pictures are measured with."""
     return similarity.window().astype(np.float32)
 

@@ -5,11 +5,15 @@ followed."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from studiorecon.splatting.train.schedule import BETA_1, BETA_2, EPSILON_LEAST, EPSILON_STEPS
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Integer, Shaped
 
 
 class Adam:
@@ -96,7 +100,7 @@ class Adam:
         typical = torch.sqrt(self._squares[part].max() / self._steps).float()
         self._epsilons[part] = (self._epsilon * typical).clamp_min(EPSILON_LEAST)
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Shaped[np.ndarray, " ..."]]:
         """Moments, steps, epsilons and the count of refused entries, for a checkpoint."""
         kinds = {"first": self._first, "second": self._second, "squares": self._squares, "epsilon": self._epsilons}
         held = {
@@ -104,7 +108,7 @@ class Adam:
         }
         return {**held, "steps": np.array(self._steps), "refused": self.refused.cpu().numpy()}
 
-    def resume(self, held: Mapping[str, np.ndarray]) -> None:
+    def resume(self, held: Mapping[str, Shaped[np.ndarray, " ..."]]) -> None:
         """Puts ``arrays`` back."""
         for kind, values in (
             ("first", self._first),
@@ -118,7 +122,7 @@ class Adam:
         self._steps = int(held["steps"])
         self.refused.fill_(int(held["refused"]))
 
-    def regrow(self, parent: np.ndarray, fresh: np.ndarray) -> None:
+    def regrow(self, parent: Integer[np.ndarray, " M"], fresh: Bool[np.ndarray, " M"]) -> None:
         """The moments of Gaussians that descend from ``parent`` (M,); ``fresh`` (M,) ones start without."""
         for moments in (self._first, self._second):
             for name, value in moments.items():

@@ -45,6 +45,7 @@ from studiorecon.splatting.rendering import (
 
 if TYPE_CHECKING:
     import torch
+    from jaxtyping import Float, Num
 
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 Rasterization = Callable[..., tuple[Any, Any, dict[str, Any]]]
@@ -193,7 +194,7 @@ class GsplatRasteriser:
         background_rgb: Sequence[float] = (0.0, 0.0, 0.0),
         *,
         normals: bool = False,
-        values: np.ndarray | None = None,
+        values: Num[np.ndarray, "N C"] | None = None,
     ) -> Rendering:
         """As ``Rasteriser.forward``."""
         import torch
@@ -252,7 +253,10 @@ class GsplatRasteriser:
         return _array(drawn.rgb)
 
     def backward(
-        self, grad_rgb: np.ndarray | None, grad_alpha: np.ndarray | None = None, grad_depth: np.ndarray | None = None
+        self,
+        grad_rgb: Num[np.ndarray, "H W 3"] | None,
+        grad_alpha: Num[np.ndarray, "H W"] | None = None,
+        grad_depth: Num[np.ndarray, "H W"] | None = None,
     ) -> GaussianGradients:
         """As ``Rasteriser.backward``, once per ``forward``; raises as it does."""
         import torch
@@ -286,14 +290,14 @@ class GsplatRasteriser:
 
     def forward_planes(
         self, gaussians: Gaussians, camera: Camera, background_rgb: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> np.ndarray:
+    ) -> Float[np.ndarray, "5 H W"]:
         """As ``Rasteriser.forward_planes``; the depth sum is not filled."""
         drawn = self.forward(gaussians, camera, background_rgb)
         planes = np.zeros((5, *drawn.alpha.shape), np.float32)
         planes[:3], planes[4] = drawn.rgb.transpose(2, 0, 1), 1 - drawn.alpha
         return planes
 
-    def backward_planes(self, plane_gradients: np.ndarray) -> GaussianGradients:
+    def backward_planes(self, plane_gradients: Float[np.ndarray, "5 H W"]) -> GaussianGradients:
         """As ``Rasteriser.backward_planes``, without depth."""
         return self.backward(plane_gradients[:3].transpose(1, 2, 0), plane_gradients[4])
 

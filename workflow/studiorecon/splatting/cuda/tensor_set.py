@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -24,6 +24,9 @@ from studiorecon.splatting.train.schedule import TrainingSettings, degree_at, ra
 from studiorecon.splatting.train.targets import DrawOrder, Target, TargetSizes
 from studiorecon.splatting.train.terms import TensorView
 from studiorecon.splatting.train.trainer import Preview
+
+if TYPE_CHECKING:
+    from jaxtyping import Shaped
 
 
 class TensorSet:
@@ -126,13 +129,13 @@ class TensorSet:
             shown = self._view(target, self._settings.sh_degree).rgb.cpu().numpy()
         return Preview(len(self.source), target.camera.name, shown, target.rgb, target.used)
 
-    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def snapshot(self) -> tuple[dict[str, Shaped[np.ndarray, " ..."]], dict[str, Any]]:
         """Parameters, Adam, screen gradients so far, the rest of the round of targets."""
         arrays = {name: leaf.detach().cpu().numpy() for name, leaf in self.leaves.items()}
         arrays |= {f"adam.{name}": value for name, value in self.adam.arrays().items()}
         return arrays | {"source": self.source, "seen": self._seen.cpu().numpy()}, {"pending": self._order.pending}
 
-    def resume(self, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+    def resume(self, arrays: dict[str, Shaped[np.ndarray, " ..."]], facts: dict[str, Any]) -> None:
         """Puts a ``snapshot`` back."""
         self.source, self._order.pending = arrays["source"], facts["pending"]
         self._put({name: arrays[name] for name in FIELDS})
