@@ -39,7 +39,7 @@ FINISHED_STUDIO = {
         "hardships",
         "lost_worker",
     )
-}  # fmt: skip
+}
 
 
 @pytest.hookimpl(tryfirst=True)

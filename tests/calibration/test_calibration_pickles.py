@@ -14,9 +14,13 @@ from studiorecon.errors import UserError
 OBJECTS = np.empty(2, object)
 OBJECTS[0], OBJECTS[1] = [np.eye(2), np.zeros((0, 3))], {"t": (1, np.float32(2.5))}
 TABLE = {
-    "numbers": np.arange(6.0).reshape(2, 3), "turned": np.asfortranarray(np.arange(6, dtype=">f4").reshape(2, 3)),
-    "one": np.float64(3), "marks": np.array([True, False]), "none": np.zeros((0, 2)), "text": ["a", b"b", None],
-}  # fmt: skip
+    "numbers": np.arange(6.0).reshape(2, 3),
+    "turned": np.asfortranarray(np.arange(6, dtype=">f4").reshape(2, 3)),
+    "one": np.float64(3),
+    "marks": np.array([True, False]),
+    "none": np.zeros((0, 2)),
+    "text": ["a", b"b", None],
+}
 
 
 @pytest.mark.parametrize("protocol", range(2, 6))

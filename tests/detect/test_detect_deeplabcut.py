@@ -50,9 +50,17 @@ def test_mediapipe_s_names_are_ours() -> None:
 
 @pytest.mark.parametrize(
     ("theirs", "ours"),
-    [("RBigToe", "right_big_toe"), ("LShoulder", "left_shoulder"), ("shoulder_left", "left_shoulder"), ("Nose", "nose"),
-     ("left ankle", "left_ankle"), ("rightKnee", "right_knee"), ("R_Hip", "right_hip"), ("Neck", "neck")],
-)  # fmt: skip
+    [
+        ("RBigToe", "right_big_toe"),
+        ("LShoulder", "left_shoulder"),
+        ("shoulder_left", "left_shoulder"),
+        ("Nose", "nose"),
+        ("left ankle", "left_ankle"),
+        ("rightKnee", "right_knee"),
+        ("R_Hip", "right_hip"),
+        ("Neck", "neck"),
+    ],
+)
 def test_names_of_other_programs(theirs: str, ours: str) -> None:
     assert canonical(theirs) == ours
 

@@ -37,13 +37,16 @@ def written(folder: Path, content: Any) -> Path:
     [
         [{"landmarks": [person(0), person(1)], "worldLandmarks": []}, {"landmarks": []}, {"landmarks": [person(2)]}],
         [{"pose_landmarks": [person(0), person(1)]}, {"pose_landmarks": []}, {"pose_landmarks": [person(2)]}],
-        {"frames": [
-            {"frame": 2, "pose_landmarks": [person(2)]}, {"frame": 0, "pose_landmarks": [person(0), person(1)]}
-        ]},
+        {
+            "frames": [
+                {"frame": 2, "pose_landmarks": [person(2)]},
+                {"frame": 0, "pose_landmarks": [person(0), person(1)]},
+            ]
+        },
         [{"poseLandmarks": [person(0), person(1)]}, {"poseLandmarks": None}, {"poseLandmarks": [person(2)]}],
     ],
     ids=["javascript", "tasks", "numbered", "protobuf"],
-)  # fmt: skip
+)
 def test_landmarks_come_back_in_pixels(tmp_path: Path, content: Any) -> None:
     entries, kind = read_keypoints(written(tmp_path, content), WH)
     assert kind == "MediaPipe"

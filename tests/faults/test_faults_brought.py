@@ -105,14 +105,22 @@ GREY = RNG.integers(0, 256, (12, 16), np.uint8)
 FILM = [np.repeat(np.roll(GREY, k, 1).repeat(4, 0).repeat(4, 1)[..., None], 3, -1) for k in range(8)]
 DEPTH = (1 + RNG.random((12, 16))).astype(np.float32)
 ROWS = {
-    "id": np.arange(3), "frame_idx": np.array([0, 0, 1]), "pose": np.zeros((3, 72), np.float32),
-    "betas": np.zeros((3, 10), np.float32), "trans": np.ones((3, 3), np.float32), "conf": np.ones(3, np.float32),
-    "pred_2d": np.ones((3, 27, 2), np.float32), "pred_3d": np.ones((3, 27, 3), np.float32),
-}  # fmt: skip
+    "id": np.arange(3),
+    "frame_idx": np.array([0, 0, 1]),
+    "pose": np.zeros((3, 72), np.float32),
+    "betas": np.zeros((3, 10), np.float32),
+    "trans": np.ones((3, 3), np.float32),
+    "conf": np.ones(3, np.float32),
+    "pred_2d": np.ones((3, 27, 2), np.float32),
+    "pred_3d": np.ones((3, 27, 3), np.float32),
+}
 CLOUD = Gaussians(
-    RNG.normal(size=(5, 3)).astype(np.float32), np.tile(np.float32([1, 0, 0, 0]), (5, 1)),
-    np.full((5, 3), -3, np.float32), np.zeros(5, np.float32), np.zeros((5, 4, 3), np.float32),
-)  # fmt: skip
+    RNG.normal(size=(5, 3)).astype(np.float32),
+    np.tile(np.float32([1, 0, 0, 0]), (5, 1)),
+    np.full((5, 3), -3, np.float32),
+    np.zeros(5, np.float32),
+    np.zeros((5, 4, 3), np.float32),
+)
 READERS = {
     "plate": Reader("plate.png", picture(".png", np.dstack([GREY] * 4)), plate_right, text=False),
     "plate of 16 bits": Reader("plate.png", picture(".png", GREY.astype(np.uint16) * 257), plate_right, text=False),

@@ -61,18 +61,29 @@ MMPOSE = {
 }
 POSE = [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 2.0]]
 TRANSFORMS = {
-    "fl_x": 900.0, "w": 1920, "h": 1080, "k1": 0.01,
+    "fl_x": 900.0,
+    "w": 1920,
+    "h": 1080,
+    "k1": 0.01,
     "frames": [
         {"file_path": f"images/{c}/0.png", "transform_matrix": [[1.0, 0, 0, x], [0, 1.0, 0, 0], [0, 0, 1.0, 0]]}
         for c, x in (("a", 0.0), ("b", 3.0))
     ],
-}  # fmt: skip
+}
 TRAIN_META = {"w": 640, "h": 360, "k": [[[[500.0, 0, 320], [0, 500, 180], [0, 0, 1]]]], "w2c": [[POSE]]}
 CAPTURE = {
-    "held_out": ["c"], "frames": {"first": 0, "count": 30}, "focal_px": {"a": 900.0}, "height_m": {"p0": 1.7},
-    "distance_m": ["a", "b", 3.2], "starts": {"a": 3}, "people": 2, "keypoint_layout": "coco17",
-    "pixel_maps": {"a": {"scale": 0.5, "offset": [0.0, 7.0]}}, "masks": "videos", "train": ["a", "b"],
-}  # fmt: skip
+    "held_out": ["c"],
+    "frames": {"first": 0, "count": 30},
+    "focal_px": {"a": 900.0},
+    "height_m": {"p0": 1.7},
+    "distance_m": ["a", "b", 3.2],
+    "starts": {"a": 3},
+    "people": 2,
+    "keypoint_layout": "coco17",
+    "pixel_maps": {"a": {"scale": 0.5, "offset": [0.0, 7.0]}},
+    "masks": "videos",
+    "train": ["a", "b"],
+}
 TOML = """[int_cam0_img]\nname = "int_cam0_img"\nsize = [ 1920.0, 1080.0,]
 matrix = [ [ 1000.0, 0.0, 960.0,], [ 0.0, 1000.0, 540.0,], [ 0.0, 0.0, 1.0,],]
 distortions = [ 0.0, 0.0, 0.0, 0.0,]\nrotation = [ 0.1, 0.2, 0.3,]\ntranslation = [ 0.1, 0.2, 3.0,]\nfisheye = false
@@ -96,11 +107,14 @@ PARTS = [f"{side}{part}" for part in ("Shoulder", "Hip", "Knee", "Ankle") for si
 DEEPLABCUT = "\n".join(
     ",".join([first, *(cell for part in PARTS for cell in cells(part))])
     for first, cells in {
-        "scorer": lambda part: ["net"] * 3, "individuals": lambda part: ["one"] * 3,
-        "bodyparts": lambda part: [part] * 3, "coords": lambda part: ["x", "y", "likelihood"],
-        "0": lambda part: ["10.5", "20", "0.9"], "1": lambda part: ["", "", ""],
+        "scorer": lambda part: ["net"] * 3,
+        "individuals": lambda part: ["one"] * 3,
+        "bodyparts": lambda part: [part] * 3,
+        "coords": lambda part: ["x", "y", "likelihood"],
+        "0": lambda part: ["10.5", "20", "0.9"],
+        "1": lambda part: ["", "", ""],
     }.items()
-)  # fmt: skip
+)
 
 
 XCP = """<Cameras VERSION="2.0"><Camera DEVICEID="7" PIXEL_ASPECT_RATIO="1" SENSOR_SIZE="1920 1080"><KeyFrames>
@@ -115,9 +129,12 @@ OrientMatrix5="0" OrientMatrix6="0" OrientMatrix7="0" OrientMatrix8="1"/></Camer
 BIOCV = """1920\n1080\n\n1000 0 960\n0 1000 540\n0 0 1\n
 1 0 0 0\n0 0 -1 0\n0 1 0 3000\n0 0 0 1\n\n0.01 0 0 0 0\n"""
 OPENCAP = {
-    "intrinsicMat": np.array([[1000.0, 0, 960], [0, 1000, 540], [0, 0, 1]]), "distortion": np.zeros((1, 5)),
-    "imageSize": np.array([[1080.0], [1920.0]]), "rotation": np.eye(3), "translation": np.zeros((3, 1)),
-}  # fmt: skip
+    "intrinsicMat": np.array([[1000.0, 0, 960], [0, 1000, 540], [0, 0, 1]]),
+    "distortion": np.zeros((1, 5)),
+    "imageSize": np.array([[1080.0], [1920.0]]),
+    "rotation": np.eye(3),
+    "translation": np.zeros((3, 1)),
+}
 
 
 VIDEOS = tuple((f"videos/{c}.mp4", b"") for c in "abc")
