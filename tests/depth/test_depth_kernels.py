@@ -11,7 +11,7 @@ from pathlib import Path
 
 from numba.core.registry import CPUDispatcher
 from studiorecon.configuration.settings import load
-from studiorecon.depth import kernels, room, sweep
+from studiorecon.depth import box, kernels, room, sweep
 
 from tests.made.room import made_room, photograph, ring, write_capture
 
@@ -26,13 +26,14 @@ def compiled() -> set[tuple[str, str]]:
     return {(kernel.py_func.__qualname__, str(types)) for kernel in found for types in kernel.signatures}
 
 
-def compiled_by_the_fit_alone(folder: Path, section: dict, files: dict) -> set[tuple[str, str]]:
-    """What ``depth.room`` compiles after ``depth.kernels``; for a process that has compiled nothing."""
+def compiled_by_the_fit_alone(folder: Path, section: dict, seen: dict, files: dict) -> set[tuple[str, str]]:
+    """What ``depth.box`` and ``depth.room`` compile after ``depth.kernels``, in a process that has compiled nothing."""
     assert not compiled()
     kernels.run(folder / "kernels.txt")
     assert (folder / "kernels.txt").is_file()
     before = compiled()
-    room.run(load(room.Settings, section, "depth"), **files)
+    box.run(load(box.Settings, section, "depth"), **seen)
+    room.run(load(room.Settings, section, "depth"), **seen, **files)
     return compiled() - before
 
 
@@ -45,8 +46,8 @@ def test_the_room_is_fitted_with_the_kernels_that_were_compiled_ahead(
     sweeps = [tmp_path / f"{c.name}.sweep.npz" for c in cameras]
     for camera, path in zip(cameras, sweeps):
         sweep.run(load(sweep.Settings, section, "depth"), camera.name, model, plates, path)
-    read = {"model": model, "plates": plates, "sweeps": sweeps, "fits": [], "detections": [], "identities": []}
+    seen = {"model": model, "plates": plates, "sweeps": sweeps, "box": tmp_path / "box.npz"}
     written = {name: tmp_path / f"{name}.out" for name in ("room_box", "primitives", "passes")}
-    files = read | written | {"picture": tmp_path / "primitives.png"}
+    files = {"fits": [], "detections": [], "identities": [], "picture": tmp_path / "primitives.png", **written}
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert pool.submit(compiled_by_the_fit_alone, tmp_path, section, files).result() == set()
+        assert pool.submit(compiled_by_the_fit_alone, tmp_path, section, seen, files).result() == set()
