@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,20 +21,10 @@ from studiorecon.scene.people import Detections
 
 from tests.defaults import loaded
 from tests.made.cameras import LIMITS, detect, ring, walk
-from tests.made.floors import carpet, off, room
+from tests.made.floors import between_deg, carpet, off, room
 
 FRAMES = 40
 PEOPLE = [walk([-1.2, -0.5, 0], [0.04, 0.02, 0], FRAMES), walk([1.1, 0.9, 0], [0, -0.04, 0], FRAMES, 2.0)]
-
-
-def between_deg(found: list[Camera], truth: list[Camera]) -> float:
-    """Largest error of the rotation between two cameras."""
-    rotations = [[c.camera_from_world[:3, :3] for c in group] for group in (found, truth)]
-    pairs = itertools.combinations(range(len(truth)), 2)
-    return max(
-        float(np.degrees(angle(rotations[0][a] @ rotations[0][b].T, rotations[1][a] @ rotations[1][b].T)))
-        for a, b in pairs
-    )
 
 
 def leant(cameras: list[Camera], degrees: float, lift_m: float) -> list[Camera]:

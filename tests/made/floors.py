@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
 import numpy as np
 from studiorecon.geometry.bundle import moved
-from studiorecon.geometry.rotations import exp
+from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.scene.camera import Camera
 
@@ -51,3 +53,13 @@ def off(cameras: list[Camera], seed: int, degrees: float, metres: float) -> list
         turn = exp(np.radians(rng.normal(0, degrees / np.sqrt(3), 3)))
         found.append(moved(c, turn @ c.camera_from_world[:3, :3], c.centre_m + rng.normal(0, metres / np.sqrt(3), 3)))
     return found
+
+
+def between_deg(found: list[Camera], truth: list[Camera]) -> float:
+    """Largest error of the rotation between two cameras."""
+    rotations = [[c.camera_from_world[:3, :3] for c in group] for group in (found, truth)]
+    pairs = itertools.combinations(range(len(truth)), 2)
+    return max(
+        float(np.degrees(angle(rotations[0][a] @ rotations[0][b].T, rotations[1][a] @ rotations[1][b].T)))
+        for a, b in pairs
+    )

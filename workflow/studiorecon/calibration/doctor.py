@@ -37,6 +37,7 @@ from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdi
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.odd_one_out import odd_one_out
 from studiorecon.rig.stale import moves, where_they_stand_now
+from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks
 from studiorecon.scene.files import read_json, write_json, write_text
@@ -112,6 +113,7 @@ def examined(
         "cameras": names,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
+        "sees_nobody": others_told([d for d, a in zip(detections, about) if a["keypoints"]]),
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "odd_one_out": None if odd is None else odd.sentence(),
@@ -150,7 +152,7 @@ def _refined(
 ) -> dict[str, Any] | None:
     """What refinement would make of the cameras: the median error then, every camera's move, and what people leave
     open of how cameras are turned to one another (``people_tell``); None where it could do nothing."""
-    if len(cameras) < 3 or sum(len(d.frame) > 0 for d in detections) < len(cameras):
+    if len(cameras) < 3 or len(watching(detections)) < 2:
         return None
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
     chosen = evenly_spread(frames, 2 * _FRAMES)

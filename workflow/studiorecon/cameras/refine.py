@@ -40,6 +40,7 @@ from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
 from studiorecon.rig.odd_one_out import odd_one_out, warn_of_odd
 from studiorecon.rig.stale import tell, where_they_stand_now
+from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage, read_manifest
 from studiorecon.scene.files import read_json, write_json
@@ -118,6 +119,11 @@ def decide(
     if not any(len(d.frame) for d in detections):
         warn("no keypoints: the calibration is used as it was given, unchecked")
         return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
+    unwatched = others_told(detections)
+    for sentence in unwatched.values():
+        warn(sentence)
+    if len(watching(detections)) < 2:
+        return _unchecked(training, held_out, report)
     chosen = evenly_spread(frames, settings.frames)
     given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
     seen, graph = observe(detections, training, chosen, settings.gate_m)
@@ -141,7 +147,9 @@ def decide(
     if blind:
         check_units(training, detections, few, settings.gate_m, settings.limits)
     if anew is None and not len(seen.frame):
-        return _nothing_agrees(training, held_out, graph.distance_m, report, settings)
+        watched = np.isin(graph.view, watching(detections))
+        distance_m = graph.distance_m[np.ix_(watched, watched)]
+        return _nothing_agrees(training, held_out, distance_m, report, settings)
     if not before < _SUSPICIOUS * limit:
         moved_px = np.inf if anew is None else anew.report["after_px"]
         refuse_swapped(training, detections, chosen, settings.gate_m, settings.limits, before, moved_px)
@@ -189,7 +197,8 @@ def decide(
             "cameras and this zoom, and that the videos "
             "are synchronised"
         )
-    warn_of_odd(adjusted, seen, detections, after_each, limit, settings.limits)
+    told_already = [camera.name in unwatched for camera in training]
+    warn_of_odd(adjusted, seen, detections, after_each, limit, settings.limits, told_already)
     report["stature_m"] = check_human_size(adjusted, seen, settings.limits)
     report["tilt_deg"] = tell_tilt(adjusted, seen, settings.limits)
     if not floor_known and len(points):
@@ -212,13 +221,17 @@ def _lenses_instead(given: list[Camera], seen: Observations, moved_px: float, se
     return bool(errors) and min(errors) <= _ABOUT_AS_WELL * moved_px
 
 
+def _unchecked(training: list[Camera], held_out: list[Camera], report: dict[str, Any]) -> Refinement:
+    warn("nobody is seen by two cameras at once: the calibration is used as it was given, unchecked")
+    return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
+
+
 def _nothing_agrees(
     training: list[Camera], held_out: list[Camera], distance_m: np.ndarray, report: dict[str, Any], settings: Settings
 ) -> Refinement:
     measured = distance_m[~np.isnan(distance_m)]
     if not len(measured):
-        warn("no person is seen by two cameras at once: the calibration is used as it was given, unchecked")
-        return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no person in two cameras"})
+        return _unchecked(training, held_out, report)
     raise UserError(
         f"no person of any two cameras fits the calibration: their rays pass {measured.min():.2f} m apart at best, "
         f"{settings.gate_m} m are allowed; check that the calibration is for these "

@@ -96,20 +96,20 @@ class Files(Brought):
 
     def first_found(self, wildcards: Any) -> list[str]:
         """The detector's files, with masks, of the training cameras in which it looked."""
-        return [f"results/{self._scene(wildcards)}/detect/found/{camera}.npz" for camera in self._detected]
+        return [f"results/{self._scene(wildcards)}/detect/found/{camera}.npz" for camera in self._detected(wildcards)]
 
     def found(self, wildcards: Any) -> list[str]:
         """The same after the second look."""
-        return [f"results/{self._scene(wildcards)}/people/seen/{camera}.npz" for camera in self._detected]
+        return [f"results/{self._scene(wildcards)}/people/seen/{camera}.npz" for camera in self._detected(wildcards)]
 
     def own_plates(self, wildcards: Any) -> list[str]:
         """Plates of the training cameras of whose empty room the user has brought a picture."""
-        brought = [camera for camera in self.plan.training if camera in self.plan.dataset.plates]
+        brought = [camera for camera in self.training(wildcards) if camera in self.plan.dataset.plates]
         return [f"results/{self._scene(wildcards)}/plates/{camera}.png" for camera in brought] if self._somebody else []
 
-    @property
-    def _detected(self) -> list[str]:
-        return [camera for camera in self.plan.training if camera in self.plan.sight.detected and self._somebody]
+    def _detected(self, wildcards: Any) -> list[str]:
+        looked = self.plan.sight.detected if self._somebody else []
+        return [camera for camera in self.training(wildcards) if camera in looked]
 
     @property
     def _somebody(self) -> bool:

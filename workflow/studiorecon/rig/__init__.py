@@ -4,7 +4,8 @@
 In come cameras and detections nobody has named; out come cameras, the world's up and floor, and how sure all of it
 is.
 
-* ``correspondences``: points that several cameras see; ``gravity``: up and the floor;
+* ``watching``: which cameras see anybody; ``correspondences``: points that several cameras see; ``gravity``: up and
+  the floor;
 * ``from_tracks``: cameras from nothing but people; ``arrangement``: the best of what that finds, and who is not in it;
   ``self_calibration``: made exact, with their focal lengths and, by ``room_turns``, the room's straight edges;
   ``floor_marks``: places on the floor that cameras share, ``one_floor``: the rig laid on them;

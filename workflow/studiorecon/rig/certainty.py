@@ -93,8 +93,12 @@ def people_tell(cameras: Sequence[Camera], seen: Observations, limits: Limits) -
     by how many degrees they would turn two of them, and half of the 95 % interval of that (``between_deg``).
 
     A calibration fits people while it is off by as much as the sum: one man on one spot allows degrees. None where
-    there is too little.
+    there is too little. Of cameras that see nobody people tell nothing.
     """
+    sighted = [int(v) for v in np.flatnonzero((seen.confidence > 0).any(1))]
+    cameras, seen = [cameras[v] for v in sighted], seen.by(sighted)
+    if len(cameras) < 2:
+        return None
     rig = Rig(dict(enumerate(cameras)), seen, triangulate(seen.pixels, seen.confidence, cameras, limits), 0)
     counted = rig.points.verified if len(cameras) > 2 else rig.points.valid
     if int(counted.sum()) < _LEAST_POINTS:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +43,10 @@ class Observations:
     keypoint: Num[np.ndarray, " N"]
     group: Num[np.ndarray, " N"]
     affinity: float
+
+    def by(self, views: Sequence[int]) -> Observations:
+        """As those cameras alone saw them."""
+        return replace(self, pixels=self.pixels[list(views)], confidence=self.confidence[list(views)])
 
     def of(self, which: Bool[np.ndarray, " N"]) -> Observations:
         """Those points only."""

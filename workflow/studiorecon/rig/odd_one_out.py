@@ -290,14 +290,16 @@ def warn_of_odd(
     each_px: Sequence[float | None],
     limit_px: float,
     limits: Limits,
+    told_already: Sequence[bool],
 ) -> None:
     """Warn of cameras whose people no two others confirm, or only far off, and where somebody is wrong but nobody can
-    tell who: ``each_px`` are the median errors of the cameras, ``limit_px`` what they may be."""
+    tell who: ``each_px`` are the median errors of the cameras, ``limit_px`` what they may be; ``told_already``: of
+    which cameras that was said."""
     if len(cameras) < 3:
         return
     help_ = "see whether its video, keypoints and calibration belong together, or leave it out (train in capture.yaml)"
-    for camera, own, px in zip(cameras, detections, each_px):
-        if len(own.frame) and (px is None or px > limit_px):
+    for camera, own, px, told in zip(cameras, detections, each_px, told_already):
+        if not told and len(own.frame) and (px is None or px > limit_px):
             how = "nobody whom two others see" if px is None else f"people {px:.0f} px beside where the others see them"
             warn(f"camera {camera.name} shows {how}; {help_}")
     share = contradicted(cameras, seen, detections, limits) if len(seen.frame) else 0.0

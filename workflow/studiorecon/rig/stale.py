@@ -27,6 +27,7 @@ from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import rigs, sightings
 from studiorecon.rig.level import levelled, under_feet
+from studiorecon.rig.watching import watching
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -89,17 +90,33 @@ def where_they_stand_now(
     """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
 
     ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
-    ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any.
+    ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any. A camera that sees nobody
+    stays where it is.
     """
-    found = moved_since(given, detections, frames, gate_m, limits, bundle, not before_px < allowed_px, rooms)
+    watched = watching(detections)
+    if len(watched) < 2:
+        return None
+    found = moved_since(
+        [given[v] for v in watched],
+        [detections[v] for v in watched],
+        frames,
+        gate_m,
+        limits,
+        bundle,
+        not before_px < allowed_px,
+        [rooms[v] for v in watched] if len(rooms) else (),
+    )
     if found is None:
         return None
     after_px = error_medians(found.cameras, found.seen, limits)[0]
     if not after_px < min((1 - gain) * (before_px if np.isfinite(before_px) else np.inf), allowed_px):
         return None
-    return replace(
-        found, report={**found.report, "before_px": before_px if np.isfinite(before_px) else None, "after_px": after_px}
-    )
+    cameras = list(given)
+    for v, camera in zip(watched, found.cameras, strict=True):
+        cameras[v] = camera
+    seen = found.seen if len(watched) == len(given) else observe(detections, cameras, frames, gate_m)[0]
+    before = before_px if np.isfinite(before_px) else None
+    return Stale(cameras, seen, {**found.report, "before_px": before, "after_px": after_px})
 
 
 def tell(given: Sequence[Camera], found: Stale, between_deg: float) -> None:

@@ -43,10 +43,12 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     refuses.
     """
     refused = [report["sync"]["refusal"]] if report["sync"]["refusal"] else []
+    with_keypoints = len(report["cameras"]) - len(report["without_keypoints"])
+    alone = report["people"] and len(report["sees_nobody"]) >= with_keypoints - 1
     wrong, unclear, rest = (
-        _wrong(report, limit_px),
+        [] if alone else _wrong(report, limit_px),
         _unclear(report),
-        list(report["oddities"]) + _clocks(report) + _footage(report),
+        list(report["sees_nobody"].values()) + list(report["oddities"]) + _clocks(report) + _footage(report),
     )
     if not report["people"]:
         unclear = [
@@ -56,6 +58,8 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
             "picture: does every camera point where it "
             "really does?"
         ]
+    elif alone:
+        unclear = ["people are seen by one camera alone, so poses, clocks and unit could not be compared with anything"]
     elif report["median_px"] is None and not wrong:
         unclear = [
             "no person of any two cameras fits: are the calibration, the videos and the "
@@ -168,7 +172,7 @@ def _better_read(report: dict[str, Any]) -> bool:
 def _unclear(report: dict[str, Any]) -> list[str]:
     found = []
     for camera, margin in report["margin"].items():
-        if camera in report["without_keypoints"]:
+        if camera in report["without_keypoints"] or camera in report["sees_nobody"]:
             continue
         if margin is None:
             found.append(
