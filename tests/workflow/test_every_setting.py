@@ -37,6 +37,8 @@ PLANNED: dict[str, set[str] | None] = {
     "licences": set(),
     "survey.earlier": None,
     "people.identities": None,
+    "detect.network": None,  # one that has to be there
+    "detect.network_layout": {"detect_people", "people_second_look", "cameras_held_out"},
     "depth.reference": None,  # another calibration's
     "views.people": None,  # of masks by a network
     # Another source is another rule's work.
