@@ -14,7 +14,8 @@ from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
 from studiorecon.detector.crops import Region
 from studiorecon.detector.following import believed
-from studiorecon.detector.top_down import TopDown, crop_of, from_heat, from_rows, second_network
+from studiorecon.detector.second import second_network
+from studiorecon.detector.top_down import TopDown, crop_of, from_heat, from_rows
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 

@@ -23,7 +23,7 @@ from studiorecon.cameras import refine
 from studiorecon.detector.blazepose import LAYOUT, BlazePose
 from studiorecon.detector.following import believed
 from studiorecon.detector.looking import look_again
-from studiorecon.detector.top_down import second_network
+from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.video import read_frame
 from studiorecon.geometry.triangulation import triangulate

@@ -75,8 +75,8 @@ class Detect:
     )
     network: str = setting(
         "",
-        "Network that looks at one person at a time and says where the points are of whom the detector finds: rtmpose "
-        "or vitpose, which snakemake weights fetches, or an ONNX file of your own.",
+        "Network that says where the points are of whom the detector finds: rtmpose, vitpose or rtmo, which snakemake "
+        "weights fetches, or an ONNX file of your own.",
     )
     network_layout: NetworkLayout = setting(
         "auto", "What the points of detect.network are; auto = as their number says."

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from studiorecon.detector.blazepose import LANDMARKS, LAYOUT, MASK_PX, BlazePose
 from studiorecon.detector.following import believed, is_few, people_in
-from studiorecon.detector.top_down import second_network
+from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import small, usual
 from studiorecon.errors import UserError
 from studiorecon.footage.packets import frame_count

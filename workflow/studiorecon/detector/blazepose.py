@@ -18,7 +18,7 @@ import numpy as np
 import onnxruntime
 
 from studiorecon.detector.crops import Region, opened, sampled
-from studiorecon.detector.top_down import TopDown
+from studiorecon.detector.second import SecondNetwork
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
 
@@ -69,7 +69,7 @@ class BlazePose:
     """The two networks, on one core: cameras are looked at side by side, and the same picture gives the same
     numbers."""
 
-    def __init__(self, detection: Path, landmarks: Path, second: TopDown | None = None) -> None:
+    def __init__(self, detection: Path, landmarks: Path, second: SecondNetwork | None = None) -> None:
         """``second`` has the say where points are; raises UserError when a file is missing or not what it should be."""
         self._detection = open_network(detection, (1, _WINDOW_PX, _WINDOW_PX, 3))
         self._landmarks = open_network(landmarks, (1, _CROP_PX, _CROP_PX, 3))

@@ -156,8 +156,3 @@ def _peak(three: np.ndarray) -> float:
     """Where the parabola through three values, the middle one the largest, has its peak, in steps from the middle."""
     bend = three[0] - 2 * three[1] + three[2]
     return float(0.5 * (three[0] - three[2]) / bend) if bend < 0 else 0.0
-
-
-def second_network(files: list[Path], layout: str) -> TopDown | None:
-    """The user's own network, of a list of one file or none; see ``TopDown``."""
-    return TopDown(files[0], layout) if files else None

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks that say where the points of one person are (``detect.network``): their files run as they are, behind the
-detector (``detector.top_down``), in ONNX Runtime on a CPU."""
+detector (``detector.second``), in ONNX Runtime on a CPU."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from studiorecon.models.catalogue.card import HUB, Card, Memory, Runtime, Terms,
 
 _RTMPOSE = "rtmposev1/onnx_sdk/rtmpose-m_simcc-body7_pt-body7-halpe26_700e-256x192-4d3e73dd_20230605.zip"
 _VITPOSE = "JunkyByte/easy_ViTPose/resolve/main/onnx/coco/vitpose-b-coco.onnx"
+_RTMO = "RTMO-m/resolve/3aba1280472b98ee2bf663482e27e243038d23fe/onnx/model.onnx"
 _UNCHECKED = "its real weights: networks of the same form, made for the tests, ran"
 
 
@@ -58,6 +59,24 @@ CARDS = (
             sha256="26e215fd6e27305824f13db0a0d0b597c3c4adf030dd66cbadf2228256f4af25",
         ),
         "easy_ViTPose's conversion of 2024",
+    ),
+    _card(
+        "rtmo",
+        "RTMO-m (17 points, of everybody at once)",
+        "Apache-2.0 (RTMO, exported by Xenova), trained on research data",
+        WeightFile(
+            "rtmo/rtmo-m-640x640.onnx",
+            f"{HUB}, and a copy there by way of its mirror",
+            size_gb=0.089,
+            remote="model.onnx",
+            how="mirrors",
+            mirrors=(
+                f"huggingface.co/Xenova/{_RTMO}",
+                "hf-mirror.com/imagent/rtmo-m-onnx/resolve/main/model.onnx",
+            ),
+            sha256="76d82c45e5c4810baf587ecf2638d15cbf7ed196afb2055e977382532021b59e",
+        ),
+        "Xenova's export of 2024",
     ),
 )
 """Checksums as people who fetched the files in 2025 and 2026 have written them down."""

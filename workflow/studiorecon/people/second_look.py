@@ -23,7 +23,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.detector.blazepose import LAYOUT, MASK_PX, BlazePose, Landmarks
 from studiorecon.detector.following import believed
 from studiorecon.detector.looking import look_again
-from studiorecon.detector.top_down import second_network
+from studiorecon.detector.second import second_network
 from studiorecon.detector.windows import region_of_body
 from studiorecon.footage.source import open_source, stills
 from studiorecon.geometry.lens import video_from_working, working_from_video

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The user's own network behind BlazePose, whichever kind it is of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studiorecon.detector.crops import opened
+from studiorecon.detector.one_stage import OneStage, looks_at_everybody
+from studiorecon.detector.top_down import TopDown
+
+SecondNetwork = TopDown | OneStage
+
+
+def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
+    """The network of a list of one file or none, with ``layout`` for its points; raises UserError for a file that is no
+    such network."""
+    if not files:
+        return None
+    (path,) = files
+    everybody = looks_at_everybody(opened(path, "set detect.network to a readable file"))
+    return OneStage(path, layout) if everybody else TopDown(path, layout)
