@@ -26,7 +26,7 @@ from studiorecon.scene.gaussians_ply import write_ply
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Integer
+    from jaxtyping import Float, Shaped
 
 # Colours of a body's parts, sRGB in 0..1; a part that is not listed (all of an SMPL body) is the first.
 _COLOURS = {
@@ -42,7 +42,7 @@ class Settings(Started):
     """How many Gaussians, and the seed of where they lie."""
 
 
-def chequered(points_m: Float[np.ndarray, "N 3"], parts: Integer[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
+def chequered(points_m: Float[np.ndarray, "N 3"], parts: Shaped[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """(N, 3) colours of rest-pose points (N, 3) on parts (N,) named as in a body model: squares of 7 cm, every other
     one darker."""
     base = np.array([_COLOURS.get(str(part), _COLOURS["skin"]) for part in parts])

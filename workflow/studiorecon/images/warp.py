@@ -17,7 +17,7 @@ import numpy as np
 from studiorecon.arrays import require
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Integer, Num
+    from jaxtyping import Bool, Integer, Num, Shaped
 
 _FILTERS = {"nearest": cv2.INTER_NEAREST, "linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
 _LONGEST_SIDE, _FOLD = 32767, 4096
@@ -26,10 +26,10 @@ _SLACK_PX = 1e-6
 
 
 def sample(
-    image: Num[np.ndarray, "H W ..."],
+    image: Shaped[np.ndarray, "H W ..."],
     pixels: Num[np.ndarray, "h w 2"],
     how: Literal["nearest", "linear", "cubic"] = "linear",
-) -> tuple[Num[np.ndarray, "h w ..."], Bool[np.ndarray, "h w"]]:
+) -> tuple[Shaped[np.ndarray, "h w ..."], Bool[np.ndarray, "h w"]]:
     """Values of an image at pixel coordinates, and where they are real.
 
     A coordinate is valid when it is finite and lies within the outermost pixel centres (``nearest``: within the image).

@@ -15,7 +15,7 @@ from studiorecon.render.room_light import Lamps
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Shaped
 
 # Walls shine from this height on: below it hardly any lamp or window stands clear of people.
 _WALL_FROM_M = 1.2
@@ -156,7 +156,7 @@ def _with_rows(
 
 
 def own_levels(
-    seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Float[np.ndarray, "P T"]
+    seen: Float[np.ndarray, "P T"], left: Float[np.ndarray, "P T"], weight: Shaped[np.ndarray, "P T"]
 ) -> Float[np.ndarray, " P"]:
     """(P,) what pixels (P, T) would be as a ratio to their plate in the open, from ``left`` (P, T) of their light; 1
     where unknown."""

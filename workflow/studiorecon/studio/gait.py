@@ -135,8 +135,8 @@ def reach_knee(
     return knee, -np.cross(along, bend)
 
 
-def frame(down: Float[np.ndarray, "T 3"], left: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """(T, 3, 3) rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
+def frame(down: Float[np.ndarray, "... 3"], left: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3 3"]:
+    """(..., 3, 3) rotations whose columns are: left made orthogonal, along the bone, and their cross product."""
     down = down / np.linalg.norm(down, axis=-1, keepdims=True)
     left = left - down * np.sum(left * down, axis=-1, keepdims=True)
     left = left / np.linalg.norm(left, axis=-1, keepdims=True)
