@@ -98,7 +98,6 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         detections=[],
         identities=[],
         by_itself=[],
-        recognition=[nobody_recognised(folder / "report")],
         metrics=folder / "report/metrics.json",
         lpips=lpips,
     )
@@ -110,6 +109,7 @@ def report_scene(folder: Path, root: Path, default_settings: Callable, lpips: Pa
         settings_module.load(page.Settings, section, "report"),
         **common,
         metrics=folder / "report/metrics.json",
+        recognition=[nobody_recognised(folder / "report")],
         decisions=[folder / "survey/decisions.json", folder / "report/audit.json"],
         refinement=folder / "cameras/refinement.json",
         sheet=folder / "cameras/refinement.png",

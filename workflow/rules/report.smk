@@ -81,7 +81,6 @@ rule report_evaluate:
         detections=files.detections,
         identities=files.identities,
         by_itself=files.by_itself,
-        recognition=files.recognition,
         truth=files.truth,
     output:
         metrics="results/{scene}/report/metrics.json",
@@ -111,6 +110,7 @@ rule report_page:
         manifest="results/{scene}/capture/manifest.json",
         model=MODEL,
         metrics="results/{scene}/report/metrics.json",
+        recognition=files.recognition,
         decisions=["results/{scene}/survey/decisions.json", "results/{scene}/report/audit.json"],
         refinement="results/{scene}/cameras/refinement.json",
         sheet="results/{scene}/cameras/refinement.png",

@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 _NO_HELD_OUT = "no camera is held out: name some under held_out in capture.yaml"
-_NOBODY = {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": "nobody was found in this scene"}
 _NO_TRUTH = "there is no exact truth (only a synthetic studio has it)"
 _NO_DEPTH = "the studio kept no depth of the people: truth: {depth_frames: true} in its description"
 
@@ -200,7 +199,6 @@ def run(
     detections: list[Path],
     identities: list[Path],
     by_itself: list[Path],
-    recognition: list[Path],
     metrics: Written,
     truth: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
@@ -209,10 +207,10 @@ def run(
     threads: int = 1,
 ) -> None:
     """Measure. ``videos``, ``render`` and ``enhanced`` are those of the held-out cameras or, without any, of the
-    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``recognition``
-    is whom a detector finds in the films (nothing where nobody is to be found), ``by_itself`` the table that
-    association makes where ``identities`` is the user's, ``lpips`` is the folder of the weights of LPIPS, which runs on
-    ``device``, ``calibrator`` the network that found the cameras, held-out ones too, from a picture of each."""
+    training cameras; ``poses`` says whether the held-out ones stand where they were calibrated, ``by_itself`` is the
+    table that association makes where ``identities`` is the user's, ``lpips`` is the folder of the weights of LPIPS,
+    which runs on ``device``, ``calibrator`` the network that found the cameras, held-out ones too, from a picture of
+    each."""
     where = "cpu" if settings.lpips == "none" else resolve(device, "Pictures are compared by LPIPS")
     capture = read_manifest(manifest)
     training, held_out = read_model(model.parent), read_model(heldout_model.parent)
@@ -253,7 +251,6 @@ def run(
             "held_out_cameras": read_json(poses)["cameras"],
             "bodies": bodies,
             "jitter": {person.name: jitter(person.joints, person.poses, person.valid, person.fps) for person in people},
-            "pck": read_json(recognition[0]) if recognition else {"raw": _NOBODY, "enhanced": _NOBODY},
             "pck_bodies": _bodies_in_pictures(views, held_out, people, joints, first, capture.frames),
             "identities": _identities(detections, identities, by_itself, training, joints),
             "rig": overlap(training),

@@ -149,6 +149,7 @@ def run(
     manifest: Path,
     model: Path,
     metrics: Path,
+    recognition: list[Path],
     decisions: list[Path],
     refinement: Path,
     sheet: Path,
@@ -215,7 +216,7 @@ def run(
     )
     body += rows
     body.append(sections.measures(measured))
-    body.append(sections.paper(measured, paper))
+    body.append(sections.paper(measured, read_json(recognition[0]) if recognition else {}, paper))
     body.append(sections.people(measured))
     bodies = [read_person(path) for path in fits]
     body.append(timeline.surety(bodies, measured["jitter"]))

@@ -26,7 +26,7 @@ from studiorecon.images.regions import dilated
 from studiorecon.models.protocols import PerceptualDistance
 from studiorecon.progress import progress, say
 from studiorecon.report.metrics.bootstrap import Bootstrap
-from studiorecon.report.metrics.definitions import NO_PCK, PROTOCOL, definitions, provenance
+from studiorecon.report.metrics.definitions import PROTOCOL, definitions, provenance
 from studiorecon.report.metrics.distance import TOO_SMALL, no_flip, opened
 from studiorecon.report.metrics.folders import cameras_in, digest, frames_of, masks_of
 from studiorecon.report.metrics.measures import (
@@ -143,7 +143,6 @@ def score(renders: Path, truth: Path, masks: Path | None, lpips: Path | None = N
     nothing = {f"mpjpe_{kind}_mm": None for kind in ("world", "pelvis", "similarity")}
     return {
         "pictures": versions,
-        "pck": {"pck_0.05": None, "pck_0.1": None, "detection_rate": None, "reason": NO_PCK},
         "bodies": {**nothing, "reason": _NO_BODIES},
         "identities": {"accuracy": None, "precision": None, "idf1": None, "reason": _NO_BODIES},
         "definitions": definitions(net),

@@ -28,7 +28,6 @@ SEEN_BY = (
     "for nothing else tells where those stand"
 )
 NO_LPIPS = "report.lpips is none: the weights of its network are not part of this project"
-NO_PCK = "report.score measures pictures alone; report.recognition runs the detector on a scene's films"
 _NETS = {"none": "AlexNet", "alex": "AlexNet", "vgg": "VGG16"}
 _SSIM = (
     "11×11 Gaussian, σ 1.5, K 0.01/0.03, range 1, population covariance, per channel, float64, variances clamped at 0"

@@ -35,16 +35,15 @@ MEASURES = (
 )
 
 
-def own_row(metrics: Mapping[str, Any], version: str) -> dict[str, float | None]:
-    """This run's values by the names above; None where a value was not measured.
+def own_row(metrics: Mapping[str, Any], recognised: Mapping[str, Any], version: str) -> dict[str, float | None]:
+    """This run's values by the names above; None where a value was not measured, such as whom a detector
+    ``recognised`` where nobody is to be found.
 
     Per-scene jitter is the mean over people, all joints.
     """
     pictures, people = metrics["pictures"].get(version, {}), metrics.get("jitter", {}).values()
     row = {name: pictures.get(name, {}).get("value") for name, _, _ in MEASURES}
-    row |= {
-        name: metrics.get("pck", {}).get(version, {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")
-    }
+    row |= {name: recognised.get(version, {}).get(name) for name in ("pck_0.05", "pck_0.1", "detection_rate")}
     row |= {f"association_{name}": metrics.get("identities", {}).get(name) for name in ("accuracy", "precision")}
     row["jitter_mm_f2"] = mean_of(person["joints_mm_f2"] for person in people)
     row["jitter_deg_f2"] = mean_of(person["pose_deg_f2"] for person in people)
@@ -62,10 +61,13 @@ def paper_rows(path: Path) -> dict[str, dict[str, tuple[float, str]]]:
 
 
 def table(
-    metrics: Mapping[str, Any], path: Path, versions: Sequence[str] = ("raw", "enhanced")
+    metrics: Mapping[str, Any],
+    recognised: Mapping[str, Any],
+    path: Path,
+    versions: Sequence[str] = ("raw", "enhanced"),
 ) -> tuple[list[str], list[list[str]]]:
     """Header and rows of text: one line per measure, this run's versions first, then the paper's methods."""
-    own, others = {version: own_row(metrics, version) for version in versions}, paper_rows(path)
+    own, others = {version: own_row(metrics, recognised, version) for version in versions}, paper_rows(path)
     header = [
         "measure",
         *(f"this run, {version}" for version in versions),

@@ -133,14 +133,14 @@ def measures(metrics: Mapping[str, Any]) -> str:
     return html.table(["measure", "raw", "enhanced", "change", "of what"], rows, numeric=(1, 2, 3)) + per_camera + notes
 
 
-def paper(metrics: Mapping[str, Any], rows: Path) -> str:
+def paper(metrics: Mapping[str, Any], recognised: Mapping[str, Any], rows: Path) -> str:
     """This run as a row of the paper's tables. The paper's methods ran on other captures, which no reader may
     overlook."""
     lead = (
         "The paper's methods were measured on other data, so that no column says which "
         "is better here; it shows what is usual."
     )
-    header, lines = paper_table(metrics, rows)
+    header, lines = paper_table(metrics, recognised, rows)
     return html.heading("Beside the paper", lead) + html.table(header, lines, numeric=range(1, len(header) - 1))
 
 
