@@ -19,30 +19,8 @@ from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded
 from tests.made.cameras import ring
+from tests.made.edges import edges_in
 from tests.made.take import made_take
-
-ROOM_M = np.array([[-3.0, -2.5, 0.0], [3.0, 2.5, 2.6]])
-
-
-def edges_in(
-    camera: Camera, seed: int, clutter: float = 0.4, noise_px: float = 0.5, yaw_rad: float = 0.3, only: int = -1
-) -> np.ndarray:
-    """(N, 4) pieces of lines along the room's axes (``only`` one of them) that the camera sees, turned by ``yaw_rad``,
-    and a share of lines that run anywhere."""
-    rng = np.random.default_rng(seed)
-    turn = exp(np.array([0.0, 0.0, yaw_rad]))
-    count = 300
-    axis = np.full(count, only) if only >= 0 else rng.integers(0, 3, count)
-    starts = rng.uniform(*ROOM_M, (count, 3))
-    ways = np.eye(3)[axis]
-    random = rng.random(count) < clutter
-    ways[random] = rng.normal(size=(int(random.sum()), 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    ends = np.stack([starts, starts + rng.uniform(0.3, 1.5, (count, 1)) * ways], axis=1) @ turn.T
-    pixels, depth = camera.project(ends)
-    inside = ((pixels > 0) & (pixels < camera.wh)).all((1, 2)) & (depth > 0.3).all(1)
-    found = pixels[inside] + rng.normal(0, noise_px, (int(inside.sum()), 2, 2))
-    return found[np.linalg.norm(found[:, 1] - found[:, 0], axis=1) > 20].reshape(-1, 4)
 
 
 def turned(camera: Camera, axis: np.ndarray, degrees: float) -> Camera:

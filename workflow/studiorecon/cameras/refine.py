@@ -14,6 +14,7 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.cameras.by_the_edges import by_the_edges
 from studiorecon.cameras.by_the_floor import by_the_floor, changes_of, on_the_same_floor, room_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -175,7 +176,9 @@ def decide(
     if settings.refine and len(training) > 2 and (len(points) or anew):
         adjusted, seen, report = _try_refinement(training, seen, report, settings)
     if settings.refine and anew is None and len(rooms):
-        adjusted, report = by_the_floor(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
+        adjusted, report = by_the_edges(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
+        if not report.get("edges", {}).get("believed"):
+            adjusted, report = by_the_floor(given, adjusted, seen, rooms, report, settings.limits, settings.bundle)
     if settings.refine and anew is None:
         adjusted, report = on_the_same_floor(given, adjusted, seen, report, settings.limits)
     after, after_each, points = error_medians(adjusted, seen, settings.limits)

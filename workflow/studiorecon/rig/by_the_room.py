@@ -88,7 +88,7 @@ def by_the_room(
     where people fit ``people_cost`` times as badly with it.
     """
     middle_m, floor_m = where_people_stand(cameras, seen, limits)
-    turns = _turns(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
+    turns = turns_of(cameras, rooms) if np.min(bundle.prior_deg) > _WIDE_DEG else {}
     held_deg = np.broadcast_to(bundle.prior_deg, len(cameras)).astype(float).copy()
     about = list(given)
     for v, turn in turns.items():
@@ -138,7 +138,8 @@ def by_the_room(
     )
 
 
-def _turns(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
+def turns_of(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> dict[int, RoomTurn]:
+    """How the straight edges in the pictures of the room turn the cameras; empty where they do not tell."""
     edges = {v: straight_edges(room.grey, room.known) for v, room in enumerate(rooms) if room is not None}
     return room_turns(dict(enumerate(cameras)), edges)
 

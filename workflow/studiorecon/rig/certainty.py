@@ -35,7 +35,7 @@ _PRINCIPAL_SHARE = 0.006
 _LEAST_POINTS = 60
 _LENSES_KNOWN = LensPrior(0.0, 0.0)
 # How much wider the interval of the worst pair is for errors about all three axes than ``between_deg`` says.
-_ABOUT_ALL_AXES = 3.4 / 3.0
+ABOUT_ALL_AXES = 3.4 / 3.0
 # Fields of the floor that err together: a carpet's border, the edge of a platform.
 _FIELD_M = 0.5
 
@@ -118,7 +118,7 @@ def stale_between_deg(found: Stale, limits: Limits) -> float:
     if not found.report.get("room", {}).get("explained"):
         told = people_tell(found.cameras, found.seen, limits)
         found_deg = max(found_deg, 0.0 if told is None else told[1])
-    return _ABOUT_ALL_AXES * found_deg
+    return ABOUT_ALL_AXES * found_deg
 
 
 def _both(patterns: Sequence[np.ndarray]) -> list[np.ndarray]:

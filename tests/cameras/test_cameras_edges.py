@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the room's straight edges say of calibrations that people accept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from studiorecon.cameras import refine
+from studiorecon.cameras.by_the_edges import by_the_edges, contradiction
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.rotations import exp
+from studiorecon.rig.by_the_room import turns_of
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.scene.camera import Camera
+
+from tests.defaults import loaded
+from tests.made.cameras import detect, ring, walk
+from tests.made.edges import drawn
+from tests.made.floors import between_deg
+
+FRAMES = 30
+# One person who hardly leaves the spot.
+PEOPLE = [walk([0.0, 0.0, 0.0], [0.002, 0.0, 0.0], FRAMES)]
+
+
+def about_the_spot(cameras: Sequence[Camera], degrees: Sequence[float]) -> list[Camera]:
+    """Every camera carried around the person by its own degrees: it still looks at them."""
+    found = []
+    for camera, d in zip(cameras, degrees, strict=True):
+        turn = exp(np.array([0.0, 0.0, np.radians(d)]))
+        found.append(moved(camera, camera.camera_from_world[:3, :3] @ turn.T, turn @ camera.centre_m))
+    return found
+
+
+def observed(truth: Sequence[Camera], by: Sequence[Camera]) -> Observations:
+    """What ``truth`` sees of the person with much noise, grouped by other cameras."""
+    return observe(detect(list(truth), PEOPLE, 6.0, np.random.default_rng(2)), by, np.arange(FRAMES), 0.25)[0]
+
+
+def by(
+    given: list[Camera], seen: Observations, rooms: Sequence[RoomPicture | None]
+) -> tuple[list[Camera], dict[str, Any]]:
+    settings = loaded(refine.Settings)
+    return by_the_edges(given, given, seen, rooms, {"refined": False}, settings.limits, settings.bundle)
+
+
+def test_a_calibration_that_people_accept_is_put_right_by_the_room(capsys: pytest.CaptureFixture[str]) -> None:
+    truth = ring()
+    given = about_the_spot(truth, [1.5, -1.5, 1.2, -0.8])
+    rooms = [drawn(c, v) for v, c in enumerate(truth)]
+    found, report = by(given, observed(truth, given), rooms)
+    assert between_deg(given, truth) > 2.9
+    assert report["edges"]["believed"], report
+    assert between_deg(found, truth) < 0.7
+    assert report["edges"]["between_deg"] > between_deg(found, truth)
+    assert report["refined"]
+    assert "the room's straight edges call for cameras that stand elsewhere" in capsys.readouterr().out
+
+
+def test_a_calibration_that_is_right_stays() -> None:
+    truth = ring()
+    found, report = by(truth, observed(truth, truth), [drawn(c, v) for v, c in enumerate(truth)])
+    assert not report["edges"]["believed"]
+    assert report["edges"]["off_deg"] < 1
+    assert all(a is b for a, b in zip(found, truth))
+
+
+def test_lines_that_run_anywhere_move_no_camera() -> None:
+    truth = ring()
+    given = about_the_spot(truth, [1.5, -1.5, 1.2, -0.8])
+    rooms = [drawn(c, v, clutter=1.0) for v, c in enumerate(truth)]
+    assert contradiction(given, turns_of(given, rooms)) is None
+    assert by(given, observed(truth, given), rooms) == (given, {"refined": False})
+
+
+def test_edges_that_people_contradict_move_no_camera(capsys: pytest.CaptureFixture[str]) -> None:
+    """Furniture that stands askew in one camera's picture alone, and somebody who walks about."""
+    truth = ring()
+    people = [walk([-1.2, -0.5, 0], [0.08, 0.03, 0], FRAMES), walk([1.1, 0.9, 0], [0, -0.06, 0], FRAMES, 2.0)]
+    seen, _ = observe(detect(truth, people, 1.0, np.random.default_rng(0)), truth, np.arange(FRAMES), 0.25)
+    askew = about_the_spot(truth, [0.0, 3.0, 0.0, 0.0])
+    found, report = by(truth, seen, [drawn(c, v) for v, c in enumerate(askew)])
+    assert report["edges"]["off_deg"] > 2
+    assert not report["edges"]["believed"]
+    assert all(a is b for a, b in zip(found, truth))
+    assert "and move no camera" in capsys.readouterr().out
