@@ -124,7 +124,7 @@ class BlockAdam:
         self,
         state: TrainingState,
         gradient: Float[np.ndarray, " P"],
-        visible: Bool[np.ndarray, " p"],
+        visible: Integer[np.ndarray, " p"],
         rates: Float[np.ndarray, " 59"],
         degree: int,
         log_scale_max: float,
