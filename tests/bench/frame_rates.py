@@ -10,7 +10,8 @@ writes tests/bench/results/frame_rates.json.
 ``--real DIR`` measures real pictures instead: every n-th picture of pose2sim_balancing, single and multi, at 60, 30, 15
 and 10 per second, through the whole workflow up to the bodies, the detector first. Who is found in which cameras, and
 how far joints are from those at 60 per second at the pictures that all rates share (after the one rigid motion between
-the refined rigs). DIR keeps the runs.
+the refined rigs). DIR keeps the runs, a minute and a half each on two free cores, so that ``--takes`` and ``--rates``
+may ask for pieces, 60 per second first.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import io
 import time
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -34,7 +36,7 @@ from studiorecon.people.association.acceptance import identities_from_keypoints
 from studiorecon.people.fitting.points import lift, observations
 from studiorecon.report.metrics.identity_scores import identity_scores
 from studiorecon.scene.files import read_json, read_table, write_json
-from studiorecon.scene.people import PEOPLE_COLUMNS, Detections, Person
+from studiorecon.scene.people import PEOPLE_COLUMNS, Detections
 from studiorecon.studio.description import RESOURCES
 from studiorecon.studio.detections import detect
 from studiorecon.tracks import keypoints as detections
@@ -46,6 +48,7 @@ from tests.defaults import loaded
 RESULT = Path(__file__).resolve().parent / "results" / "frame_rates.json"
 FPS, SECONDS = 120, 3.0
 EVERY = (1, 2, 4, 8, 12)
+REAL_FPS, RATES = 60, (60, 30, 15, 10)
 
 
 def seen_at_full_rate(take: Take, frames: int, reading: detections.Settings) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -138,16 +141,16 @@ def thinned(take: str, every: int, folder: Path) -> Path:
     return made.parent
 
 
-def real(take: str, folder: Path) -> list[dict[str, Any]]:
-    """One row per rate of a real take."""
+def real(take: str, folder: Path, rates: Sequence[int]) -> list[dict[str, Any]]:
+    """One row per rate of a real take; what its first rate is compared with must lie in ``folder``."""
     told = yaml.safe_load((ROOT / f"tests/captures/pose2sim_{take}.yaml").read_text(encoding="utf-8"))
     kept = {key: value for key, value in told.items() if not key.startswith(("keypoint", "plates"))}
     kept["calibration"] = str(DATA / "pose2sim_balancing/calibration/Calib_scene.toml")
     (folder / f"{take}.yaml").write_text(yaml.safe_dump(kept), encoding="utf-8")
     rows: list[dict[str, Any]] = []
-    first: dict[str, Person] = {}
-    for every in (1, 2, 4, 6):
-        scene = f"{take}_at_{60 // every}"
+    first = {p.stem: read_person(p) for p in sorted(folder.glob(f"results/{take}_at_{REAL_FPS}/people/p?.npz"))}
+    for every in [REAL_FPS // fps for fps in rates]:
+        scene = f"{take}_at_{REAL_FPS // every}"
         given = {"dataset": str(thinned(take, every, folder)), "capture_yaml": str(folder / f"{take}.yaml")}
         given |= {"scene": scene, "clocks": '{"sync": "never"}'}
         people = folder / f"results/{scene}/people"
@@ -155,7 +158,7 @@ def real(take: str, folder: Path) -> list[dict[str, Any]]:
         found = {r["person"]: r for r in read_table(people / "people.tsv", PEOPLE_COLUMNS) if r["status"] == "person"}
         workflow(folder, [f"results/{scene}/people/{name}.npz" for name in found], **given)
         bodies = {name: read_person(people / f"{name}.npz") for name in found}
-        first = first or bodies
+        first = bodies if every == 1 else first
         off = {}
         for name, body in bodies.items():
             gaps = []
@@ -164,21 +167,27 @@ def real(take: str, folder: Path) -> list[dict[str, Any]]:
                 both = shared[other.valid[shared] & body.valid[shared // every]]
                 gaps.append(rigid_mm(body.joints[both // every], other.joints[both]))
             off[name] = round(min(gaps), 1)
-        rows.append({"fps": 60 / every, "cameras": {n: r["cameras"] for n, r in found.items()}, "joints_mm": off})
-        print(f"{take} at {60 / every:g} per second: {rows[-1]['cameras']}, joints off by {off} mm", flush=True)
+        rows.append({"fps": REAL_FPS / every, "cameras": {n: r["cameras"] for n, r in found.items()}, "joints_mm": off})
+        print(f"{take} at {REAL_FPS / every:g} per second: {rows[-1]['cameras']}, joints off by {off} mm", flush=True)
     return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--real", type=Path, metavar="DIR")
-    folder = parser.parse_args().real
+    parser.add_argument("--takes", nargs="+", choices=["single", "multi"], default=["single", "multi"])
+    parser.add_argument("--rates", nargs="+", type=int, choices=RATES, default=list(RATES))
+    options = parser.parse_args()
+    folder = options.real
     stored = read_json(RESULT) if RESULT.exists() else {}
     if folder:
         folder.mkdir(parents=True, exist_ok=True)
-        for take in ("single", "multi"):
-            stored.setdefault("real", {})[take] = real(take, folder.resolve())
-            write_json(RESULT, stored)
+        for take in options.takes:
+            for rate in sorted(options.rates, reverse=True):
+                known = {row["fps"]: row for row in stored.setdefault("real", {}).get(take, [])}
+                known |= {row["fps"]: row for row in real(take, folder.resolve(), [rate])}
+                stored["real"][take] = [known[fps] for fps in sorted(known, reverse=True)]
+                write_json(RESULT, stored)
         return
     frames = round(FPS * SECONDS)
     take, reading = crossing(frames, FPS), loaded(detections.Settings)

@@ -15,7 +15,7 @@ from studiorecon.keypoints.tracking import match
 from studiorecon.people.associate import Settings
 from studiorecon.people.association.acceptance import judge
 from studiorecon.people.association.affinity import affinities, window_distances
-from studiorecon.people.association.grouping import group_tracks, track_margins
+from studiorecon.people.association.grouping import Group, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
 from studiorecon.people.association.track_pairs import TrackPairs, margins, postures_apart, sights
 from studiorecon.scene.camera import Camera
@@ -426,3 +426,26 @@ def test_the_person_that_one_view_misses_and_the_false_detection(
         assert sorted(len(g.members) for g in accepted) == [3, 4, 4]
     else:  # the reference view sees persons 0, 1 and nobody: person 2, whom three views see, is lost
         assert [2] not in found_people
+
+
+@pytest.mark.parametrize("fps", [10.0, 30.0, 60.0])
+def test_cameras_that_agree_with_one_other_by_turns_make_no_person_unless_they_do_so_for_long(options, fps):
+    """A bystander in one camera, with whom two others agree by chance in two pictures each: of ten pictures a second
+    that is a fifth of a second, though never three rays meet."""
+    cameras, frames = ring(), round(1.7 * fps)
+    points_m = np.zeros((frames, 12, 3))
+
+    def why(spans_s: dict[int, tuple[float, float]]) -> str:
+        seen = np.zeros((len(cameras), frames), dtype=bool)
+        for view, (begin, end) in spans_s.items():
+            seen[view, round(begin * fps) : round(end * fps)] = True
+        seen &= seen.sum(0) >= 2
+        known_m = np.where(seen.any(0)[:, None, None], points_m, np.nan)
+        agreement = np.where(seen.any(1), 1.0, np.nan)
+        group = Group(tuple((v, 0) for v in spans_s), known_m, agreement, seen)
+        return judge(group, cameras, frames, fps, options.association)
+
+    assert "a bystander" in why({0: (0.0, 1.7), 1: (0.3, 0.5), 3: (0.8, 1.4)})
+    # Three at once for a while, or one after the other for long, are somebody.
+    assert "a bystander" not in why({0: (0.0, 1.7), 1: (0.3, 0.7), 3: (0.3, 0.7)})
+    assert "a bystander" not in why({0: (0.0, 1.7), 1: (0.0, 0.8), 3: (0.9, 1.7)})

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _ENOUGH_CAMERAS = 3
+# Cameras that see somebody one after the other count where each does for so many of the times that two must agree for.
+_LONG = 2.0
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,11 @@ def judge(group: Group, cameras: Sequence[Camera], frames: int, fps: float, limi
     if len(group.frames) < least:
         return f"two cameras agree for {len(group.frames) / fps:.2f} s only, {least / fps:.2f} s are needed"
     # Where rays of three cameras meet for a while, somebody stands, however many more cameras are blocked or look
-    # elsewhere.
-    seen_by = int((group.seen.sum(1) >= least / 2).sum())
+    # elsewhere; one after the other they count only where each agrees for long: of few pictures a second two that agree
+    # by chance are already a while.
     needed = min(int(np.ceil(limits.camera_share * len(cameras))), _ENOUGH_CAMERAS)
+    at_once = group.seen & (group.seen.sum(0) >= needed)
+    seen_by = int(((at_once.sum(1) >= least / 2) | (group.seen.sum(1) >= _LONG * least)).sum())
     if seen_by < needed:
         return f"a bystander: {seen_by} of {len(cameras)} cameras see it, {needed} are needed"
     length = torso_m(group)
