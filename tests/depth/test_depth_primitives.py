@@ -12,11 +12,13 @@ import pytest
 from studiorecon.depth.layout.furniture import allowed, around, furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import sheet
+from studiorecon.depth.layout.proposals import posts
 from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections, Person
+from studiorecon.scene.room import RoomBox
 
 from tests.made.room import Room, made_room, photograph, ring
 
@@ -114,6 +116,47 @@ def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primit
         depths = [in_front(primitives, p.camera, d)[0] for p, d in zip(pictures, bare)]
         error[name] = np.mean([np.mean(np.abs(d - t) / t) for d, t in zip(depths, truth)])
     assert error["found"] < 0.4 * error["bare"]
+
+
+def test_a_table_gets_its_legs() -> None:
+    """Four legs of 8 cm under a top: each is too thin to be found by what stands on the floor."""
+    room, legs = made_room(table=False), [np.array([u, v]) for u in (-0.5, 0.5) for v in (-0.3, 0.3)]
+    solids = [
+        solid(room, np.zeros(2), (0.6, 0.4), 0.7, 0.75),
+        *(solid(room, at, (0.04, 0.04), 0.0, 0.7) for at in legs),
+    ]
+    pictures = []
+    for camera in ring(wh=(160, 90)):
+        rgb, depth_m = photograph(room, camera)
+        for one in solids:
+            own, own_m = photograph(replace(room, table=one), camera)
+            rgb, depth_m = np.where((own_m < depth_m)[..., None], own, rgb), np.minimum(depth_m, own_m)
+        pictures.append(Picture(camera, rgb, np.ones(camera.hw, bool)))
+    found = furnish(pictures, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=8)
+    top, *rest = sorted(found, key=lambda one: -one.size_m[0] * one.size_m[1])
+    assert top.high_m == pytest.approx(0.75, abs=0.04)
+    places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]
+    assert all(min(np.linalg.norm(at - place) for place in places) < 0.08 for at in legs)
+    assert len(places) == len(rest) == 4
+
+
+def solid(room: Room, middle_m: np.ndarray, half_m: tuple[float, float], low_m: float, high_m: float) -> RoomBox:
+    """A box in the room's own directions."""
+    low, high = (np.array([*(middle_m + side * np.array(half_m)), z]) for side, z in ((-1, low_m), (1, high_m)))
+    return replace(room.room_box, low_m=low, high_m=high)
+
+
+def test_nothing_that_stands_on_the_floor_has_legs() -> None:
+    hanging = np.array([0, 0.3, -0.2, 0.5, 1.2, 0.8, 0.7, 0.75])
+    legs = posts(hanging, 0.0)
+    assert len(legs)
+    assert (legs[:, 6] == 0.0).all()
+    assert (legs[:, 7] == 0.7).all()
+    c, s = np.cos(0.5), np.sin(0.5)
+    under = np.abs((legs[:, 1:3] - hanging[1:3]) @ np.array([[c, -s], [s, c]])) + legs[:, 4:6] / 2
+    assert (under <= np.array([0.6, 0.4]) + 1e-9).all(), "not beside the top"
+    assert not len(posts(np.array([0, 0.3, -0.2, 0.5, 1.2, 0.8, 0.1, 0.75]), 0.0)), "it stands nearly on the floor"
+    assert not len(posts(np.array([1, 0.3, -0.2, 0.0, 0.8, 0.8, 0.7, 0.75]), 0.0)), "a cylinder"
 
 
 def test_an_empty_room_stays_empty() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from studiorecon.depth.layout.primitives import Primitive
-from studiorecon.depth.layout.proposals import fronts, standing, tops
+from studiorecon.depth.layout.proposals import fronts, posts, standing, tops
 from studiorecon.depth.layout.visibility import kept_from
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
@@ -175,6 +175,12 @@ def furnish(
         if gain >= least_gain:
             room.add(primitive)
             evidence.append(gain)
+            legs = posts(primitive, room.floor_m)
+            legs = legs[allowed(legs, room_box, taken)]
+            for k, price in enumerate(room.gains(legs), start=len(proposals)):
+                if price >= least_gain / 2:
+                    heapq.heappush(heap, (-price, k))
+            proposals = np.concatenate([proposals, legs])
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 

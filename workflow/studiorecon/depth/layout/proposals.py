@@ -4,7 +4,7 @@ behind them.
 
 The photos are laid on every horizontal and upright plane inside the room (orthographic, a few centimetres a cell), each
 pair of cameras is correlated there, and what the present explanation of the same pixels already achieves is taken off.
-Rectangles of the largest sum are the tops and fronts of boxes to try.
+Rectangles of the largest sum are the tops and fronts of boxes to try; what hangs in the air may have legs.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ _TO_WALL_M = 1.0
 # How far outside the cameras furniture is looked for where there is no wall.
 _REACH_M = 2.5
 _SLAB_M = 0.06
+# A slab this far above the floor is held up by something: posts so wide, looked for under all of it at such steps.
+_LEAST_UNDER_M, _POSTS_M, _POST_STEP_M = 0.3, (0.06, 0.1), 0.04
 # What is unlike the face behind it, how far up and aside its pieces may lie apart, and how much of it there must be.
 _UNLIKE, _GAP_PX, _LEAST_AREA, _LEAST_ON_FLOOR = 0.2, (5, 3), 40, 3
 
@@ -243,3 +245,25 @@ def standing(room: Explained, room_box: RoomBox) -> Iterator[tuple[float, Float[
                 high = room_box.high_m[2] if top <= 1 else min(room.centre[v, 2] + z * over[2], room_box.high_m[2])
                 yield float(area), np.array([1, *at, 0, side, side, room_box.low_m[2], high])
                 yield float(area), np.array([0, *at, room_box.yaw_rad, side, side, room_box.low_m[2], high])
+
+
+def posts(slab: Float[np.ndarray, " 8"], floor_m: float) -> Float[np.ndarray, "N 8"]:
+    """(N, 8) upright bars between the floor and a box (8,) that hangs in the air, everywhere under it: legs.
+
+    They are too thin to be found by what stands on the floor, and each of them explains little; under a table top they
+    are looked for one by one. None under what is not a box or stands nearly on the floor.
+    """
+    if slab[0] != 0 or slab[6] - floor_m < _LEAST_UNDER_M:
+        return np.zeros((0, 8))
+    c, s = np.cos(slab[3]), np.sin(slab[3])
+    found = []
+    for width_m in _POSTS_M:
+        along, across = (
+            np.linspace(-reach, reach, int(2 * reach / _POST_STEP_M) + 1)
+            for reach in np.maximum(slab[4:6] - width_m, 0) / 2
+        )
+        u, v = (grid.ravel() for grid in np.meshgrid(along, across))
+        bars = np.tile([0, 0, 0, slab[3], width_m, width_m, floor_m, slab[6]], (len(u), 1))
+        bars[:, 1], bars[:, 2] = slab[1] + c * u - s * v, slab[2] + s * u + c * v
+        found.append(bars)
+    return np.concatenate(found)
