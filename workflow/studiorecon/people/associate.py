@@ -113,7 +113,8 @@ def run(
         warn(
             f"nobody of this scene was found: {sum(len(d.frame) for d in given)} detections in {len(verdicts)} "
             f"tracks of {', '.join(d.camera for d in given)} belong to no person, most because "
-            f"{reasons.most_common(1)[0][0]}; bring a longer clip, or keypoints of all its frames"
+            f"{reasons.most_common(1)[0][0]}; let somebody walk where two cameras look, bring a longer clip, or "
+            "keypoints of all its frames"
         )
     write_people(people, rows, [one.row() for one in missed])
     write_identities(identities, table)
