@@ -3,6 +3,7 @@
 
 # What trainings of room and people would each compile by themselves, compiled once, while cameras are looked at and a core is idle.
 # Nothing but the time depends on it: hence ancient, here and where it is waited for.
+# The first film that anybody can look at is drawn with some of them, so they come before those of depth.
 rule background_kernels:
     input:
         manifest=ancient("results/{scene}/capture/manifest.json"),
@@ -12,6 +13,7 @@ rule background_kernels:
         "logs/{scene}/background/kernels.log",
     benchmark:
         "benchmarks/{scene}/background/kernels.tsv"
+    priority: 1
     container:
         image("core")
     threads: 1

@@ -192,6 +192,8 @@ rule depth_refine:
         "logs/{scene}/depth/refine/{camera}.log",
     benchmark:
         "benchmarks/{scene}/depth/refine/{camera}.tsv"
+    # The survey waits for it, and everything after that; pages of people, made meanwhile, do not.
+    priority: 5
     container:
         image("core")
     threads: 1
