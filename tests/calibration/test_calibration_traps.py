@@ -258,8 +258,8 @@ def test_a_camera_that_sees_nobody_is_named(capture, examine):
     for path in (capture / "keypoints" / "02").iterdir():
         path.write_text('{"people": []}')
     report = examine(capture)
-    assert report["verdict"] == "cannot tell"
-    assert any("02 shares nobody" in a for a in report["advice"])
+    assert report["verdict"] == "check"
+    assert any("camera 02 sees nobody" in a for a in report["advice"])
 
 
 def test_two_calibrations_in_one_folder_are_refused_by_name(capture):

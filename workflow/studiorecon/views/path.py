@@ -30,7 +30,7 @@ class Settings:
     """Number of views and shape of the way."""
 
     views_per_segment: int = setting(
-        24,
+        12,
         "New views between neighbouring cameras; a segment has one more of them and shares its ends with its "
         "neighbours.",
         minimum=1,
