@@ -182,7 +182,7 @@ WAITED_FOR = {
     "background_half": {"kernels"},
     "background_train": {"kernels"},
     "humans_train": {"kernels"},
-    "depth_kernels": {"manifest"},
+    "depth_kernels": {"model"},
     "depth_room": {"kernels"},
 }
 

@@ -42,11 +42,12 @@ rule depth_sweep:
         command("depth.sweep")
 
 
-# What the fit of the room would compile by itself, with every later step waiting for it, compiled while cameras are looked at.
+# What the fit of the room would compile by itself, with every later step waiting for it, compiled while people are found: not earlier,
+# or both cores would compile before cameras are looked at.
 # Nothing but the time depends on it: hence ancient, here and where it is waited for.
 rule depth_kernels:
     input:
-        manifest=ancient("results/{scene}/capture/manifest.json"),
+        model=ancient(MODEL),
     output:
         kernels="results/{scene}/depth/kernels.txt",
     log:
