@@ -74,8 +74,8 @@ def refinement() -> dict[str, Any]:
         detect(truth, people, 2.0, np.random.default_rng(0)),
     )
     settings = loaded(refine.Settings)
-    refine.decide(given, [], seen, 100, True, settings)
-    outcome, cost = timed(lambda: refine.decide(given, [], seen, 100, True, settings))
+    refine.decide(given, [], seen, 100, 30.0, True, settings)
+    outcome, cost = timed(lambda: refine.decide(given, [], seen, 100, 30.0, True, settings))
     return {
         **cost,
         **{k: outcome.report[k] for k in ("before_px", "after_px", "before_px_per_camera", "after_px_per_camera")},
@@ -210,8 +210,8 @@ def the_man(
 ) -> dict[str, Any]:
     """The man of ``single`` after refinement: keypoints, body, and the same keypoints through Pose2Sim."""
     refining = loaded(refine.Settings)
-    refine.decide(cameras, [], seen, 100, True, refining)
-    outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, True, refining))
+    refine.decide(cameras, [], seen, 100, 30.0, True, refining)
+    outcome, cost = timed(lambda: refine.decide(cameras, [], seen, 100, 30.0, True, refining))
     body = BodyModel.load(ROOT / "resources/body.npz")
     everybody = {(d.camera, int(t)): "p0" for d in seen for t in np.unique(d.track)}
     names, keypoints = observations("p0", seen, everybody, body, 100)

@@ -87,7 +87,7 @@ def rows(
         stale, begun = list(given) if seed is None else planted(given, seed), time.process_time()
         about = {"take": take, "seed": seed, "floor": any(room is not None for room in rooms)}
         try:
-            outcome = refine.decide(stale, [], seen, frames, True, loaded(refine.Settings), rooms)
+            outcome = refine.decide(stale, [], seen, frames, 30.0, True, loaded(refine.Settings), rooms)
         except UserError as refusal:
             print(f"{take} seed {seed}: {refusal}", flush=True)
             found.append({**about, "before_deg": apart(stale, truth)[0], "refused": str(refusal)})

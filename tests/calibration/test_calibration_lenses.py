@@ -31,7 +31,7 @@ def decided(given: list[Camera], options, radial: float = 0.0, truth: list[Camer
     ``given``."""
     truth = truth or ring()
     seen = [bent(d, c, radial) for d, c in zip(detect(truth, PEOPLE, NOISE_PX, np.random.default_rng(3)), truth)]
-    return refine.decide(given, [], seen, FRAMES, True, options)
+    return refine.decide(given, [], seen, FRAMES, 30.0, True, options)
 
 
 def bent(seen: Detections, camera: Camera, radial: float) -> Detections:

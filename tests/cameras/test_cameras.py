@@ -368,7 +368,7 @@ def test_two_pairs_of_cameras_that_see_a_person_each_do_not_contradict_one_anoth
     there = [moved(c, c.camera_from_world[:3, :3], c.centre_m + np.array([30.0, 0, 0])) for c in truth[:2]]
     cameras = [*truth[:2], *(Camera(f"c{i + 2}", c.wh, c.intrinsics, c.camera_from_world) for i, c in enumerate(there))]
     outcome = refine.decide(
-        cameras, [], detect(cameras, apart, 1.5, np.random.default_rng(0)), FRAMES, True, options(refine.Settings)
+        cameras, [], detect(cameras, apart, 1.5, np.random.default_rng(0)), FRAMES, 30.0, True, options(refine.Settings)
     )
     assert not outcome.report["refined"]
     assert all((a.camera_from_world == b.camera_from_world).all() for a, b in zip(outcome.training, cameras))

@@ -70,7 +70,7 @@ def test_pictures_of_other_rooms_move_no_camera() -> None:
     truth = small_ring()
     seen = detect(truth, PEOPLE, 1.0, np.random.default_rng(0))
     rooms = [room(c, carpet(10 + v), v) for v, c in enumerate(truth)]
-    outcome = refine.decide(truth, [], seen, FRAMES, True, loaded(refine.Settings), rooms)
+    outcome = refine.decide(truth, [], seen, FRAMES, 30.0, True, loaded(refine.Settings), rooms)
     assert not outcome.report["refined"]
     assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))
 
@@ -81,7 +81,7 @@ def test_a_floor_that_people_contradict_moves_no_camera(capsys: pytest.CaptureFi
     truth = small_ring()
     seen = detect(truth, PEOPLE, 5.0, np.random.default_rng(0))
     rooms = [room(c, carpet(1), v) for v, c in enumerate(off(truth, 3, 0.25, 0.0))]
-    outcome = refine.decide(truth, [], seen, FRAMES, True, loaded(refine.Settings), rooms)
+    outcome = refine.decide(truth, [], seen, FRAMES, 30.0, True, loaded(refine.Settings), rooms)
     assert outcome.report["room"]["off_sigmas_before"] > 2, "or nothing is asked"
     assert not outcome.report["room"]["believed"]
     assert all(np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(outcome.training, truth))

@@ -130,7 +130,7 @@ def test_a_real_held_out_camera_is_put_right_by_a_real_man(
     whole = [read_detections(tmp_path / f"{name}.npz") for name in names]
     given = refine.cameras_of(list(read_lenses(lenses).values()), read_manifest(manifests).training)
     settings = loaded(held_out.Settings)
-    cameras = refine.decide(given, [], whole, 100, True, settings).training
+    cameras = refine.decide(given, [], whole, 100, 30.0, True, settings).training
     write_model(tmp_path / "training", cameras[:3])
     left = {}
     for degrees, metres in ((0.0, 0.0), (3.0, 0.3)):

@@ -138,6 +138,7 @@ def test_a_table_gets_its_legs() -> None:
     places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]
     assert all(min(np.linalg.norm(at - place) for place in places) < 0.08 for at in legs)
     assert len(places) == len(rest) == 4
+    assert {(one.low_m, one.high_m) for one in rest} == {(0.0, top.low_m)}, "from the floor to the top"
 
 
 def solid(room: Room, middle_m: np.ndarray, half_m: tuple[float, float], low_m: float, high_m: float) -> RoomBox:

@@ -43,7 +43,7 @@ def _turned(degrees: float) -> np.ndarray:
 
 def decided(rig: Rig) -> refine.Refinement:
     cameras, detections = rig
-    return refine.decide(cameras, [], detections, FRAMES, True, refine.Settings())
+    return refine.decide(cameras, [], detections, FRAMES, 30.0, True, refine.Settings())
 
 
 def with_lens(rig: Rig, factor: float) -> Rig:

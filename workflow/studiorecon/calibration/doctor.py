@@ -99,7 +99,9 @@ def examined(
     for name, (cams, found) in (lens_readings or {}).items():
         row = lens_row(name, cams, found, few, settings.gate_m)
         table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
-    refined, odd = _refined(cameras, detections, frames, median, settings) if people else None, None
+    fps = max(float(a["fps"]) for a in about)
+    watched = watching(detections, fps)
+    refined, odd = _refined(cameras, detections, watched, frames, median, settings) if people else None, None
     if people and (median is None or any(e is None or e > limit_px for e in each)):
         odd = odd_one_out(cameras, detections, chosen, settings.gate_m, settings.limits)
         if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined["elsewhere"]:
@@ -113,7 +115,7 @@ def examined(
         "cameras": names,
         "people": people,
         "without_keypoints": [a["camera"] for a in about if not a["keypoints"]],
-        "sees_nobody": others_told([d for d, a in zip(detections, about) if a["keypoints"]]),
+        "sees_nobody": others_told([d for d, a in zip(detections, about) if a["keypoints"]], fps),
         "hypotheses": table,
         "margin": dict(zip(names, margins)),
         "odd_one_out": None if odd is None else odd.sentence(),
@@ -146,19 +148,20 @@ def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[floa
 def _refined(
     cameras: Sequence[Camera],
     detections: Sequence[Detections],
+    watched: Sequence[int],
     frames: int,
     median_px: float | None,
     settings: Settings,
 ) -> dict[str, Any] | None:
     """What refinement would make of the cameras: the median error then, every camera's move, and what people leave
     open of how cameras are turned to one another (``people_tell``); None where it could do nothing."""
-    if len(cameras) < 3 or len(watching(detections)) < 2:
+    if len(cameras) < 3 or len(watched) < 2:
         return None
     limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
     chosen = evenly_spread(frames, 2 * _FRAMES)
     gate_m, limits = settings.gate_m, settings.limits
     anew = where_they_stand_now(
-        cameras, detections, chosen, gate_m, 0.0, limits, settings.bundle, median_px or np.nan, 0.5 * limit_px
+        cameras, detections, watched, chosen, gate_m, 0.0, limits, settings.bundle, median_px or np.nan, 0.5 * limit_px
     )
     seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
     held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, settings.bundle)

@@ -106,6 +106,7 @@ def decide(
     held_out: list[Camera],
     detections: Sequence[Detections],
     frames: int,
+    fps: float,
     floor_known: bool,
     settings: Settings,
     rooms: Sequence[RoomPicture | None] = (),
@@ -120,10 +121,10 @@ def decide(
     if not any(len(d.frame) for d in detections):
         warn("no keypoints: the calibration is used as it was given, unchecked")
         return Refinement(training, held_out, np.zeros((0, 3)), {**report, "reason": "no keypoints"})
-    unwatched = others_told(detections)
+    unwatched, watched = others_told(detections, fps), watching(detections, fps)
     for sentence in unwatched.values():
         warn(sentence)
-    if len(watching(detections)) < 2:
+    if len(watched) < 2:
         return _unchecked(training, held_out, report)
     chosen = evenly_spread(frames, settings.frames)
     given, limit = training, settings.max_error_share * max(max(c.wh) for c in training)
@@ -136,7 +137,7 @@ def decide(
     alone = any(e is None and len(d.frame) for e, d in zip(before_each, detections))
     anew = (
         where_they_stand_now(
-            training, detections, chosen, *told, np.nan if alone else before, _SUSPICIOUS * limit, rooms
+            training, detections, watched, chosen, *told, np.nan if alone else before, _SUSPICIOUS * limit, rooms
         )
         if settings.refine
         else None
@@ -148,8 +149,8 @@ def decide(
     if blind:
         check_units(training, detections, few, settings.gate_m, settings.limits)
     if anew is None and not len(seen.frame):
-        watched = np.isin(graph.view, watching(detections))
-        distance_m = graph.distance_m[np.ix_(watched, watched)]
+        own = np.isin(graph.view, watched)
+        distance_m = graph.distance_m[np.ix_(own, own)]
         return _nothing_agrees(training, held_out, distance_m, report, settings)
     if not before < _SUSPICIOUS * limit:
         moved_px = np.inf if anew is None else anew.report["after_px"]
@@ -355,6 +356,7 @@ def run(
         held_out,
         [d for d, _ in seen],
         found.frames,
+        found.fps,
         bool(given.get("floor_known", True)),
         settings,
         [looks.get(c.name) for c in training],

@@ -8,7 +8,7 @@ sure of; what no camera sees is grey. It is there to be looked at early, and not
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from studiorecon.depth.layout.votes import read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook
 from studiorecon.footage.video import to_bytes, write_watchable
-from studiorecon.geometry.camera_path import between, gaps_around, scene_centre
+from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, between, gaps_around, scene_centre
 from studiorecon.progress import progress, say
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians, concatenate
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 # Seconds from the first camera once around, and pictures a second: as slow as somebody walks.
 _AROUND_S, _FPS = 8.0, 12
-# What lies between cameras further apart than this was filmed by nobody (U18): the film turns back there.
-_LARGEST_GAP_RAD = np.radians(150)
 _SIZE, _OPACITY, _NEAR_M = 0.6, 0.95, 0.05
 _UNSEEN_RGB = (0.5, 0.5, 0.5)
 
@@ -57,10 +55,15 @@ def room_of(pictures: Sequence[Picture], depths_m: Sequence[Float[np.ndarray, "H
 
 
 def path_of(cameras: Sequence[Camera]) -> list[Camera]:
-    """Once around through every camera; there and back where they stand in an arc. A single camera stays."""
+    """Once around past every camera; there and back where they stand in an arc. A single camera stays. All pictures
+    have the size of the first camera's, and one lens: the middle one of the cameras'."""
+    wh = cameras[0].wh
+    focal_px = float(np.median([np.mean(c.focal_px) / c.wh[0] for c in cameras])) * wh[0]
+    lens = np.array([[focal_px, 0, wh[0] / 2], [0, focal_px, wh[1] / 2], [0, 0, 1]])
+    cameras = [replace(c, wh=wh, intrinsics=lens) for c in cameras]
     centre_m, gaps = scene_centre(cameras), gaps_around(cameras)
     widest = int(np.argmax([gap.rad for gap in gaps]))
-    is_open = gaps[widest].rad > _LARGEST_GAP_RAD
+    is_open = gaps[widest].rad > LARGEST_GAP_RAD
     legs = [*gaps[widest + 1 :], *gaps[:widest]] if is_open else gaps
     if not legs:
         return [cameras[0]] * _FPS
@@ -69,7 +72,10 @@ def path_of(cameras: Sequence[Camera]) -> list[Camera]:
     for leg in legs:
         start, end = cameras[leg.first], cameras[leg.second]
         way += between(start, end, count + 1, centre_m, rotations="slerp", clearance=1.0)[0][:-1]
-    return [*way, *way[::-1]] if is_open else way
+    if not is_open:
+        return way
+    way.append(cameras[legs[-1].second])
+    return [*way, *way[-2:0:-1]]
 
 
 def drawn(room: Gaussians, cameras: Sequence[Camera]) -> Iterator[Integer[np.ndarray, "H W 3"]]:

@@ -17,6 +17,8 @@ from studiorecon.scene.camera import Camera
 if TYPE_CHECKING:
     from jaxtyping import Num
 
+LARGEST_GAP_RAD = np.radians(150)
+"""A gap between neighbouring cameras beyond this leaves their ring open: nobody filmed what lies there (U18)."""
 # How far in front of the rig the scene is taken to be when the optical axes do not say (parallel axes, one camera).
 _ASSUMED_DISTANCE_M = 3.0
 # Weight of that assumption against one optical axis: decides only what the axes leave open.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.errors import UserError
-from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.geometry.camera_path import LARGEST_GAP_RAD, scene_centre
 from studiorecon.render.shots import Time, film_times, level_step, usual_focal
 from studiorecon.render.subjects import Subjects, Target
 from studiorecon.scene.camera import Camera
@@ -21,9 +21,6 @@ from studiorecon.scene.path import PathStep
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-# A gap between neighbouring cameras beyond this leaves the ring open (the same limit as for the views' path, U18).
-_LARGEST_GAP = np.radians(150)
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ def azimuths(
     ordered = np.sort(filmed)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
     widest = int(np.argmax(gaps))
-    if gaps[widest] < _LARGEST_GAP:
+    if gaps[widest] < LARGEST_GAP_RAD:
         return (
             filmed[0]
             + np.radians(orbit.start_deg)

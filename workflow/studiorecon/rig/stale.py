@@ -27,7 +27,6 @@ from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import rigs, sightings
 from studiorecon.rig.level import levelled, under_feet
-from studiorecon.rig.watching import watching
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -78,6 +77,7 @@ class Stale:
 def where_they_stand_now(
     given: Sequence[Camera],
     detections: Sequence[Detections],
+    watched: Sequence[int],
     frames: Integer[np.ndarray, " F"],
     gate_m: float,
     gain: float,
@@ -90,10 +90,9 @@ def where_they_stand_now(
     """Cameras at the places that people call for; None where they stayed, or where people do not say where they are.
 
     ``before_px``: median error as given, NaN where no three cameras agree. The answer must be better by the share
-    ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any. A camera that sees nobody
-    stays where it is.
+    ``gain``, and within ``allowed_px``. ``rooms``: pictures of the room, where there are any. Cameras that are not
+    ``watched`` (indices), because they see nobody, stay where they are.
     """
-    watched = watching(detections)
     if len(watched) < 2:
         return None
     found = moved_since(

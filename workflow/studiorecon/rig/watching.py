@@ -9,20 +9,21 @@ import numpy as np
 
 from studiorecon.scene.people import Detections
 
-# What a detector sees in furniture lasts for some frames: fewer than this share of those in which the camera that shows
-# most of people does are no witness of where a camera stands.
-_HARDLY = 0.2
+# What a detector sees in furniture lasts for some frames. It is no witness of where a camera stands when it is seen for
+# less than this, and in less than such a share of the frames in which the camera that shows most of people does.
+_LONG_S, _HARDLY = 1.0, 0.2
 
 
-def watching(detections: Sequence[Detections]) -> list[int]:
-    """Indices of the cameras that show people for more than some frames."""
+def watching(detections: Sequence[Detections], fps: float) -> list[int]:
+    """Indices of the cameras that show people for more than some frames; ``fps`` 0: nobody knows how long these are."""
     frames = _frames(detections)
-    return [v for v, count in enumerate(frames) if count and count >= _HARDLY * max(frames)]
+    least = _HARDLY * max(frames, default=0)
+    return [v for v, count in enumerate(frames) if count and count >= (min(least, _LONG_S * fps) if fps else least)]
 
 
-def others_told(detections: Sequence[Detections]) -> dict[str, str]:
+def others_told(detections: Sequence[Detections], fps: float) -> dict[str, str]:
     """Camera → one sentence about it, for every one that shows nobody, or hardly anybody, where another does."""
-    frames, watched = _frames(detections), watching(detections)
+    frames, watched = _frames(detections), watching(detections, fps)
     if not watched:
         return {}
     sighted = ", ".join(detections[v].camera for v in watched)

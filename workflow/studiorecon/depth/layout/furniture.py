@@ -155,6 +155,7 @@ def furnish(
         [primitive for source in (tops, fronts, standing) for _, primitive in source(room, room_box)]
     ).reshape(-1, 8)
     proposals = proposals[allowed(proposals, room_box, taken)]
+    first_leg = len(proposals)
     gains = room.gains(proposals)
     heap = [(-gain, k) for k, gain in enumerate(gains) if gain >= least_gain / 2]
     heapq.heapify(heap)
@@ -168,10 +169,18 @@ def furnish(
             heapq.heappush(heap, entry)
         if not fresh:
             continue
-        tried = [climb(room, room_box, taken, proposals[k], -price, _STEPS_M[:2]) for price, k in fresh[:_CLIMBERS]]
-        primitive, gain = max(tried, key=lambda found: found[1])
-        primitive, gain = climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
-        primitive, gain = rounded(room, room_box, taken, primitive, gain)
+        if fresh[0][1] < first_leg:
+            tried = [
+                climb(room, room_box, taken, proposals[k], -price, _STEPS_M[:2])
+                for price, k in fresh[:_CLIMBERS]
+                if k < first_leg
+            ]
+            primitive, gain = max(tried, key=lambda found: found[1])
+            primitive, gain = climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
+            primitive, gain = rounded(room, room_box, taken, primitive, gain)
+        else:
+            # Legs are looked for every few centimetres, and stay as thin and as long as they are.
+            primitive, gain = proposals[fresh[0][1]], -fresh[0][0]
         if gain >= least_gain:
             room.add(primitive)
             evidence.append(gain)
