@@ -28,7 +28,7 @@ function listen(player) {
   function choose(event) {
     const view = eye.view([stage.clientWidth, stage.clientHeight]), here = stage.getBoundingClientRect();
     let best = 0.1 * stage.clientHeight, found = null;
-    for (const set of scene.sets.filter((one) => one.kind === "person" && one.shown)) {
+    for (const set of scene.sets.filter((one) => one.kind === "person" && one.shown && one.there)) {
       for (let j = 0; j < set.joints.length; j += 3) {
         const pixel = pixelOf(view, set.joints.subarray(j, j + 3));
         const off = pixel && [pixel[0] - event.clientX + here.left, pixel[1] - event.clientY + here.top];

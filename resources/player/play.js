@@ -71,6 +71,7 @@ function makePlayer(scene, bytes, painter) {
     lines.clearRect(0, 0, width, height);
     lines.lineWidth = Math.max(2, width / 500);
     scene.sets.filter((set) => state.skeletons && set.kind === "person" && set.shown).forEach((set, index) => {
+      if (!set.there) return;
       lines.strokeStyle = `hsl(${(index * 137 + 200) % 360} 90% 65%)`;
       set.motion.parents.forEach((parent, j) => {
         const ends = [parent, j].map((k) => k >= 0 && pixelOf(view, set.joints.subarray(3 * k, 3 * k + 3)));

@@ -113,10 +113,10 @@ function move(scene, set, frame, out) {
   const { parents, rest, turns, places, present } = set.motion;
   let [low, high, share] = between((frame * (scene.moments - 1)) / Math.max(scene.frames - 1, 1), scene.moments);
   if (present) {
-    // Beside a moment in which nobody knows where it is, a thing stays where it was at the nearer one.
-    const near = share > 0.5 ? high : low, known = present[low] && present[high];
-    set.there = known || present[near] > 0;
-    if (!known) [low, high, share] = present[low] ? [low, low, 0] : [high, high, 0];
+    // Beside a moment in which it is away, a thing or person stays where it was at the nearer one.
+    const near = share > 0.5 ? high : low;
+    set.there = present[near] > 0;
+    if (present[low] !== present[high]) [low, high, share] = present[low] ? [low, low, 0] : [high, high, 0];
   } else set.there = true;
   const world = [], joints = set.joints;
   for (let j = 0; j < parents.length; j++) {

@@ -15,6 +15,7 @@ from studiorecon.body.avatar.weight_grid import strongest
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.errors import UserError
 from studiorecon.scene.camera import Camera
+from studiorecon.scene.files import write_npz
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.provenance import INFERRED, MEASURED
 
@@ -123,3 +124,30 @@ def test_files_that_disagree_are_refused(avatar: Avatar, tmp_path: Path) -> None
         read_avatar(tmp_path / "a.ply", tmp_path / "a.npz", replace(avatar.model, identity="another body"))
     with pytest.raises(UserError, match=r"gone\.npz is missing"):
         read_avatar(tmp_path / "a.ply", tmp_path / "gone.npz", avatar.model)
+
+
+def test_whoever_is_away_is_not_drawn_and_infinitely_far(avatar: Avatar, tmp_path: Path) -> None:
+    assert avatar.present.all(), "without a word, they are always there"
+    left = replace(avatar, present=np.array([True, False, False]))
+    assert [left.there(frame) for frame in (-3, 0, 0.5, 0.51, 1, 2, 99)] == [True] * 3 + [False] * 4
+    gone = left.posed(1.0)
+    assert gone.count == avatar.gaussians.count
+    assert gone.logit_opacities.max() < -20
+    assert np.isinf(left.joints_m(1.0)).all()
+    assert np.array_equal(left.posed(0.5).means_m, avatar.posed(0.5).means_m)
+    assert np.array_equal(left.joints_m(0.5), avatar.joints_m(0.5))
+    camera = Camera("c", (64, 64), np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]]), np.eye(4))
+    camera = replace(camera, camera_from_world=np.array([[1.0, 0, 0, 0], [0, 0, -1, 0.9], [0, 1, 0, 3], [0, 0, 0, 1]]))
+    assert rasterise(avatar.posed(1.0), camera, near_m=0.05).alpha.max() > 0.1
+    assert rasterise(gone, camera, near_m=0.05).alpha.max() == 0
+    write_avatar(tmp_path / "p0.ply", tmp_path / "p0.npz", left)
+    assert np.array_equal(read_avatar(tmp_path / "p0.ply", tmp_path / "p0.npz", left.model).present, left.present)
+
+
+def test_a_file_that_does_not_say_when_somebody_is_there_is_refused(avatar: Avatar, tmp_path: Path) -> None:
+    ply, npz = tmp_path / "p0.ply", tmp_path / "p0.npz"
+    write_avatar(ply, npz, avatar)
+    with np.load(npz) as data:
+        write_npz(npz, {name: data[name] for name in data if name != "present"})
+    with pytest.raises(UserError, match=r"p0\.npz does not say in which frames p0 is there; run humans\.train again"):
+        read_avatar(ply, npz, avatar.model)

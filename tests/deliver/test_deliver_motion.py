@@ -238,3 +238,28 @@ def test_a_fit_of_another_body_is_not_delivered(tmp_path: Path, person: Person, 
     other = Person(**{**vars(person), "body": "smpl_neutral"})
     with pytest.raises(UserError, match="p2 was fitted with the body model smpl_neutral"):
         motion(tmp_path, other, body)
+
+
+def test_while_somebody_is_away_formats_say_so_that_can(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    away = replace(person, present=np.arange(FRAMES) < 5, valid=person.valid & (np.arange(FRAMES) < 5))
+    for name, one in (("always", person), ("away", away)):
+        (tmp_path / name).mkdir()
+        motion(tmp_path / name, one, body)
+    frames = json.loads((tmp_path / "away/p2.openpose3d.json").read_text())
+    assert [len(frame["people"]) for frame in frames] == [1] * 5 + [0] * 2
+    with np.load(tmp_path / "away/p2.amass.npz") as data:
+        assert data["present"].tolist() == away.present.tolist()
+    document, arrays = read_glb(tmp_path / "away/p2.glb")
+    moves = document["animations"][0]
+    (sized,) = (c for c in moves["channels"] if c["target"]["path"] == "scale")
+    assert sized["target"]["node"] == 0, "the root, and all joints with it"
+    sampler = moves["samplers"][sized["sampler"]]
+    assert sampler["interpolation"] == "STEP"
+    assert arrays[sampler["input"]].ravel() * FPS == pytest.approx(np.arange(FRAMES))
+    assert arrays[sampler["output"]].tolist() == [[1.0] * 3] * 5 + [[0.0] * 3] * 2
+    always, _ = read_glb(tmp_path / "always/p2.glb")
+    assert not any(c["target"]["path"] == "scale" for c in always["animations"][0]["channels"])
+    rows = [line.split("\t") for line in (tmp_path / "away/p2.trc").read_text().splitlines()[6:]]
+    assert set(rows[6][2:]) == {""}
+    # BVH has no word for it: the skeleton goes on.
+    assert (tmp_path / "away/p2.bvh").read_text() == (tmp_path / "always/p2.bvh").read_text()

@@ -294,7 +294,9 @@ def test_five_minutes_open_and_end_where_they_end(browser: Browser, tmp_path: Pa
     short = scene_of(people=2, frames=4, things=False, step_m=0.5, degree=0)
     again = np.arange(frames) % 4
     people = [
-        replace(one, network=None, poses=one.poses[again], trans=one.trans[again], valid=one.valid[again])
+        replace(
+            one, network=None, **{name: getattr(one, name)[again] for name in ("poses", "trans", "valid", "present")}
+        )
         for one in short.people
     ]
     scene = replace(short, capture=replace(short.capture, frames=frames), people=people)
@@ -376,3 +378,17 @@ def test_a_shade_of_one_moment_is_a_shade(browser: Browser, tmp_path: Path) -> N
     twice = Shade(shade.at, np.array([0, 1]), np.repeat(shade.factors[:1], 2, axis=0))
     ours = to_bytes(drawn(scene, scene.cameras[2], 0.0, twice))
     assert psnr(seen(browser, mode="camera", camera=2), ours) > 38
+
+
+def test_who_is_away_is_not_drawn(browser: Browser, tmp_path: Path) -> None:
+    scene = scene_of(people=2, frames=FRAMES)
+    late = replace(scene.people[1], present=np.arange(FRAMES) >= 3)
+    scene = replace(scene, people=[scene.people[0], late])
+    opened(browser, write_page(tmp_path / "player.html", scene))
+    alone = replace(scene, people=[scene.people[0]])
+    camera = scene.cameras[0]
+    for frame in (0.0, 2.4, 3.0, FRAMES - 1.0):
+        ours, without = (to_bytes(drawn(one, camera, frame)) for one in (scene, alone))
+        assert (np.abs(ours.astype(int) - without).max() > 30) == (frame >= 2.5)
+        assert psnr(seen(browser, mode="camera", camera=0, frame=frame, playing=False), ours) > 36
+    assert not unexpected(browser)

@@ -7,6 +7,8 @@ import base64
 import gzip
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -149,7 +151,8 @@ def test_joints_move_as_the_body_model_says_to_half_a_millimetre(page: Path) -> 
 
 def longer(person: Avatar, frames: int) -> Avatar:
     again = np.arange(frames) % len(person.poses)
-    return replace(person, poses=person.poses[again], trans=person.trans[again], valid=person.valid[again])
+    arrays = {name: getattr(person, name)[again] for name in ("poses", "trans", "valid", "present")}
+    return replace(person, **arrays)
 
 
 def test_long_motion_is_told_at_fewer_moments_and_says_so() -> None:
@@ -218,3 +221,45 @@ def test_what_cameras_filmed_is_a_film_or_some_photos(tmp_path: Path, monkeypatc
     told = player.filmed(held, cameras, videos, 20, 15.0)
     assert "8 of 20 pictures" in told[0]
     assert [photo["frame"] for photo in cameras[0]["photos"]][:: len(cameras[0]["photos"]) - 1] == [0, 19]
+
+
+def test_the_page_knows_when_somebody_is_away(tmp_path: Path) -> None:
+    scene = scene_of(people=2, frames=5)
+    late = replace(scene.people[1], present=np.array([False, False, True, True, False]))
+    page = write_page(tmp_path / "player.html", replace(scene, people=[scene.people[0], late]))
+    told, data = told_of(page)
+    always, gone = (entry["motion"] for entry in told["sets"] if entry["kind"] == "person")
+    assert "present" not in always
+    assert unpacked(data, gone["present"]).ravel().tolist() == [0, 0, 1, 1, 0]
+
+
+_THERE = """
+const told = JSON.parse(require("fs").readFileSync(0, "utf-8"));
+const bytes = Uint8Array.from(atob(told.bytes), (letter) => letter.charCodeAt(0)).buffer;
+const scene = readScene(told.scene, bytes), set = scene.sets[2], found = [];
+for (const frame of told.frames) {
+  move(scene, set, frame, scene.bones);
+  found.push([set.there, ...set.joints.slice(0, 3)]);
+}
+process.stdout.write(JSON.stringify(found));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js on this machine")
+def test_the_page_s_own_script_says_who_is_there_as_films_do(root: Path) -> None:
+    scene, held = scene_of(people=2, frames=5, things=False), Bytes()
+    late = replace(scene.people[1], present=np.array([False, False, True, True, False]))
+    told, _ = described(replace(scene, people=[scene.people[0], late]), held, NONE)
+    frames = [0.0, 0.5, 1.5, 1.6, 2.0, 2.5, 3.5, 3.6, 4.0]
+    given = {"scene": told, "bytes": base64.b64encode(bytes(held.data)).decode("ascii"), "frames": frames}
+    parts = [(root / f"resources/player/{name}.js").read_text(encoding="utf-8") for name in ("scene", "camera")]
+    script = "\n".join([*parts, _THERE])
+    run = subprocess.run(["node", "-e", script], input=json.dumps(given), capture_output=True, text=True, check=True)
+    for frame, (there, *pelvis_m) in zip(frames, json.loads(run.stdout), strict=True):
+        assert there == late.there(frame), frame
+        low, high = int(frame), int(np.ceil(frame))
+        if there or not (late.present[low] or frame == scene.capture.frames - 1):
+            # Beside a frame in which they are away they keep the pose of the one in which they are there; while they
+            # are, who follows them is led on.
+            at = frame if late.present[low] == late.present[high] else low if late.present[low] else high
+            assert np.abs(np.array(pelvis_m) - late.pose_at(at)[1]).max() < 1e-4

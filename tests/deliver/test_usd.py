@@ -150,3 +150,19 @@ def test_without_usd_core_it_says_which_extra_brings_it(monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "pxr", None)
     with pytest.raises(UserError, match=r"scene\.usdc is written by usd-core.*extra usd.*delivered without it"):
         usd.pxr()
+
+
+@pytest.mark.usefixtures("loads")
+def test_a_person_is_hidden_while_away(tmp_path: Path, root: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    write_scene(tmp_path, root, people=1, filmed=False)
+    given = options(tmp_path, 1)
+    person = read_avatar(given["gaussians"][0], given["avatars"][0], BodyModel.load(given["body"]))
+    stage = Usd.Stage.CreateInMemory()
+    usd.add_body(stage, "/always", person)
+    usd.add_body(stage, "/late", replace(person, present=np.arange(FRAMES) >= 2))
+    late, mesh = (UsdGeom.Imageable(stage.GetPrimAtPath(path)) for path in ("/late", "/late/body"))
+    for one in (late, mesh):
+        assert [one.ComputeVisibility(t) for t in range(4)] == ["invisible", "invisible", "inherited", "inherited"]
+    assert not stage.GetPrimAtPath("/always").GetAttribute("visibility").HasAuthoredValue()

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.body.person_files import write_person
+from studiorecon.body.silhouettes import grown_outlines
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_stack, write_lossless
@@ -253,3 +254,20 @@ def test_a_shadow_counts_less_than_paint_of_the_same_strength(settings: step.Set
     shadow = colour_difference(plate * np.float32(0.6), plate, settings.difference)
     paint = colour_difference(plate * np.array([0.3, 0.6, 1.1], np.float32), plate, settings.difference)
     assert shadow.max() < 0.3 * paint.min()
+
+
+def test_who_is_away_is_expected_nowhere(scene: Scene, settings: step.Settings) -> None:
+    left = replace(scene.people[0], present=np.arange(5) < 2, valid=np.arange(5) < 2)
+    depths_m = step.body_depths([left, scene.people[1]], scene.body, scene.camera, 3)
+    assert not depths_m[0].any()
+    assert depths_m[1].any()
+    labels = segmented(scene, settings, people=[left, scene.people[1]])
+    here = segmented(scene, settings)
+    assert (labels[:2] == here[:2]).mean() > 0.999
+    assert not (labels[2:] == 1).any()
+    # Somebody whom no fit explains is nobody's, and still no room.
+    assert (labels[4][scene.truth[4] == 1] == step.UNASSIGNED).mean() > 0.8
+    assert (labels[2:] == 2).sum() > 0.9 * (here[2:] == 2).sum()
+    outlines = [grown_outlines([left], scene.body, scene.camera, frame, 0.05) for frame in (1, 3)]
+    assert outlines[0].any()
+    assert not outlines[1].any()

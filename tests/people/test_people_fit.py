@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel, shape_and_size, upright_global_orientation
-from studiorecon.body.person_files import read_person
+from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
@@ -24,6 +24,7 @@ from studiorecon.people import fit
 from studiorecon.people.fitting.points import Points, lift, observations
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.capture import Footage, Manifest, write_manifest
+from studiorecon.scene.files import write_npz
 from studiorecon.scene.people import Detections, Person, write_detections, write_identities
 
 from tests.made.people_fit import FPS, FRAMES, WH, look
@@ -324,3 +325,65 @@ def test_real_balancing_man_is_fitted_to_two_centimetres(real_data: Path, body: 
     assert np.nanmedian(result.residual_m) < 0.016
     assert np.abs(person.betas).max() < 2
     assert abs(fit.limb_ratio(points, person, body) - 1) < 0.03
+
+
+def test_who_walks_in_or_comes_back_is_there_while_measured_and_told_when_not(
+    body: BodyModel, made: Made, default_settings, capsys: pytest.CaptureFixture
+) -> None:
+    """Eight seconds at five pictures a second: seen by all cameras in the third and fourth second and in the last."""
+    settings = settings_module.load(fit.Settings, default_settings("people"), "people")
+    seen = np.zeros(FRAMES, bool)
+    seen[10:20], seen[35:] = True, True
+
+    def fitted(seen_by_one: np.ndarray) -> Person:
+        detections = detect(body, made, 1)
+        for d, own in zip(detections, (seen | seen_by_one, seen, seen, seen)):
+            d.keypoints[~own] = [np.nan, np.nan, 0]
+        names, keypoints = observations("p0", detections, {(d.camera, 0): "p0" for d in detections}, body, FRAMES)
+        points = lifted(names, keypoints, made.cameras, settings)
+        return fit.fit_person("p0", points, body, 5.0, settings)[0]
+
+    person = fitted(np.zeros(FRAMES, bool))
+    np.testing.assert_array_equal(person.valid, seen)
+    assert fit.frame_ranges(person.present) == "8–21, 33–39"
+    # Nobody glides out of the picture: around what was measured they stand still.
+    moved_m = np.linalg.norm(np.diff(person.trans, axis=0), axis=1)
+    assert moved_m[[8, 20]].max() < 0.03
+    assert np.isfinite(person.joints).all()
+    fit.say_filled(person)
+    told = capsys.readouterr().out
+    assert "p0: frames 8–9, 20–21, 33–34 are filled from their neighbours" in told
+    assert "p0: frames 0–7, 22–32: cameras do not say where p0 is, who counts as away and is not drawn there" in told
+    # One camera that keeps sight of them says that they were there all the time.
+    between = np.zeros(FRAMES, bool)
+    between[20:35:5] = True
+    assert fit.frame_ranges(fitted(between).present) == "8–39"
+    fit.say_filled(solve(body, made, detect(body, made, 1), default_settings("people")))
+    assert capsys.readouterr().out == ""
+
+
+def test_a_file_that_does_not_say_when_somebody_is_there_is_refused(tmp_path: Path) -> None:
+    person = Person(
+        "p3",
+        "body",
+        30.0,
+        np.zeros((4, 72)),
+        np.zeros((4, 3)),
+        np.zeros(10),
+        np.zeros((4, 24, 3)),
+        np.ones(4, bool),
+        np.zeros((4, 24)),
+        True,
+    )
+    assert person.present.all(), "without a word, they are always there"
+    late = replace(person, present=np.arange(4) > 1)
+    write_person(tmp_path / "p3.npz", late)
+    np.testing.assert_array_equal(read_person(tmp_path / "p3.npz").present, late.present)
+    with np.load(tmp_path / "p3.npz") as data:
+        arrays = dict(data)
+    write_npz(tmp_path / "old.npz", {name: array for name, array in arrays.items() if name != "present"})
+    with pytest.raises(UserError, match=r"old\.npz does not say in which frames p3 is there; run people\.fit again"):
+        read_person(tmp_path / "old.npz")
+    write_npz(tmp_path / "short.npz", arrays | {"present": np.ones(3, bool)})
+    with pytest.raises(UserError, match="present 3"):
+        read_person(tmp_path / "short.npz")

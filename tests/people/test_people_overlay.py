@@ -97,7 +97,8 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
         read_stack(options["film"]), film, err_msg="without keypoints there is nothing but the skeleton, as here"
     )
     short = replace(
-        person, **{name: getattr(person, name)[:2] for name in ("poses", "trans", "joints", "valid", "sigma")}
+        person,
+        **{name: getattr(person, name)[:2] for name in ("poses", "trans", "joints", "valid", "present", "sigma")},
     )
     write_person(tmp_path / "people/p0.npz", short)
     with pytest.raises(UserError, match="has 2 frames and the capture 6"):
@@ -107,3 +108,12 @@ def test_the_film_has_every_frame(tmp_path: Path, root: Path, person: Person) ->
         overlay.run(**options)
     with pytest.raises(UserError, match="camera cam9 is not in"):
         overlay.run(**{**options, "camera": "cam9"})
+
+
+def test_whoever_is_away_has_no_skeleton(person: Person) -> None:
+    late = replace(person, present=np.arange(FRAMES) >= 2)
+    grey = np.full((200, 320, 3), 90, np.uint8)
+    assert (overlay.drawn(grey, 1, CAMERA, [late], None, {}) == 90).all()
+    np.testing.assert_array_equal(
+        overlay.drawn(grey, 2, CAMERA, [late], None, {}), overlay.drawn(grey, 2, CAMERA, [person], None, {})
+    )

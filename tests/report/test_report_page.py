@@ -232,3 +232,15 @@ def test_warnings_name_the_pictures_of_a_film(tmp_path: Path) -> None:
     assert appendix.film_warnings([tmp_path / "fly.tsv"], 0.2, 90.0) == [
         ("render.shot.fly", "shot fly passes through p0 in 1 of 8 pictures (7)")
     ]
+
+
+def test_in_how_many_frames_somebody_is_there_stands_beside_how_many_were_measured() -> None:
+    about = 30.0, np.zeros((9, 72)), np.zeros((9, 3)), np.zeros(10), np.zeros((9, 24, 3)), np.arange(9) < 3
+    always, left = (
+        Person(name, "body", *about, np.full((9, 24), 0.004), True, present)
+        for name, present in (("p0", np.ones(9, bool)), ("p1", np.arange(9) < 5))
+    )
+    shown = timeline.surety([always, left], {})
+    assert "frames there" in shown
+    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in shown.split("<tr>")[2:]]
+    assert [row[:3] for row in cells] == [["p0", "3 of 9", "all"], ["p1", "3 of 9", "5"]]

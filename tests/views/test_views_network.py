@@ -5,6 +5,7 @@ shows."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -339,3 +340,11 @@ def test_a_network_that_looks_for_people_says_what_the_training_leaves_out(
     write_lossless(folder / "00.people.mkv", np.zeros((121, 30, 40), np.uint8), 24.0)
     with pytest.raises(UserError, match=r"00\.people\.mkv is not of the film whose views it is about"):
         fitted.run(settings, "00", folder / "00.film.mkv", *common, [fit], body, seen, *out)
+
+
+def test_who_is_away_at_the_first_moment_is_not_expected(files: tuple, someone: tuple) -> None:
+    *_, standing = someone
+    late = replace(standing, people=[replace(standing.people[0], present=np.array([False, True]))])
+    for camera, _, _ in room_views(WH):
+        assert (standing.depth_m(camera) > 0).any()
+        assert not late.depth_m(camera).any()

@@ -31,6 +31,7 @@ identity         which person a track belongs to; persons are ``p0``, ``p1``, â€
 plate            the background image of a camera: the room without people, and where it was measured
 room box         floor, ceiling and four walls; *primitives* are the upright boxes and cylinders in it
 object           something rigid that moves and is no person
+away             a person or thing is not there in a frame, and not drawn; else it is *present*
 provenance       measured (cameras agree on it), inferred (fitted or continued), invented (painted where nobody saw)
 gain             factor on a camera's or a frame's brightness
 validation split what a fit does not see and is judged on

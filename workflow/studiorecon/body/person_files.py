@@ -21,7 +21,7 @@ def write_person(path: Path, person: Person) -> None:
     """Write the AMASS-style npz: ``poses trans betas mocap_framerate`` plus this project's own fields."""
     arrays = {
         name: getattr(person, name)
-        for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "sigma", "metric")
+        for name in ("name", "body", "poses", "trans", "betas", "joints", "valid", "present", "sigma", "metric")
     }
     write_npz(path, arrays | {"mocap_framerate": person.fps})
 
@@ -30,12 +30,14 @@ def read_person(path: Path) -> Person:
     """A person's body. Frames that hold numbers that are not finite are said, count as not measured and are filled
     between sound ones.
 
-    Raises UserError when the file is missing, its arrays have different lengths, no frame is sound, or the shape is not
-    finite.
+    Raises UserError when the file is missing, does not say when the person is there, its arrays have different lengths,
+    no frame is sound, or the shape is not finite.
     """
-    fields = ("poses", "trans", "betas", "joints", "valid", "sigma")
+    fields = ("poses", "trans", "betas", "joints", "valid", "present", "sigma")
     data = read_arrays(path, gaps=fields)
     with as_written(path):
+        if "present" not in data:
+            raise UserError(f"{path} does not say in which frames {data['name']} is there; run people.fit again")
         arrays = {n: data[n] for n in fields}
         person = Person(
             str(data["name"]), str(data["body"]), float(data["mocap_framerate"]), metric=bool(data["metric"]), **arrays

@@ -28,12 +28,15 @@ def grown_outlines(
 ) -> Bool[np.ndarray, "H W"]:
     """(H, W) bool: the bodies of ``people`` at one frame, grown by ``margin_m`` at their distance.
 
-    Bodies that were only filled in there are grown ``filled_margin`` times as much: they may stand further off.
+    Bodies that were only filled in there are grown ``filled_margin`` times as much: they may stand further off. Whoever
+    is away then has none.
     ``body`` may be None where there are no people.
     """
     covered = np.zeros(camera.hw, np.uint8)
     for person in people:
         assert body is not None
+        if not person.present[frame]:
+            continue
         pose, place = person.poses[frame : frame + 1], person.trans[frame : frame + 1]
         depth_m = mesh_depth(body.vertices(pose, person.betas, place, body.proxy_vertices)[0], body.proxy_faces, camera)
         if (depth_m > 0).any():

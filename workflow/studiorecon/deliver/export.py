@@ -56,20 +56,25 @@ _KEYPOINTS = (
     "OpenPose JSON and EasyMocap annots ({layouts})\n"
 )
 _PERSONS = (
-    "people/           each person at frame {frame}, in the world, same layout\n"
+    "people/           each person at frame {frame}, or the first one with them, in the world, same layout\n"
     "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's "
     "24-joint order, trans = pelvis, which frames\n"
-    "                  were measured, deviations), .amass.npz has SMPL's trans; .bvh (y up, "
-    "metres), .trc (OpenSim markers, y up,\n"
+    "                  were measured and which have the person at all, deviations), .amass.npz has SMPL's trans;\n"
+    "                  .bvh (y up, metres; goes on while the person is away), .trc (OpenSim markers, y up,\n"
     "                  metres), .c3d (the same markers, z up, millimetres), .openpose3d.json (BODY_25, z up) and .glb "
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
 
 
 def gaussian_files(background: Gaussians, people: Sequence[Avatar], frame: int) -> dict[str, Gaussians]:
-    """File name → Gaussians: the room, and with people also each of them and all together at one frame."""
-    posed = {f"people/{person.person}.ply": person.posed(frame) for person in people}
-    still = {"still.ply": concatenate([background, *posed.values()])} if posed else {}
+    """File name → Gaussians: the room, and with people also each of them, and everybody who is there together, at one
+    frame; who is away then is alone as they came in."""
+    posed = {
+        f"people/{person.person}.ply": person.posed(frame if person.there(frame) else int(person.present.argmax()))
+        for person in people
+    }
+    together = [one for person, one in zip(people, posed.values()) if person.there(frame)]
+    still = {"still.ply": concatenate([background, *together])} if posed else {}
     return {"background.ply": background, **still, **posed}
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.body_colours import BodyColours
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
@@ -125,7 +126,7 @@ def add_body(
 
 def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> None:
     """Write the shaped body in its T-pose, bound to 24 joints that move as the person did; filled frames are
-    included. Grey without ``colours``."""
+    included, and while the person is away the body has no size. Grey without ``colours``."""
     buffer = Buffer()
     primitive, nodes, bind = add_body(buffer, body, person.betas, colours)
     document = {
@@ -144,7 +145,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
             }
         ],
         "skins": [{"inverseBindMatrices": bind, "joints": list(range(24)), "skeleton": 0}],
-        "animations": [{"name": "capture"} | motion_of(buffer, person.poses, person.trans, person.fps)],
+        "animations": [{"name": "capture"} | motion_of(buffer, person)],
     }
     write_document(path, document, buffer)
 
@@ -160,19 +161,24 @@ def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 
 
-def motion_of(
-    buffer: Buffer, poses: Float[np.ndarray, "T 72"], trans_m: Float[np.ndarray, "T 3"], fps: float, first: int = 0
-) -> dict[str, Any]:
-    """Samplers and channels that move 24 joints, the nodes from ``first`` on: poses (T, 72) axis-angle, pelvis (T, 3)
-    in the z-up world."""
-    times = buffer.add((np.arange(len(poses)) / fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
-    turned = rotations.exp(poses.reshape(-1, 24, 3))
+def motion_of(buffer: Buffer, person: Person | Avatar, first: int = 0) -> dict[str, Any]:
+    """Samplers and channels that move 24 joints, the nodes from ``first`` on, as a person of the z-up world moved.
+
+    While somebody is away their root is scaled to nothing, which the specification names as the way to animate what is
+    seen; whoever is always there has no such channel.
+    """
+    times = buffer.add((np.arange(len(person.poses)) / person.fps).astype(np.float32).reshape(-1, 1), "SCALAR", _FLOAT)
+    turned = rotations.exp(person.poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     quaternions = unflipped(rotations.to_quaternion(turned))[..., [1, 2, 3, 0]].astype(np.float32)
-    places = (trans_m @ Y_UP_FROM_Z_UP.T).astype(np.float32)
+    places = (person.trans @ Y_UP_FROM_Z_UP.T).astype(np.float32)
     outputs = [buffer.add(places, "VEC3", _FLOAT), *(buffer.add(quaternions[:, j], "VEC4", _FLOAT) for j in range(24))]
     samplers = [{"input": times, "output": output, "interpolation": "LINEAR"} for output in outputs]
     paths = [(0, "translation"), *((j, "rotation") for j in range(24))]
+    if not person.present.all():
+        sizes = np.repeat(person.present.astype(np.float32)[:, None], 3, axis=1)
+        samplers.append({"input": times, "output": buffer.add(sizes, "VEC3", _FLOAT), "interpolation": "STEP"})
+        paths.append((0, "scale"))
     channels = [{"sampler": i, "target": {"node": first + node, "path": what}} for i, (node, what) in enumerate(paths)]
     return {"samplers": samplers, "channels": channels}
 

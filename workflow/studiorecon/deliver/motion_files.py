@@ -46,6 +46,7 @@ def amass(path: Path, person: Person, body: BodyModel) -> None:
         "gender": "neutral",
         "body": person.body,
         "valid": person.valid,
+        "present": person.present,
     }
     write_npz(path, arrays)
 
@@ -54,8 +55,9 @@ def bvh(path: Path, person: Person, body: BodyModel) -> None:
     """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, metres, degrees.
 
     Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled
-    frames are included: a film must not blink. A BVH file names no unit; metres are the unit of every other file here,
-    and what Blender reads it as.
+    frames are included, a film must not blink, and so are those in which the person is away, which the format cannot
+    say: there the skeleton goes from where they left to where they come back. A BVH file names no unit; metres are the
+    unit of every other file here, and what Blender reads it as.
     """
     rest = body.rest_joints(person.betas)
     children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
@@ -145,14 +147,17 @@ def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
     """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled,
     0).
 
-    One file for the clip, a list with one OpenPose document per frame.
+    One file for the clip, a list with one OpenPose document per frame, with nobody in it while the person is away.
     """
     points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
     confident = np.broadcast_to(person.valid[:, None, None].astype(np.float64), (*points.shape[:2], 1))
     rows = np.round(np.concatenate([points, confident], axis=2), 6).reshape(len(points), -1)
     frames = [
-        {"version": 1.3, "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}]}
-        for row in rows
+        {
+            "version": 1.3,
+            "people": [{"person_id": [int(person.name[1:])], "pose_keypoints_3d": row.tolist()}] if there else [],
+        }
+        for row, there in zip(rows, person.present)
     ]
     write_text(path, json.dumps(frames, separators=(",", ":")) + "\n")
 

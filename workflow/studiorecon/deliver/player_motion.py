@@ -28,19 +28,21 @@ def moments(frames: int, most: int) -> Float[np.ndarray, " K"]:
 
 
 def skeleton(held: Bytes, person: Avatar, times: Num[np.ndarray, " K"]) -> dict[str, Any]:
-    """A person's joints at rest and their turns at ``times`` (K,): 16 bits a number, 0.002 degrees."""
+    """A person's joints at rest and their turns at ``times`` (K,): 16 bits a number, 0.002 degrees; and, of somebody
+    who is away now and then, at which of them they are there."""
     poses, roots_m = zip(*(person.pose_at(float(time)) for time in times))
     turns = rotations.to_quaternion(rotations.exp(np.array(poses).reshape(-1, 24, 3)))
     # The same turn from one moment to the next: what changes slowly compresses.
     flips = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(axis=-1) < 0, -1.0, 1.0), axis=0)
     turns[1:] *= flips[..., None]
+    there = np.array([person.there(float(time)) for time in times], np.uint8)
     return {
         "rest": held.floats(person.model.rest_joints(person.betas)),
         "parents": [int(parent) for parent in person.model.parents],
         "turns": held.levels(turns.reshape(len(times), 96), 16, -1.0, 1.0),
         "places": held.floats(np.array(roots_m)),
         "valid": held.whole(person.valid.astype(np.uint8), 8),
-    }
+    } | ({} if person.present.all() else {"present": held.whole(there, 8)})
 
 
 def rigid(held: Bytes, thing: RigidObject, times: Num[np.ndarray, " K"]) -> dict[str, Any]:

@@ -130,7 +130,7 @@ def document_of(scene: FinishedScene, buffer: Buffer) -> dict[str, Any]:
         skins.append(
             {"inverseBindMatrices": bind, "joints": [first + j for j in range(len(skeleton))], "skeleton": first}
         )
-        moved(motion_of(buffer, person.poses, person.trans, person.fps, first))
+        moved(motion_of(buffer, person, first))
     for thing in scene.things:
         motion = thing_motion(buffer, thing, scene.capture.fps, len(nodes))
         if motion is None or not thing.gaussians.count:

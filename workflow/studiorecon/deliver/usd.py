@@ -84,10 +84,14 @@ def add_gaussians(stage: Any, path: str, own: Gaussians, provenance: Integer[np.
 
 
 def add_body(stage: Any, path: str, person: Avatar) -> None:
-    """The shaped body in its T-pose with its skeleton and motion, filled frames included; all the weights of every
-    vertex. Pose correctives of an SMPL file have no place in UsdSkel."""
+    """The shaped body in its T-pose with its skeleton and motion, filled frames included, invisible while the person is
+    away; all the weights of every vertex. Pose correctives of an SMPL file have no place in UsdSkel."""
     usd, body = pxr(), person.model
     root = usd.UsdSkel.Root.Define(stage, path)
+    if not person.present.all():
+        seen = root.CreateVisibilityAttr()
+        for frame, there in enumerate(person.present):
+            seen.Set(usd.UsdGeom.Tokens.inherited if there else usd.UsdGeom.Tokens.invisible, frame)
     rest_m = body.rest_joints(person.betas)
     names: list[str] = []
     for joint, parent in zip(JOINT_NAMES, body.parents):

@@ -298,6 +298,7 @@ def run(
             trans=motion.trans_m,
             betas=fitted.betas,
             valid=fitted.valid,
+            present=fitted.present,
             fps=fitted.fps,
             metric=fitted.metric,
             network=appearance.trained if appearance else None,

@@ -272,9 +272,11 @@ def segment(
 
 
 def body_depths(people: Sequence[Person], body: BodyModel, camera: Camera, frame: int) -> Float[np.ndarray, "K H W"]:
-    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 where it is not."""
+    """(K, H, W) float32 z-depth of each fitted body at one frame, 0 where it is not; nothing of whoever is away."""
     depths = np.zeros((len(people), *camera.hw), np.float32)
     for k, person in enumerate(people):
+        if not person.present[frame]:
+            continue
         vertices_m = body.vertices(person.poses[frame : frame + 1], person.betas, person.trans[frame : frame + 1])[0]
         depths[k] = mesh_depth(vertices_m, body.faces, camera)
     return depths

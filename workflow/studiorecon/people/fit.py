@@ -21,7 +21,7 @@ from studiorecon.body.person_files import write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
-from studiorecon.geometry import rotations, smoothing
+from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import OTHER_SIDE
 from studiorecon.keypoints.retiming import with_all_rows_at_once
 from studiorecon.people.fit_settings import Hulled, Smoothed, Triangulated
@@ -29,6 +29,7 @@ from studiorecon.people.fitting.fused import fused
 from studiorecon.people.fitting.legs import seated
 from studiorecon.people.fitting.limbs import limb_ratio, size_of
 from studiorecon.people.fitting.points import Points, lift, observations, off_m
+from studiorecon.people.fitting.presence import filled, presence, runs
 from studiorecon.people.fitting.surface_points import surface_of
 from studiorecon.people.silhouettes.silhouette_people import SilhouettePerson, follow_standing, read_standing
 from studiorecon.progress import say
@@ -180,7 +181,8 @@ def fit_person(
             "they cannot hang through the floor: they are "
             "bent as somebody sits, a guess that the joints' deviations mark"
         )
-    return _person(person, local, result.trans_m, betas, valid, result.joint_sigma_m, body, fps, settings), result
+    parts = local, result.trans_m, betas, valid, points.cameras > 0, result.joint_sigma_m
+    return _person(person, *parts, body, fps, settings), result
 
 
 def fit_standing(
@@ -211,7 +213,8 @@ def fit_standing(
         f"about {1000 * np.median(sigma[valid]):.0f} mm; "
         f"{facing.sentence()}"
     )
-    return _person(person.name, local, trans, person.start.state.betas, valid, sigma, body, fps, settings)
+    seen = np.isin(np.arange(frames), person.frames)
+    return _person(person.name, local, trans, person.start.state.betas, valid, seen, sigma, body, fps, settings)
 
 
 def _to_other_side_m(local: np.ndarray, trans_m: np.ndarray, betas: np.ndarray, body: BodyModel) -> np.ndarray:
@@ -226,15 +229,16 @@ def _person(
     trans_m: np.ndarray,
     betas: np.ndarray,
     valid: np.ndarray,
+    seen: np.ndarray,
     sigma_m: np.ndarray,
     body: BodyModel,
     fps: float,
     settings: Settings,
 ) -> Person:
-    """Fill frames that are not ``valid`` (T,), smooth, and pose the body; ``sigma_m`` (T, 24) counts where valid."""
-    local = smoothing.fill_rotations(np.where(valid[:, None, None, None], local, np.eye(3)), valid)
-    trans = smoothing.fill_vectors(np.where(valid[:, None], trans_m, 0.0), valid)
-    local, trans = settings.smooth.smooth_body(local, trans, fps)
+    """Fill frames that are not ``valid`` (T,), smooth, and pose the body; ``sigma_m`` (T, 24) counts where valid. Some
+    camera has the person in frames that are ``seen`` (T,)."""
+    present = presence(valid, seen, fps)
+    local, trans = settings.smooth.smooth_body(*filled(local, trans_m, valid, present), fps)
     poses = rotations.log(local).reshape(len(valid), 72)
     return Person(
         name=name,
@@ -247,21 +251,25 @@ def _person(
         valid=valid,
         sigma=np.where(valid[:, None], sigma_m, np.inf),
         metric=True,
+        present=present,
     )
 
 
-def _say_filled(fitted: Person) -> None:
-    if not fitted.valid.all():
+def say_filled(fitted: Person) -> None:
+    """Say in which frames somebody's pose lies between measured ones, and in which they are away."""
+    guessed = fitted.present & ~fitted.valid
+    if guessed.any():
+        say(f"{fitted.name}: frames {frame_ranges(guessed)} are filled from their neighbours and marked not valid")
+    if not fitted.present.all():
         say(
-            f"{fitted.name}: frames {frame_ranges(~fitted.valid)} are filled from their neighbours and marked not valid"
+            f"{fitted.name}: frames {frame_ranges(~fitted.present)}: cameras do not say where {fitted.name} is, who "
+            "counts as away and is not drawn there"
         )
 
 
 def frame_ranges(chosen: Bool[np.ndarray, " T"]) -> str:
     """``"3–5, 9"``: the frames where ``chosen`` (T,) is true."""
-    at = np.flatnonzero(chosen)
-    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
-    return ", ".join(f"{r[0]}–{r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
+    return ", ".join(f"{first}–{last}" if last > first else f"{first}" for first, last in runs(chosen))
 
 
 def _row_median(values: np.ndarray) -> np.ndarray:
@@ -292,7 +300,7 @@ def run(
         (someone,) = read_standing(silhouettes[0])
         body_model = BodyModel.load(body)
         fitted = fit_standing(someone, list(cameras.values()), body_model, footage.frames, footage.fps, settings)
-        _say_filled(fitted)
+        say_filled(fitted)
         write_person(fit, fitted)
         return
     seen = [read_detections(path) for path in detections]
@@ -306,14 +314,15 @@ def run(
     whose = read_identities(identities[0])
     if settings.fit.solver == "fused":
         mean = fused(person, seen, whose, [cameras[d.camera] for d in seen], body_model, footage.frames)
-        parts = mean.local, mean.trans_m, mean.betas, mean.cameras > 0, mean.sigma_m
+        seen_in = mean.cameras > 0
+        parts = mean.local, mean.trans_m, mean.betas, seen_in, seen_in, mean.sigma_m
         fitted = _person(person, *parts, body_model, footage.fps, settings)
         say(
             f"{person}: the mean of the bodies that {mean.cameras.max()} cameras' network saw, in "
             f"{fitted.valid.sum()} of {footage.frames} frames, triangulated nowhere; its joints are known to "
             f"{1000 * np.median(fitted.sigma[fitted.valid]):.0f} mm by how the cameras differ"
         )
-        _say_filled(fitted)
+        say_filled(fitted)
         write_person(fit, fitted)
         return
     names, keypoints = observations(person, seen, whose, body_model, footage.frames)
@@ -348,7 +357,7 @@ def run(
     )
     if not result.converged:
         say(f"{person}: the fit was still improving after people.fit.iterations = {settings.fit.iterations} steps")
-    _say_filled(fitted)
+    say_filled(fitted)
     ratio = limb_ratio(points, fitted, body_model)
     if abs(ratio - 1) > 0.05:
         say(

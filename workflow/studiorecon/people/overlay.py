@@ -65,6 +65,8 @@ def drawn(
             if confidence > 0:
                 cv2.circle(canvas, _fixed((x, y)), (width + 1) << _SHIFT, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
     for index, person in enumerate(people):
+        if not person.present[frame]:
+            continue
         thickness = 2 * width if person.valid[frame] else width
         bones = bones_px(camera, person.joints[frame])
         for start, end in bones:

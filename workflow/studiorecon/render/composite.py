@@ -26,7 +26,7 @@ _SOLID_GROUP = 10
 
 class Posed(Protocol):
     """What a composite needs of an avatar: Gaussians and joints at a time, their classes (N,), and the frames (T,) that
-    were measured."""
+    were measured. Who is absent then has as many Gaussians, none of which is drawn, and joints infinitely far away."""
 
     @property
     def person(self) -> str: ...

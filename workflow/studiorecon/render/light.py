@@ -209,6 +209,7 @@ def run(
     frames = evenly_spread(len(bodies), chosen.pictures)
     at = np.array([person.trans[frames, :2] for person in persons])
     sure = np.array([person.valid[frames] for person in persons])
+    guessed = np.array([person.present[frames] & ~person.valid[frames] for person in persons])
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path)
@@ -219,7 +220,7 @@ def run(
         ratio = np.full((len(pixels), len(frames)), np.nan)
         for k, frame in enumerate(map(int, frames)):
             free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
-            places = at[:, k][sure[:, k]], at[:, k][~sure[:, k]]
+            places = at[:, k][sure[:, k]], at[:, k][guessed[:, k]]
             ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
         observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
     found = estimate(observed, frames.tolist(), bodies, box, chosen)

@@ -49,9 +49,9 @@ def donor_of(person: Avatar) -> Donor:
     """A trained person as a donor; colours that drift over their own performance take their mean, because its times are
     not another's."""
     own = person.gaussians
-    looks = [
-        person.looks_at(frame) for frame in (np.linspace(0, person.frames - 1, _MOMENTS) if person.network else [0])
-    ]
+    there = np.flatnonzero(person.present)
+    moments = np.interp(np.linspace(0, len(there) - 1, _MOMENTS), np.arange(len(there)), there)
+    looks = [person.looks_at(frame) for frame in (moments if person.network else [0])]
     sh, logits = (np.stack(values).mean(axis=0, dtype=np.float64) for values in zip(*looks))
     settled = Gaussians(own.means_m, own.quaternions, own.log_scales, logits, sh)
     return Donor(settled, person.bones, person.weights, person.betas)

@@ -100,9 +100,8 @@ def most_agreed(left: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
 def _bodies(
     casters: Sequence[tuple[Avatar, Occluder]], things: Sequence[RigidObject], frame: float
 ) -> list[np.ndarray]:
-    posed = []
-    for person, capsules in casters:
-        posed.append(capsules.posed(person.world_from_rest(frame)))
+    there = [(person, capsules) for person, capsules in casters if person.there(frame)]
+    posed = [capsules.posed(person.world_from_rest(frame)) for person, capsules in there]
     return [*posed, *(thing.capsule(frame) for thing in things)]
 
 

@@ -165,6 +165,10 @@ def run(
         f"shot {shot}: {len(steps)} pictures of {scene.background.count} background "
         f"Gaussians and {len(scene.people)} people"
     )
+    for person in scene.people:
+        away = sum(not np.isfinite(person.joints_m(step.frame)).all() for step in steps)
+        if away:
+            say(f"shot {shot} shows {person.person} in {len(steps) - away} pictures; in {away} {person.person} is away")
     for thing in scene.objects:
         absent = sum(not np.isfinite(thing.joints_m(step.frame)).all() for step in steps)
         say(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 SH_C0 = 0.28209479177387814
 """The constant spherical harmonic: colour = 0.5 + SH_C0 · sh[0] + higher bands."""
+
+# A logit that no rasteriser draws: opacity 1e-13.
+_UNDRAWN = -30.0
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,10 @@ class Gaussians:
             self.logit_opacities[index],
             self.sh[index],
         )
+
+    def undrawn(self) -> Gaussians:
+        """As many Gaussians, none of which is drawn: what is absent at a time leaves its place in a composite empty."""
+        return replace(self, logit_opacities=np.full(self.count, _UNDRAWN, np.float32))
 
     def with_sh_degree(self, degree: int) -> Gaussians:
         """The same Gaussians with more (zero) or fewer (cut) spherical harmonics."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,6 +81,8 @@ class Person:
         valid: (T,) bool: frames in which the body was measured (others are filled, for films that must not blink).
         sigma: (T, 24) standard deviation of the joints, metres (inf where unknown).
         metric: True when lengths are metres.
+        present: (T,) bool: frames in which the person is there; in others they are away, and what the arrays hold
+            leads a camera that follows them from where they left to where they come back. All when none are given.
     """
 
     name: str
@@ -93,6 +95,11 @@ class Person:
     valid: Bool[np.ndarray, " T"]
     sigma: Num[np.ndarray, "T 24"]
     metric: bool
+    present: Bool[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if not len(self.present):
+            object.__setattr__(self, "present", np.ones(len(self.poses), bool))
 
 
 def write_detections(path: Path, detections: Detections) -> None:

@@ -22,8 +22,6 @@ from studiorecon.scene.intermediate import as_written, read_arrays
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Integer
 
-# A logit that no rasteriser draws: opacity 1e-13.
-_ABSENT = -30.0
 _GAUSSIANS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 _MOTION = ("provenance", "centres_m", "world_from_object", "valid", "present")
 MEASURED_TURNS, NO_TURNS = "measured", "undetermined"
@@ -101,7 +99,7 @@ class RigidObject:
         position is unknown."""
         centre, own = self.centre_at(frame), self.gaussians
         if centre is None:
-            return replace(own, logit_opacities=np.full(own.count, _ABSENT, np.float32))
+            return own.undrawn()
         if self.turns == NO_TURNS:
             return replace(own, means_m=(own.means_m + centre).astype(np.float32))
         # One bone carries them all.

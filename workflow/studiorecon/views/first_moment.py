@@ -49,7 +49,7 @@ class Standing:
     def depth_m(self, camera: Camera) -> Float[np.ndarray, "H W"]:
         """(H, W) z-depth of the nearest body at every pixel, 0 where there is none."""
         nearest = np.full(camera.hw, np.inf)
-        for person in self.people:
+        for person in (one for one in self.people if one.present[_FIRST]):
             assert self.body is not None
             pose, place = person.poses[_FIRST : _FIRST + 1], person.trans[_FIRST : _FIRST + 1]
             vertices = self.body.vertices(pose, person.betas, place, self.body.proxy_vertices)[0]

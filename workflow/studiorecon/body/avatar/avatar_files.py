@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 # Moments whose pose is kept: films ask for the same ones picture after picture, and camera after camera.
 _MOMENTS_KEPT = 4096
-_ARRAYS = ("bones", "weights", "provenance", "poses", "trans", "betas", "valid")
+_ARRAYS = ("bones", "weights", "provenance", "poses", "trans", "betas", "valid", "present")
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,8 @@ class Avatar:
         metric: True when lengths are metres.
         network: what colour and opacity of the Gaussians that it acts on add over time; None when nothing.
         decision: the decision on that network as in ``survey/decisions.json``, JSON; "" when nobody asked.
+        present: (T,) bool: frames in which the person is there; in others nothing of them is drawn. All when none are
+            given.
     """
 
     person: str
@@ -69,6 +71,11 @@ class Avatar:
     metric: bool
     network: TemporalNetwork | None = None
     decision: str = ""
+    present: Bool[np.ndarray, " T"] = field(default_factory=lambda: np.zeros(0, bool))
+
+    def __post_init__(self) -> None:
+        if not len(self.present):
+            object.__setattr__(self, "present", np.ones(len(self.poses), bool))
 
     @property
     def frames(self) -> int:
@@ -82,7 +89,8 @@ class Avatar:
     def pose_at(self, frame: float) -> tuple[Num[np.ndarray, " 72"], Num[np.ndarray, " 3"]]:
         """Axis-angle pose and pelvis position, metres, at a 0-based frame, between frames on the sphere of rotations.
 
-        Frames outside the clip show its first or last pose: a film may hold the end.
+        Frames outside the clip show its first or last pose: a film may hold the end. A camera may follow somebody who
+        is away: it is led to where they come back.
         """
         at = float(np.clip(frame, 0, self.frames - 1))
         low = min(int(at), max(self.frames - 2, 0))
@@ -96,9 +104,15 @@ class Avatar:
             low
         ] + share * self.trans[low + 1]
 
+    def there(self, frame: float) -> bool:
+        """Whether the person is there at a 0-based, possibly fractional frame: the nearer frame says it."""
+        at = float(np.clip(frame, 0, self.frames - 1))
+        return bool(self.present[int(at) + (at - int(at) > 0.5)])
+
     def joints_m(self, frame: float) -> Num[np.ndarray, "24 3"]:
-        """(24, 3) world joints at a 0-based, possibly fractional frame, metres."""
-        return self._moved(frame)[1]
+        """(24, 3) world joints at a 0-based, possibly fractional frame, metres; infinitely far away when the person
+        is."""
+        return self._moved(frame)[1] if self.there(frame) else np.full((24, 3), np.inf)
 
     def world_from_rest(self, frame: float) -> Num[np.ndarray, "24 4 4"]:
         """(24, 4, 4) transforms of the joints at a 0-based, possibly fractional frame; not to be written to."""
@@ -149,8 +163,11 @@ class Avatar:
         return np.where(length > 1e-6, forward / np.maximum(length, 1e-6), [1.0, 0.0])
 
     def posed(self, frame: float) -> Gaussians:
-        """The person's Gaussians in the world at a 0-based, possibly fractional frame."""
+        """The person's Gaussians in the world at a 0-based, possibly fractional frame; as many, but not drawn, when
+        the person is away."""
         own = self.gaussians
+        if not self.there(frame):
+            return own.undrawn()
         sh, logits = self.looks_at(frame)
         means, quaternions, sh = self._posing.out(own.means_m, own.quaternions, sh, self.world_from_rest(frame))
         return Gaussians(means, quaternions, own.log_scales, logits, sh)
@@ -191,8 +208,8 @@ def _sha256(path: Path) -> str:
 
 
 def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
-    """Read what ``write_avatar`` wrote; raises UserError when a file is missing, the two disagree or the body model is
-    another one."""
+    """Read what ``write_avatar`` wrote; raises UserError when a file is missing or does not say when the person is
+    there, the two disagree or the body model is another one."""
     gaussians, data = read_ply(ply), read_arrays(npz)
     with as_written(npz):
         if str(data["body"]) != model.identity:
@@ -200,6 +217,8 @@ def read_avatar(ply: Path, npz: Path, model: BodyModel) -> Avatar:
                 f"{npz} was trained on the body model {data['body']}, but "
                 f"{model.identity} was given; use the same body file"
             )
+        if "present" not in data:
+            raise UserError(f"{npz} does not say in which frames {data['person']} is there; run humans.train again")
         arrays = {name: data[name] for name in _ARRAYS}
         person, fps, metric = str(data["person"]), float(data["mocap_framerate"]), bool(data["metric"])
         held = {name.removeprefix("network."): data[name] for name in data if name.startswith("network.")}

@@ -136,10 +136,16 @@ def _lasting(
         seen.append((t, [p for p in found if hull.is_person(p, limits.voxel_m, limits)]))
     kept = []
     for track in hull.tracks(seen, fps, limits):
-        near = [np.median(np.linalg.norm(p.trans[track.frames, :2] - track.places_m, axis=1)) for p in known]
+        near = [np.median(apart_m(p, track)) for p in known]
         if min(near, default=np.inf) >= limits.apart_m:
             kept.append(track)
     return kept
+
+
+def apart_m(person: Person, track: HullTrack) -> Float[np.ndarray, " F"]:
+    """(F,) distance of a person from every place of a track, infinite while the person is away."""
+    apart_m = np.linalg.norm(person.trans[track.frames, :2] - track.places_m, axis=1)
+    return np.where(person.present[track.frames], apart_m, np.inf)
 
 
 def _silhouettes(

@@ -79,7 +79,7 @@ def runs(row: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
 
 
 def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) -> str:
-    """Measured and filled frames of every person, how sure the joints are, and how much they tremble."""
+    """In how many frames everybody was measured, and is there; how sure the joints are, and how much they tremble."""
     if not people:
         return ""
     rows = []
@@ -92,6 +92,7 @@ def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) ->
             [
                 person.name,
                 f"{int(person.valid.sum())} of {len(person.valid)}",
+                "all" if person.present.all() else f"{int(person.present.sum())}",
                 *(("not known" if v is None else f"{v:.1f} mm") for v in (middle, most)),
                 *(
                     "not known" if moves.get(key) is None else f"{moves[key]:.2f} {unit}"
@@ -99,5 +100,13 @@ def surety(people: Sequence[Person], jitter: Mapping[str, Mapping[str, Any]]) ->
                 ),
             ]
         )
-    header = ["person", "frames measured", "joint deviation, median", "95 %", "jitter of joints", "of turns"]
-    return html.table(header, rows, numeric=range(1, 6))
+    header = [
+        "person",
+        "frames measured",
+        "frames there",
+        "joint deviation, median",
+        "95 %",
+        "jitter of joints",
+        "of turns",
+    ]
+    return html.table(header, rows, numeric=range(1, 7))

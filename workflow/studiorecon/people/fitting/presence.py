@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""In which frames somebody is there: where the body was measured, shortly around that, and in between as long as some
+camera sees them now and then.
+
+Whoever walks in at the third second was nowhere before, and whoever comes back after ten did not glide across the room
+meanwhile. All limits are seconds, so that any frame rate gives the same answer.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import require
+from studiorecon.geometry.smoothing import fill_rotations, fill_vectors
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Num
+
+# Around measured frames somebody stays so long: a detector that is a few frames late must not make them blink.
+STAYS_S = 0.5
+# Seen by nobody for longer than this, somebody is away.
+UNSEEN_S = 2.0
+# Times of frames are no exact numbers: 0.5 s are 15 frames at 30 per second.
+_EXACT_S = 1e-9
+
+
+def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps: float) -> Bool[np.ndarray, " T"]:
+    """(T,) bool: frames in which somebody is there, whose body is ``measured`` in some and whom any camera has ``seen``
+    in some, maybe others.
+
+    They are there up to ``STAYS_S`` before and after every measured frame. A gap between two is bridged where no
+    stretch of it without a sighting is longer than ``UNSEEN_S``; else they are away in all of it but those margins,
+    since a pose between two so far apart is no longer theirs. One camera's sightings before the first measured frame,
+    or after the last, count for nothing: they do not say where somebody stands. Raises ValueError for other shapes,
+    and a frame rate that is not positive.
+    """
+    sizes = require("measured", measured, ("T",))
+    require("seen", seen, ("T",), sizes)
+    if not fps > 0:
+        raise ValueError(f"fps must be positive, not {fps}")
+    at = np.flatnonzero(measured)
+    there = np.zeros(len(measured), bool)
+    if not len(at):
+        return there
+    stays = int(np.floor(STAYS_S * fps + _EXACT_S))
+    for frame in at:
+        there[max(frame - stays, 0) : frame + stays + 1] = True
+    known = np.flatnonzero(measured | seen)
+    for first, last in pairwise(at):
+        between = known[(known >= first) & (known <= last)]
+        if np.diff(between).max() <= UNSEEN_S * fps + _EXACT_S:
+            there[first:last] = True
+    return there
+
+
+def runs(chosen: Bool[np.ndarray, " T"]) -> list[tuple[int, int]]:
+    """[first, last] of every stretch of True in (T,)."""
+    at = np.flatnonzero(chosen)
+    parts = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
+    return [(int(part[0]), int(part[-1])) for part in parts]
+
+
+def filled(
+    local: Num[np.ndarray, "T 24 3 3"],
+    trans_m: Num[np.ndarray, "T 3"],
+    measured: Bool[np.ndarray, " T"],
+    there: Bool[np.ndarray, " T"],
+) -> tuple[Num[np.ndarray, "T 24 3 3"], Num[np.ndarray, "T 3"]]:
+    """Joints' rotations and pelvis positions with frames that were not ``measured`` filled between those that were.
+
+    Every stretch in which somebody is ``there`` is filled by itself: who is about to leave stands still at its end, and
+    does not start towards where they will come back. In what lies between, one goes over into the other: a camera
+    that follows them gets there in time. Raises ValueError when no frame is measured, and for other shapes.
+    """
+    local = np.where(measured[:, None, None, None], local, np.eye(3))
+    trans_m = np.where(measured[:, None], trans_m, 0.0)
+    for first, last in runs(there):
+        part = slice(first, last + 1)
+        local[part], trans_m[part] = (
+            fill_rotations(local[part], measured[part]),
+            fill_vectors(trans_m[part], measured[part]),
+        )
+    return fill_rotations(local, there), fill_vectors(trans_m, there)
