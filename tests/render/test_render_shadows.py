@@ -284,6 +284,17 @@ def test_frames_in_which_nobody_was_measured_have_no_bodies(body: BodyModel) -> 
         render_light.bodies_over_time([replace(fit, body="another body")], body)
 
 
+def test_nobody_stands_where_somebody_is_who_is_away(body: BodyModel) -> None:
+    one, frames = walking(body), np.arange(MOMENTS)
+    about = body.identity, 15.0, one.poses, one.trans, one.betas, np.zeros((MOMENTS, 24, 3)), frames < 4
+    fit = Person("p0", *about, np.zeros((MOMENTS, 24)), True, frames < 6)
+    for frame, counts in ((3, (1, 0)), (5, (0, 1)), (6, (0, 0))):
+        places = render_light.standing([fit], frame)
+        assert tuple(len(place) for place in places) == counts
+        for place in places:
+            np.testing.assert_array_equal(place, np.broadcast_to(one.trans[frame, :2], place.shape))
+
+
 def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     tmp_path: Path, body: BodyModel, root: Path, default_settings: Callable
 ) -> None:

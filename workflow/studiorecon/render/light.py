@@ -100,6 +100,13 @@ def bodies_over_time(people: Sequence[Person], model: BodyModel) -> list[list[Fl
     ]
 
 
+def standing(people: Sequence[Person], frame: int) -> tuple[Float[np.ndarray, "A 2"], Float[np.ndarray, "B 2"]]:
+    """(A, 2) where people stand at a frame who were measured there, and (B, 2) where others may; nobody who is away."""
+    sure = [person.trans[frame, :2] for person in people if person.valid[frame]]
+    guessed = [person.trans[frame, :2] for person in people if person.present[frame] and not person.valid[frame]]
+    return np.reshape(sure, (-1, 2)), np.reshape(guessed, (-1, 2))
+
+
 def ratios(
     picture: Integer[np.ndarray, "H W 3"],
     plate: Float[np.ndarray, "H W 3"],
@@ -209,7 +216,6 @@ def run(
     frames = evenly_spread(len(bodies), chosen.pictures)
     at = np.array([person.trans[frames, :2] for person in persons])
     sure = np.array([person.valid[frames] for person in persons])
-    guessed = np.array([person.present[frames] & ~person.valid[frames] for person in persons])
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path)
@@ -220,7 +226,7 @@ def run(
         ratio = np.full((len(pixels), len(frames)), np.nan)
         for k, frame in enumerate(map(int, frames)):
             free = measured & (cv2.dilate((read_frame(mask, frame) > 0).astype(np.uint8), seam) == 0)
-            places = at[:, k][sure[:, k]], at[:, k][guessed[:, k]]
+            places = standing(persons, frame)
             ratio[:, k] = ratios(read_frame(video, frame), plate, free, points, *places, chosen.reach_m).ravel()[pixels]
         observed.append(Observed(points.reshape(-1, 3)[pixels], ratio))
     found = estimate(observed, frames.tolist(), bodies, box, chosen)

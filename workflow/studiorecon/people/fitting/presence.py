@@ -50,6 +50,8 @@ def presence(measured: Bool[np.ndarray, " T"], seen: Bool[np.ndarray, " T"], fps
         there[max(frame - stays, 0) : frame + stays + 1] = True
     known = np.flatnonzero(measured | seen)
     for first, last in pairwise(at):
+        if last == first + 1:
+            continue
         between = known[(known >= first) & (known <= last)]
         if np.diff(between).max() <= UNSEEN_S * fps + _EXACT_S:
             there[first:last] = True
