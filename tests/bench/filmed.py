@@ -12,15 +12,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from studiorecon.calibration import files as calibration
 from studiorecon.calibration.doctor import nobody, undistorted
-from studiorecon.calibration.room_pictures import rooms_of
+from studiorecon.calibration.room_pictures import rooms_of, without_distortion
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
-from studiorecon.geometry.lens import video_from_working
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
@@ -68,14 +66,7 @@ class Filmed:
             cameras.append(pinhole)
             seen.append(straight)
             room = self.rooms.get(camera.name)
-            if room is None:
-                rooms.append(None)
-                continue
-            at = video_from_working(pinhole.pixel_centres(), lenses[camera.name], camera.wh, pinhole.intrinsics)
-            columns, rows = np.moveaxis(at.astype(np.float32) - 0.5, -1, 0)
-            grey = cv2.remap(room.grey, columns, rows, cv2.INTER_LINEAR)
-            known = cv2.remap(room.known.astype(np.uint8), columns, rows, cv2.INTER_NEAREST) > 0
-            rooms.append(RoomPicture(grey, known))
+            rooms.append(None if room is None else without_distortion(room, lenses[camera.name], pinhole))
         return cameras, seen, rooms
 
 

@@ -9,31 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 from studiorecon.cameras import refine
-from studiorecon.cameras.by_the_edges import by_the_edges, contradiction
-from studiorecon.geometry.bundle import moved
-from studiorecon.geometry.rotations import exp
+from studiorecon.cameras.by_the_edges import by_the_edges
 from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.edge_check import contradiction
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded
 from tests.made.cameras import detect, ring, walk
-from tests.made.edges import drawn
+from tests.made.edges import about_the_spot, drawn
 from tests.made.floors import between_deg
 
 FRAMES = 30
 # One person who hardly leaves the spot.
 PEOPLE = [walk([0.0, 0.0, 0.0], [0.002, 0.0, 0.0], FRAMES)]
-
-
-def about_the_spot(cameras: Sequence[Camera], degrees: Sequence[float]) -> list[Camera]:
-    """Every camera carried around the person by its own degrees: it still looks at them."""
-    found = []
-    for camera, d in zip(cameras, degrees, strict=True):
-        turn = exp(np.array([0.0, 0.0, np.radians(d)]))
-        found.append(moved(camera, camera.camera_from_world[:3, :3] @ turn.T, turn @ camera.centre_m))
-    return found
 
 
 def observed(truth: Sequence[Camera], by: Sequence[Camera]) -> Observations:
@@ -57,6 +47,7 @@ def test_a_calibration_that_people_accept_is_put_right_by_the_room(capsys: pytes
     assert report["edges"]["believed"], report
     assert between_deg(found, truth) < 0.7
     assert report["edges"]["between_deg"] > between_deg(found, truth)
+    assert report["edges"]["off_after_deg"] < 1 < report["edges"]["off_deg"]
     assert report["refined"]
     assert "the room's straight edges call for cameras that stand elsewhere" in capsys.readouterr().out
 

@@ -9,9 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose
+from studiorecon.detector.crops import opened
 from studiorecon.detector.one_stage import OneStage, agreements
 from studiorecon.detector.second import second_network
 from studiorecon.detector.top_down import TopDown
@@ -122,17 +124,21 @@ def test_of_two_people_the_one_who_agrees_with_the_landmarks_counts(tmp_path: Pa
         assert np.median(found[:, 2]) > 0.1
 
 
+def read(path: Path, layout: str) -> OneStage:
+    return OneStage(opened(path, ""), path, layout)
+
+
 def test_where_nobody_agrees_or_nobody_is_sure_the_landmarks_stand(tmp_path: Path) -> None:
     picture, places = scene()
     elsewhere = landmarks_of(places[0] + [-90.0, 0.0])
-    network = OneStage(written(tmp_path / "stand_in.onnx"), "auto")
+    network = read(written(tmp_path / "stand_in.onnx"), "auto")
     assert np.isnan(network.look(picture, elsewhere)).all()
-    unsure = OneStage(written(tmp_path / "unsure.onnx", scores=(0.2, 0.1)), "auto")
+    unsure = read(written(tmp_path / "unsure.onnx", scores=(0.2, 0.1)), "auto")
     assert np.isnan(unsure.look(picture, landmarks_of(places[0]))).all()
 
 
 def test_beyond_the_picture_it_is_grey(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = OneStage(written(tmp_path / "stand_in.onnx"), "auto")
+    network = read(written(tmp_path / "stand_in.onnx"), "auto")
     shown: list[np.ndarray] = []
     looked = network._run
 
@@ -180,4 +186,18 @@ def test_what_is_no_such_network_is_refused(
     with pytest.raises(UserError, match=why):
         second_network([path], layout)
     with pytest.raises(UserError, match="answers with"):
-        TopDown(written(tmp_path / "square.onnx"), "auto")
+        TopDown(opened(path := written(tmp_path / "square.onnx"), ""), path, "auto")
+
+
+def test_the_file_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be hundreds of megabytes."""
+    path, begun = written(tmp_path / "stand_in.onnx"), []
+    session = onnxruntime.InferenceSession
+
+    def counted(*about: Any, **more: Any) -> Any:
+        begun.append(about[0])
+        return session(*about, **more)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", counted)
+    assert isinstance(second_network([path], "auto"), OneStage)
+    assert begun == [str(path)]

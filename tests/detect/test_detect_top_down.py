@@ -12,7 +12,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 from studiorecon.detector.blazepose import BlazePose, Landmarks
-from studiorecon.detector.crops import Region
+from studiorecon.detector.crops import Region, opened
 from studiorecon.detector.following import believed
 from studiorecon.detector.second import second_network
 from studiorecon.detector.top_down import TopDown, crop_of, from_heat, from_rows
@@ -92,10 +92,14 @@ def painted(points: int, wh: tuple[int, int], radius: float) -> tuple[np.ndarray
     return picture, np.array(kept)
 
 
+def read(path: Path, layout: str) -> TopDown:
+    return TopDown(opened(path, "set detect.network to a readable file"), path, layout)
+
+
 @pytest.mark.parametrize("rows_of_scores", [False, True], ids=["heat maps", "SimCC"])
 @pytest.mark.parametrize("wh", [(640, 480), (2400, 1800)])
 def test_points_come_back_in_pixels_of_the_picture(tmp_path: Path, rows_of_scores: bool, wh: tuple[int, int]) -> None:
-    network = TopDown(written(tmp_path / "stand_in.onnx", 17, rows_of_scores), "auto")
+    network = read(written(tmp_path / "stand_in.onnx", 17, rows_of_scores), "auto")
     assert (network.layout, network.wh) == ("coco17", WH)
     picture, places = painted(17, wh, 0.02 * wh[1])
     found = network.look(picture, places)
@@ -166,18 +170,18 @@ def test_what_is_no_such_network_is_refused(
 ) -> None:
     path = written(tmp_path / "stand_in.onnx", points, False, sides, **kind)
     with pytest.raises(UserError, match=why):
-        TopDown(path, layout)
+        read(path, layout)
 
 
 def test_files_that_are_none_are_refused(root: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="missing"):
-        TopDown(tmp_path / "nowhere.onnx", "auto")
+        read(tmp_path / "nowhere.onnx", "auto")
     (tmp_path / "text.onnx").write_text("not a network")
     with pytest.raises(UserError, match="cannot be read as an ONNX network"):
-        TopDown(tmp_path / "text.onnx", "auto")
+        read(tmp_path / "text.onnx", "auto")
     with pytest.raises(UserError, match="export it so"):
-        TopDown(root / "resources/detector/pose_landmark_full.onnx", "auto")
+        read(root / "resources/detector/pose_landmark_full.onnx", "auto")
 
 
 def test_25_points_are_read_as_stated(tmp_path: Path) -> None:
-    assert TopDown(written(tmp_path / "stand_in.onnx", 25, True), "body_25b").layout == "body_25b"
+    assert read(written(tmp_path / "stand_in.onnx", 25, True), "body_25b").layout == "body_25b"

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
+from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.scene.camera import Camera
@@ -40,3 +43,12 @@ def drawn(camera: Camera, seed: int, clutter: float = 0.2) -> RoomPicture:
         start, end = np.round((ends.reshape(2, 2) - 0.5) * 16).astype(int).tolist()
         cv2.line(picture, start, end, int(rng.choice([20, 230])), 2, cv2.LINE_AA, 4)
     return RoomPicture(picture, np.ones(picture.shape, bool))
+
+
+def about_the_spot(cameras: Sequence[Camera], degrees: Sequence[float]) -> list[Camera]:
+    """Every camera carried around the world's origin by its own degrees: it still looks at who stands there."""
+    found = []
+    for camera, d in zip(cameras, degrees, strict=True):
+        turn = exp(np.array([0.0, 0.0, np.radians(d)]))
+        found.append(moved(camera, camera.camera_from_world[:3, :3] @ turn.T, turn @ camera.centre_m))
+    return found

@@ -1,6 +1,6 @@
 # Calibration: lenses and poses in the metric world, from files, from the people in the pictures, or from a network.
 # Doctor: before anything expensive, does it fit the people? snakemake doctor --config dataset=DIR
-# Reads keypoints (the detector's are found once and serve the whole run), headers and three pictures per camera.
+# Reads keypoints (the detector's are found once and serve the whole run), headers and a dozen pictures per camera.
 
 
 if PLAN.from_people:
@@ -117,7 +117,7 @@ rule calibration_doctor:
         image("core")
     threads: 1
     resources:
-        mem_mb=1000,
+        mem_mb=1500,
     params:
         settings=settings("calibration.doctor"),
         code=code("calibration.doctor"),

@@ -19,8 +19,11 @@ import numpy as np
 from studiorecon.arrays import evenly_spread
 from studiorecon.calibration.checks import clocks, sanity
 from studiorecon.calibration.checks import coverage as health
-from studiorecon.calibration.checks.advice import light_of, of_footage, verdict
+from studiorecon.calibration.checks.advice import agreeing, light_of, of_footage, verdict
 from studiorecon.calibration.checks.doctor_page import page
+from studiorecon.calibration.checks.edges import by_edges
+from studiorecon.calibration.checks.refined import refined_on_people
+from studiorecon.calibration.room_pictures import rooms_of, without_distortion
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.errors import UserError
 from studiorecon.footage.source import glimpses, open_source
@@ -29,14 +32,13 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
-from studiorecon.rig.bundle import Agreement, Trust, error_medians, fitted
-from studiorecon.rig.certainty import people_tell, stale_between_deg
+from studiorecon.rig.bundle import Agreement, Trust, error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.odd_one_out import odd_one_out
-from studiorecon.rig.stale import moves, where_they_stand_now
 from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks
@@ -69,13 +71,14 @@ def examined(
     lens_readings: Readings | None = None,
     sync: Mapping[str, Any] | None = None,
     doubts: Sequence[str] = (),
+    rooms: Sequence[RoomPicture | None] = (),
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N 3"]]:
     """The report (what goes into doctor.json) and the triangulated points (N, 3) of the frame that shows most of them.
 
     ``detections`` of cameras without keypoints are empty. ``lens_readings``: cameras and detections if the lens were
     another model, by the names of ``hypotheses.LENS_READINGS``. ``sync``: what was found about clocks before
     (``sentences``, and the ``refusal`` that awaits the footage, or ""). ``doubts``: what the calibration says of
-    itself.
+    itself. ``rooms``: the room without people as each camera sees it, None where nobody looked.
     """
     names = [c.name for c in cameras]
     frames = min(int(a["frames"]) for a in about)
@@ -101,10 +104,13 @@ def examined(
         table.append({**row, "median_px": _median_px(cams, found, chosen, settings)})
     fps = max(float(a["fps"]) for a in about)
     watched = watching(detections, fps)
-    refined, odd = _refined(cameras, detections, watched, frames, median, settings) if people else None, None
+    told = settings.gate_m, settings.limits, settings.bundle
+    refined, odd = None, None
+    if people:
+        refined = refined_on_people(cameras, detections, watched, frames, median, 0.5 * limit_px, *told, rooms)
     if people and (median is None or any(e is None or e > limit_px for e in each)):
         odd = odd_one_out(cameras, detections, chosen, settings.gate_m, settings.limits)
-        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined["elsewhere"]:
+        if odd is not None and (not odd.cause or odd.turned) and refined is not None and refined.elsewhere:
             odd = None  # cameras that were moved explain it
     shown, shown_points = _best_frame(cameras, seen, settings.limits)
     middle, reach = _volume(cameras, points)
@@ -121,7 +127,8 @@ def examined(
         "odd_one_out": None if odd is None else odd.sentence(),
         "median_px": median,
         "median_mm": None if median is None else 1000 * median * float(np.median(_metres_per_px(cameras, points))),
-        "refined": refined,
+        "refined": None if refined is None else refined.as_json(cameras),
+        "edges": by_edges(cameras, refined, seen, rooms, settings.limits, settings.bundle),
         "px_per_camera": dict(zip(names, each)),
         "shown_frame": shown,
         "lags_frames": {
@@ -143,43 +150,6 @@ def examined(
 def _metres_per_px(cameras: Sequence[Camera], points_m: np.ndarray) -> list[float]:
     """What a pixel of every camera is at the points, metres."""
     return [float(np.median(c.project(points_m)[1])) / float(np.mean(c.focal_px)) for c in cameras]
-
-
-def _refined(
-    cameras: Sequence[Camera],
-    detections: Sequence[Detections],
-    watched: Sequence[int],
-    frames: int,
-    median_px: float | None,
-    settings: Settings,
-) -> dict[str, Any] | None:
-    """What refinement would make of the cameras: the median error then, every camera's move, and what people leave
-    open of how cameras are turned to one another (``people_tell``); None where it could do nothing."""
-    if len(cameras) < 3 or len(watched) < 2:
-        return None
-    limit_px = settings.max_error_share * max(max(c.wh) for c in cameras)
-    chosen = evenly_spread(frames, 2 * _FRAMES)
-    gate_m, limits = settings.gate_m, settings.limits
-    anew = where_they_stand_now(
-        cameras, detections, watched, chosen, gate_m, 0.0, limits, settings.bundle, median_px or np.nan, 0.5 * limit_px
-    )
-    seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
-    held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, settings.bundle)
-    if held is None:
-        return None
-    moved = {
-        c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(cameras, *moves(held.cameras, cameras))
-    }
-    px = error_medians(held.cameras, seen, limits)[0]
-    told = people_tell(cameras, seen, limits) if anew is None else (0.0, stale_between_deg(anew, limits))
-    asked_deg, between_deg = (None, None) if told is None else told
-    return {
-        "px": px,
-        "elsewhere": anew is not None,
-        "moves": moved,
-        "asked_deg": asked_deg,
-        "between_deg": between_deg,
-    }
 
 
 def _median_px(
@@ -241,6 +211,24 @@ def straightened(picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Came
     small = camera.resized((round(_PICTURE_ROWS * camera.wh[0] / camera.wh[1]), _PICTURE_ROWS))
     place = video_from_working(small.pixel_centres(), lens, camera.wh, small.intrinsics).astype(np.float32) - 0.5
     return cv2.remap(picture, place[..., 0], place[..., 1], cv2.INTER_AREA, borderMode=cv2.BORDER_CONSTANT)
+
+
+def _rooms(
+    sources: Sequence[Path],
+    cameras: Sequence[Camera],
+    lenses: Sequence[Lens],
+    moments: Sequence[Integer[np.ndarray, " T"]],
+    asked: Sequence[bool],
+) -> list[RoomPicture | None]:
+    """The room without people as the pinhole ``cameras`` see it at the ``moments`` (frames) of their footage, filmed
+    through ``lenses``; None where it is not ``asked`` for, or cannot be read."""
+    names = [c.name for c in cameras]
+    wanted, paths = zip(*((n, path) for n, path, a in zip(names, sources, asked, strict=True) if a))
+    found = rooms_of(wanted, paths, {c.name: c.wh for c in cameras}, dict(zip(names, moments, strict=True)))
+    return [
+        without_distortion(found[c.name], lens, c) if c.name in found else None
+        for c, lens in zip(cameras, lenses, strict=True)
+    ]
 
 
 def marks(seen: Detections, frame: int | None) -> Float[np.ndarray, "N 2"]:
@@ -334,7 +322,10 @@ def run(
         name: read(model) for name, model in LENS_READINGS.items() if any(lenses[c].model != model for c in cameras)
     }
     told = {"sentences": [f["sentence"] for f in found["cameras"]], "refusal": read_clocks(clocks).refusal}
-    result, points = examined(pinholes, detections, about, settings, readings, told, told_of.get("doubts", []))
+    # Whoever filmed people, or everybody: held-out pictures are not looked at for the room's sake.
+    asked = [c in seen or not seen for c in cameras]
+    rooms = _rooms(sources, pinholes, [lenses[c] for c in cameras], moments, asked)
+    result, points = examined(pinholes, detections, about, settings, readings, told, told_of.get("doubts", []), rooms)
     pictures = [both[-1] for both in looks]
     if result["shown_frame"] is not None:
         pictures = [glimpses(film, [int(of[result["shown_frame"]])])[0] for film, of in zip(films, moments)]
@@ -347,6 +338,6 @@ def run(
     for sentence in told["sentences"]:
         say(sentence)
     say(f"verdict: {result['verdict']}")
-    for sentence in result["advice"]:
+    for sentence in [*result["advice"], *filter(None, [agreeing(result)])]:
         say(sentence)
     say(f"the page is {doctor}")

@@ -10,44 +10,66 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.arrays import evenly_spread
 from studiorecon.errors import UserError
-from studiorecon.footage.source import open_source, stills
+from studiorecon.footage.source import glimpses, open_source
+from studiorecon.geometry.lens import video_from_working
 from studiorecon.progress import warn
 from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.room_turns import straight_edges
+from studiorecon.scene.camera import Camera, Lens
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Integer
 
 # Pictures whose median is the room, spread over the footage; where half of them are so many grey levels beside it,
 # something moves.
 _PICTURES = 9
 _STILL_LEVELS = 12
+_STRIP_ROWS = 256
 # Pictures are read by their number: the rate of a folder of them does not matter.
 _ANY_FPS = 30.0
 
 
 def rooms_of(
-    cameras: Sequence[str], sources: Sequence[Path], size: Mapping[str, tuple[int, int]]
+    cameras: Sequence[str],
+    sources: Sequence[Path],
+    size: Mapping[str, tuple[int, int]],
+    moments: Mapping[str, Integer[np.ndarray, " T"]] | None = None,
 ) -> dict[str, RoomPicture]:
     """camera → the room in the pixels of its footage of ``size``; without the cameras whose footage cannot be read,
-    which is said."""
+    which is said. ``moments``: camera → frames (T,) of its footage to look at; else all of it."""
     found = {}
     for camera, path in zip(cameras, sources):
         try:
             source = open_source(path, _ANY_FPS)
-            total = source.declared_frames or 1
-            wanted = sorted({round(k * (total - 1) / (_PICTURES - 1)) for k in range(_PICTURES)})
-            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in stills(source, wanted)]
+            among = np.arange(source.declared_frames or 1) if moments is None else moments[camera]
+            wanted = among[evenly_spread(len(among), _PICTURES)].tolist()
+            seen = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in glimpses(source, wanted)]
         except UserError as refusal:
             warn(f"the room is not looked at in camera {camera}: {refusal}")
             continue
         if camera in size and seen and seen[0].shape[::-1] == tuple(size[camera]):
-            stack = np.stack(seen)
-            room = np.median(stack, axis=0).astype(np.uint8)
-            beside = np.abs(stack.astype(np.int16) - room)
+            room = np.median(np.stack(seen), axis=0).astype(np.uint8)
+            beside = np.stack([cv2.absdiff(picture, room) for picture in seen])
             found[camera] = RoomPicture(room, np.median(beside, axis=0) < _STILL_LEVELS)
     return found
+
+
+def without_distortion(room: RoomPicture, lens: Lens, camera: Camera) -> RoomPicture:
+    """The room in footage filmed through ``lens`` as the pinhole ``camera`` of the same size sees it; unknown beyond
+    what was filmed."""
+    grey, known = np.zeros(camera.wh[::-1], np.uint8), np.zeros(camera.wh[::-1], bool)
+    filmed = room.known.astype(np.uint8)
+    # Strip by strip: where every pixel of a large picture comes from would take half a gigabyte.
+    for first in range(0, camera.wh[1], _STRIP_ROWS):
+        rows, columns = np.mgrid[first : min(first + _STRIP_ROWS, camera.wh[1]), : camera.wh[0]] + 0.5
+        at = video_from_working(np.stack([columns, rows], axis=-1), lens, camera.wh, camera.intrinsics) - 0.5
+        x, y = np.moveaxis(at.astype(np.float32), -1, 0)
+        strip = slice(first, first + _STRIP_ROWS)
+        grey[strip] = cv2.remap(room.grey, x, y, cv2.INTER_LINEAR)
+        known[strip] = cv2.remap(filmed, x, y, cv2.INTER_NEAREST) > 0
+    return RoomPicture(grey, known)
 
 
 def edges_of(rooms: Mapping[str, RoomPicture]) -> dict[str, Float[np.ndarray, "N 4"]]:

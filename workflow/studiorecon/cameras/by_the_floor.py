@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
+from studiorecon.cameras.changes import changes_since
 from studiorecon.footage.stills import read_plate
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits, triangulate
@@ -20,9 +21,6 @@ from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import RoomPicture, floor_marks
 from studiorecon.rig.level import floor_of, levelled
 from studiorecon.scene.camera import Camera
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 # How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
 _ROOM_REACH_M = (0.15, 0.08)
@@ -67,7 +65,7 @@ def by_the_floor(
             f"{found.report['people_px_after']:.2f} px after"
         )
         return adjusted, report
-    changes = changes_of(given, found.cameras, np.array([c["radial_k1"] for c in report.get("changes", [])] or 0.0))
+    changes = changes_since(given, found.cameras, report)
     say(
         f"the cameras were refined on {pairs}, {before:.1f} of their own standard deviations off before, {after:.1f} "
         "after: "
@@ -91,28 +89,6 @@ def on_the_same_floor(
     if tilt_deg or lift_m:
         say(f"refinement had tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm: put back")
     return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}
-
-
-def changes_of(
-    given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
-) -> list[dict[str, Any]]:
-    """How far each camera was turned and moved, for the report and the log."""
-    changes = []
-    for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):
-        turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
-        degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
-        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
-        longer = new.focal_px[0] / old.focal_px[0] - 1
-        changes.append(
-            {
-                "camera": old.name,
-                "turned_deg": degrees,
-                "moved_m": moved_m,
-                "focal_longer": longer,
-                "radial_k1": float(k1),
-            }
-        )
-    return changes
 
 
 def room_of(plate: Path) -> RoomPicture:

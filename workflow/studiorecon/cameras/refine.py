@@ -15,7 +15,8 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.cameras.by_the_edges import by_the_edges
-from studiorecon.cameras.by_the_floor import by_the_floor, changes_of, on_the_same_floor, room_of
+from studiorecon.cameras.by_the_floor import by_the_floor, on_the_same_floor, room_of
+from studiorecon.cameras.changes import changes_of, changes_since
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
 from studiorecon.footage.video import read_frame
@@ -185,13 +186,12 @@ def decide(
     after, after_each, points = error_medians(adjusted, seen, settings.limits)
     report |= {"after_px": after, "after_px_per_camera": after_each}
     if anew is not None:
-        radial = np.array([c["radial_k1"] for c in report.get("changes", [])] or [0.0] * len(given))
         report |= {
             "refined": True,
             "reason": "the cameras stand elsewhere than the calibration says",
             "unseen_before_px": before_px,
         }
-        report["changes"] = changes_of(given, adjusted, radial)
+        report["changes"] = changes_since(given, adjusted, report)
     if after > limit:
         worst = max((e, c.name) for e, c in zip(after_each, training) if e is not None)
         raise UserError(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.crops import Region, opened, sampled
+from studiorecon.detector.crops import Region, sampled
 from studiorecon.detector.top_down import named
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import LAYOUTS
@@ -45,12 +45,13 @@ class OneStage:
     """The network, on one core. Raises UserError for a file that takes something else, or whose points have no name.
 
     Args:
-        path: the ONNX file, which ``looks_at_everybody``.
+        session: the network as ``crops.opened`` opens it, which ``looks_at_everybody``.
+        path: its file, to be named.
         layout: name of its points (``keypoints.layouts``), or "auto" where their number says it.
     """
 
-    def __init__(self, path: Path, layout: str) -> None:
-        self._session = opened(path, "set detect.network to a readable file")
+    def __init__(self, session: onnxruntime.InferenceSession, path: Path, layout: str) -> None:
+        self._session = session
         given = self._session.get_inputs()
         shape = tuple(given[0].shape)
         sides = {side if isinstance(side, int) else _USUAL_PX for side in shape[2:]}

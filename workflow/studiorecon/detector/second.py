@@ -18,5 +18,5 @@ def second_network(files: list[Path], layout: str) -> SecondNetwork | None:
     if not files:
         return None
     (path,) = files
-    everybody = looks_at_everybody(opened(path, "set detect.network to a readable file"))
-    return OneStage(path, layout) if everybody else TopDown(path, layout)
+    session = opened(path, "set detect.network to a readable file")
+    return OneStage(session, path, layout) if looks_at_everybody(session) else TopDown(session, path, layout)

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.detector.crops import Region, opened, sampled
+from studiorecon.detector.crops import Region, sampled
 from studiorecon.errors import UserError
 from studiorecon.keypoints.layouts import BY_COUNT, LAYOUTS
 
 if TYPE_CHECKING:
+    import onnxruntime
     from jaxtyping import Num
 
 AUTO = "auto"
@@ -45,12 +46,13 @@ class TopDown:
     """The network, on one core. Raises UserError for a file that is no such network, or whose points have no name.
 
     Args:
-        path: the ONNX file.
+        session: the network as ``crops.opened`` opens it.
+        path: its file, to be named.
         layout: name of its points (``keypoints.layouts``), or "auto" where their number says it.
     """
 
-    def __init__(self, path: Path, layout: str) -> None:
-        self._session = opened(path, "set detect.network to a readable file")
+    def __init__(self, session: onnxruntime.InferenceSession, path: Path, layout: str) -> None:
+        self._session = session
         given = self._session.get_inputs()
         shape = tuple(given[0].shape)
         if len(given) != 1 or len(shape) != 4 or shape[1] != 3 or not all(_is_size(s) for s in shape[2:]):

@@ -180,8 +180,8 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     """The frames numbered ``wanted`` (ascending; beyond the end: the last one that can be read), as ``decode`` gives
     them.
 
-    A video is sought to the key frame before each, so a frame costs at most one group of pictures. Raises UserError
-    when nothing can be read.
+    A video is sought to the key frame before each, unless the last one lies behind that, so a frame costs at most one
+    group of pictures. Raises UserError when nothing can be read.
     """
     if source.pictures:
         last = len(source.pictures) - 1
@@ -191,7 +191,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         with av.open(str(source.path), metadata_errors="replace") as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
-            found = [_frame_at(container, stream, index, source.fps) for index in wanted]
+            found = list(_frames_at(container, stream, wanted, source.fps))
     except (av.FFmpegError, IndexError) as error:
         if without_thread(error):
             raise
@@ -202,20 +202,34 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
     return [_upright(frame, source) for frame in frames]
 
 
-def _frame_at(
-    container: av.container.InputContainer, stream: av.VideoStream, index: int, fps: float
-) -> av.VideoFrame | None:
-    """The frame shown at ``index`` / ``fps``, or the last one before the footage ends."""
+def _frames_at(
+    container: av.container.InputContainer, stream: av.VideoStream, wanted: Sequence[int], fps: float
+) -> Iterator[av.VideoFrame | None]:
+    """The frames shown at ``wanted`` (ascending) / ``fps``, each the last one before the footage ends where it does."""
     assert stream.time_base is not None
-    target = (stream.start_time or 0) + round(index / fps / stream.time_base)
     half = 0.5 / fps / float(stream.time_base)
-    container.seek(target, stream=stream, backward=True)
-    last = None
-    for frame in container.decode(stream):
-        last = frame
-        if frame.pts is None or frame.pts >= target - half:
-            break
-    return last
+    last: av.VideoFrame | None = None
+    frames: Iterator[av.VideoFrame] = iter(())
+    for index in wanted:
+        target = (stream.start_time or 0) + round(index / fps / stream.time_base)
+        if last is None or last.pts is None or _key_frame_between(stream, last.pts, target):
+            container.seek(target, stream=stream, backward=True)
+            frames, last = container.decode(stream), None
+        while last is None or (last.pts is not None and last.pts < target - half):
+            following = next(frames, None)
+            if following is None:
+                break
+            last = following
+        yield last
+
+
+def _key_frame_between(stream: av.VideoStream, after: int, target: int) -> bool:
+    """Whether decoding on from ``after`` takes longer than from the key frame before ``target``; also where the file's
+    index does not reach that far."""
+    index = stream.index_entries
+    if not len(index) or index[-1].timestamp < target:
+        return True
+    return any(entry.is_keyframe and after < entry.timestamp <= target for entry in index)
 
 
 def _decode_video(source: FootageSource) -> Iterator[np.ndarray]:

@@ -11,9 +11,9 @@ is.
   ``floor_marks``: places on the floor that cameras share, ``one_floor``: the rig laid on them;
   ``given_lengths``: their metres; ``certainty``: how well they are known;
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``by_the_room``: by its floor and
-  edges too; ``level``: without tilting the floor; ``held_out_pose``: those that only judge; ``hypotheses``,
-  ``lens_model``: poses and lenses that were meant otherwise; ``odd_one_out``: one camera that all others contradict;
-  ``body_points``: people's keypoints by their names; ``residuals``: why their rays do not meet; ``human_size``: another
-  unit than metres; ``first_depth``: what a network that found them says of depth; ``contact_sheet``: the picture of it
-  all.
+  edges too; ``edge_check``: whether edges contradict cameras that people accept; ``level``: without tilting the floor;
+  ``held_out_pose``: those that only judge; ``hypotheses``, ``lens_model``: poses and lenses that were meant otherwise;
+  ``odd_one_out``: one camera that all others contradict; ``body_points``: people's keypoints by their names;
+  ``residuals``: why their rays do not meet; ``human_size``: another unit than metres; ``first_depth``: what a network
+  that found them says of depth; ``contact_sheet``: the picture of it all.
 """

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from studiorecon.calibration.checks.edges import beyond_mending, sentence
+
 if TYPE_CHECKING:
     from jaxtyping import Integer
 
@@ -19,7 +21,6 @@ _BURNT = 0.1
 _WHITE = 250
 # What detectors err on real people with a careful calibration: 0.33 % of the longer side (6.3 of 1920 px, OpenPose).
 _NOISE_SHARE = 0.004
-_WORTH_REFINING = 0.1
 # Cameras that may be turned to one another by more than this, degrees, without people showing it: that is told. Two
 # people who walk past each other leave 1.6 open, one man on one spot 6 to 7.
 _TOLD_DEG = 2.0
@@ -28,7 +29,7 @@ _TOLD_DEG = 2.0
 HEADLINES = {
     "good": "This capture is ready: calibration, clocks and footage agree.",
     "usable": "The calibration is roughly right: refinement will move the cameras on the "
-    "people. How far it is off is said below.",
+    "people and the room's edges. How far it is off is said below.",
     "check": "The calibration fits the people. Some things are worth a look before the long run.",
     "cannot tell": "Nobody can tell whether this calibration is right: what was found also fits a "
     "wrong one, or nothing could be compared.",
@@ -70,6 +71,14 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     if report["refined"] is not None and report["refined"]["elsewhere"] and not _better_read(report):
         # Cameras that were moved since: nothing fits as read, another reading may seem to, and refinement mends it.
         wrong, unclear = [report["odd_one_out"]] if report["odd_one_out"] else [], []
+    if report["edges"] is not None and report["edges"]["clear"] and not wrong:
+        told = [sentence(report["edges"])]
+        if beyond_mending(report["edges"]):
+            unclear += told
+        elif report["edges"]["mended"]:
+            off += told
+        else:
+            rest = told + rest
     name = (
         "wrong" if wrong else "cannot tell" if unclear else "usable" if off else "check" if rest or refused else "good"
     )
@@ -78,6 +87,12 @@ def verdict(report: dict[str, Any], limit_px: float) -> tuple[str, list[str]]:
     remarks = _left_open(report) if not wrong else []
     remarks += [f"camera {c} has no keypoints: look whether the dots lie on people in its picture" for c in silent]
     return name, refused + wrong + unclear + off + rest + remarks
+
+
+def agreeing(report: dict[str, Any]) -> str:
+    """What the room's edges say where it is nothing to check; "" where there is nothing to say."""
+    edges = report["edges"]
+    return "" if edges is None or edges["clear"] or report["verdict"] == "wrong" else sentence(edges)
 
 
 def _wrong(report: dict[str, Any], limit_px: float) -> list[str]:
@@ -116,7 +131,7 @@ def _off(report: dict[str, Any]) -> list[str]:
     if px is None and refined is None:
         return []
     width = max(max(a["wh"]) for a in report["footage"].values())
-    better = refined is not None and (px is None or refined["px"] < (1 - _WORTH_REFINING) * px)
+    better = refined is not None and refined["better"]
     if px is None:
         size = "no three cameras agree on anybody as the calibration was read"
     elif not better and px <= _NOISE_SHARE * width:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import base64
 from typing import Any
 
-from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES
+from studiorecon.calibration.checks.advice import CLEAR_MARGIN, HEADLINES, agreeing
 from studiorecon.pages import skeleton
 from studiorecon.rig.hypotheses import MOST_MARGIN
 
@@ -24,6 +24,9 @@ _BODY = """
 <h2>Clocks</h2><ul>{% for told in report.sync.sentences %}<li>{{ told }}</li>{% endfor %}</ul>
 {% endif %}
 <h2>What to check</h2><ul>{% for a in report.advice %}<li>{{ a }}</li>{% else %}<li>Nothing.</li>{% endfor %}</ul>
+{% if edges %}
+<h2>The room's straight edges</h2><p>{{ edges[:1].upper() }}{{ edges[1:] }}.</p>
+{% endif %}
 <p><img alt="every camera with people's joints projected back into it, and all cameras from above"
 src="{{ sheet }}"></p>
 <p class="soft">{{ caption }}</p>
@@ -65,6 +68,7 @@ def page(scene: str, report: dict[str, Any], sheet_png: bytes) -> str:
         colour=_COLOURS[report["verdict"]],
         headline=HEADLINES[report["verdict"]],
         sheet="data:image/png;base64," + base64.b64encode(sheet_png).decode("ascii"),
+        edges=agreeing(report),
         caption=_caption(report),
         head=_HEAD,
         cameras=[_camera(report, name) for name in report["footage"]],

@@ -207,9 +207,24 @@ def cameras(doctor: Any, sheet: str) -> str:
         html.heading("Cameras", lead)
         + "".join(f"<p><b>{html.text(d)}</b></p>" for d in (doctor.get("calibration") or {}).get("doubts") or ())
         + (html.table(header, rows, numeric=(1, 2)) if rows else "")
+        + _edges(doctor.get("edges"))
         + html.figure(sheet, "contact sheet of all cameras")
         + html.folded("Everything the doctor found", found)
     )
+
+
+def _edges(told: Any) -> str:
+    """What the room's straight edges said of how the cameras are turned, before refinement and after."""
+    if told is None:
+        return ""
+    off = f"{' and '.join(told['cameras'])} are turned to one another by {told['off_deg']:.1f}°"
+    if told["believed"]:
+        said = (
+            f"contradicted how {off}; as used {told['off_after_deg']:.1f}°, known to ±{told['between_deg']:.1f}° (95 %)"
+        )
+    else:
+        said = f"differ from how {off}, {told['off_sigmas']:.1f} of the edges' standard deviations: no camera was moved"
+    return f"<p class=soft>{html.text(f'The straight edges of the room {said}.')}</p>"
 
 
 def coverage(decided: Sequence[Mapping[str, Decision]]) -> str:

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the room's straight edges say of a calibration that people accept, before refinement and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from studiorecon.calibration.checks.refined import Refined, moves_told
+from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.by_the_room import turns_of
+from studiorecon.rig.correspondences import Observations
+from studiorecon.rig.edge_check import contradiction, put_right
+from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.scene.camera import Camera
+
+# Past this a camera looks 20 cm beside what is three metres away: films would show it, whoever is right.
+_FAR_DEG = 4.0
+
+
+def by_edges(
+    given: Sequence[Camera],
+    people: Refined | None,
+    seen: Observations,
+    rooms: Sequence[RoomPicture | None],
+    limits: Limits,
+    bundle: BundleSettings,
+) -> dict[str, Any] | None:
+    """By how much the edges in ``rooms`` contradict the ``given`` cameras, and once refinement has moved them, on
+    people and on the edges; None where there is no picture of the room.
+
+    ``people``: what refinement makes of the cameras on people, ``seen`` what these show where that is nothing.
+    ``clear``: the edges contradict the given cameras by more than they err by; ``mended``: not any more afterwards.
+    """
+    if all(room is None for room in rooms):
+        return None
+    before = contradiction(given, turns_of(given, rooms))
+    if before is None:
+        return {"told": False, "clear": False}
+    moved = people is not None and (people.elsewhere or people.better)
+    cameras = list(people.cameras) if people is not None and moved else list(given)
+    after = contradiction(cameras, turns_of(cameras, rooms)) if moved else before
+    mended, after_deg, between_deg, worse = False, None, None, None
+    if after is not None:
+        mended, after_deg = not after.clear, after.off_deg
+        seen = seen if people is None else people.seen
+        # Where cameras were moved since, edges joined people already.
+        if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
+            right = put_right(given, cameras, seen, rooms, limits, bundle)
+            if right is not None:
+                worse = right.people_px[1] / right.people_px[0] - 1
+            if right is not None and right.believed:
+                cameras, mended, after_deg, between_deg = right.cameras, True, right.off_deg, right.between_deg
+    return {
+        "told": True,
+        "clear": before.clear,
+        "cameras": before.cameras,
+        "off_deg": before.off_deg,
+        "sigma_deg": before.off_deg / before.sigmas,
+        "mended": mended,
+        "after_deg": after_deg,
+        "between_deg": between_deg,
+        "people_worse": worse,
+        "moves": moves_told(cameras, given),
+    }
+
+
+def beyond_mending(edges: dict[str, Any] | None) -> bool:
+    """Whether the edges contradict the calibration by much, and refinement would not mend it."""
+    return edges is not None and edges["clear"] and not edges["mended"] and edges["off_deg"] > _FAR_DEG
+
+
+def sentence(edges: dict[str, Any]) -> str:
+    """What ``by_edges`` found, in words."""
+    if not edges["told"]:
+        return (
+            "the room's straight edges tell nothing of the calibration: they run along its three directions in fewer "
+            "than two cameras"
+        )
+    pair, off, sigma = " and ".join(edges["cameras"]), edges["off_deg"], edges["sigma_deg"]
+    if not edges["clear"]:
+        return (
+            f"the room's straight edges agree with the calibration: {off:.1f}° off at most in how two cameras are "
+            f"turned to one another ({pair}), where they err by {sigma:.1f}°"
+        )
+    said = (
+        f"the room's straight edges contradict how cameras {pair} are turned to one another by {off:.1f}°, where they "
+        f"err by {sigma:.1f}°"
+    )
+    if not edges["mended"]:
+        worse = edges["people_worse"]
+        why = "" if worse is None else f": people would fit {100 * worse:.0f} % worse"
+        return (
+            f"{said}, and refinement does not mend that{why}; look whether what these cameras show is square to the "
+            "room, and if it is calibrate again, or let somebody walk through the whole room while all cameras film"
+        )
+    turned = ", ".join(
+        f"{c} by {m['turned_deg']:.1f}° and {100 * m['moved_m']:.0f} cm" for c, m in edges["moves"].items()
+    )
+    known = f", known to ±{edges['between_deg']:.1f}° (95 %)" if edges["between_deg"] is not None else ""
+    return (
+        f"{said}, and by {edges['after_deg']:.1f}° once refinement has moved the cameras ({turned}){known}; usable, "
+        "with cameras.refine on; calibrate again if that is not enough"
+    )

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What refinement would make of the cameras on the people: looked at before anything expensive, without moving any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.geometry.bundle import BundleSettings
+from studiorecon.geometry.triangulation import Limits
+from studiorecon.rig.bundle import error_medians, fitted
+from studiorecon.rig.certainty import people_tell, stale_between_deg
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.stale import moves, where_they_stand_now
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.people import Detections
+
+# As many as ``cameras.refine`` looks at.
+_FRAMES = 96
+# People are to fit better by this share before they move a camera.
+_WORTH_REFINING = 0.1
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Cameras as people would have them.
+
+    Attributes:
+        cameras: with those poses.
+        seen: what people show them.
+        px, elsewhere: the median error then, and whether they clearly stand elsewhere than they were given.
+        better: whether people fit clearly better with them, so that refinement takes them.
+        asked_deg, between_deg: what people leave open of how cameras are turned to one another (``people_tell``); None
+            where there is too little to say.
+    """
+
+    cameras: list[Camera]
+    seen: Observations
+    px: float
+    elsewhere: bool
+    better: bool
+    asked_deg: float | None
+    between_deg: float | None
+
+    def as_json(self, given: Sequence[Camera]) -> dict[str, Any]:
+        """The numbers, with every camera's move from where it was given."""
+        return {
+            "px": self.px,
+            "elsewhere": self.elsewhere,
+            "better": self.better,
+            "moves": moves_told(self.cameras, given),
+            "asked_deg": self.asked_deg,
+            "between_deg": self.between_deg,
+        }
+
+
+def moves_told(cameras: Sequence[Camera], given: Sequence[Camera]) -> dict[str, dict[str, float]]:
+    """camera → degrees and metres that it was turned and moved by from where it was given."""
+    degrees, metres = moves(cameras, given)
+    return {
+        c.name: {"turned_deg": float(d), "moved_m": float(m)} for c, d, m in zip(given, degrees, metres, strict=True)
+    }
+
+
+def refined_on_people(
+    cameras: Sequence[Camera],
+    detections: Sequence[Detections],
+    watched: Sequence[int],
+    frames: int,
+    median_px: float | None,
+    allowed_px: float,
+    gate_m: float,
+    limits: Limits,
+    bundle: BundleSettings,
+    rooms: Sequence[RoomPicture | None] = (),
+) -> Refined | None:
+    """What people in ``frames`` frames make of ``cameras``, of which they see those ``watched`` (indices); None where
+    they could do nothing.
+
+    ``median_px``: their median error as given, None where no three cameras agree; ``allowed_px``: what it may be once
+    cameras that were moved are put right. ``rooms``: pictures of the room, where there are any.
+    """
+    if len(cameras) < 3 or len(watched) < 2:
+        return None
+    chosen = evenly_spread(frames, _FRAMES)
+    before_px = np.nan if median_px is None else median_px
+    anew = where_they_stand_now(
+        cameras, detections, watched, chosen, gate_m, 0.0, limits, bundle, before_px, allowed_px, rooms
+    )
+    seen = observe(detections, cameras, chosen, gate_m)[0] if anew is None else anew.seen
+    held = anew if anew is not None or not len(seen.frame) else fitted(cameras, seen, limits, bundle)
+    if held is None:
+        return None
+    px = error_medians(held.cameras, seen, limits)[0]
+    told = people_tell(cameras, seen, limits) if anew is None else (0.0, stale_between_deg(anew, limits))
+    asked_deg, between_deg = (None, None) if told is None else told
+    better = median_px is None or px < (1 - _WORTH_REFINING) * median_px
+    return Refined(held.cameras, seen, px, anew is not None, better, asked_deg, between_deg)

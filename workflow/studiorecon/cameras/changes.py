@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far refinement has turned and moved every camera, for the report and the log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+def changes_of(
+    given: Sequence[Camera], refined: Sequence[Camera], radial: Float[np.ndarray, " V"]
+) -> list[dict[str, Any]]:
+    """A row for each camera: its turn and move, by how much its focal length is longer, and its ``radial`` term."""
+    changes = []
+    for old, new, k1 in zip(given, refined, np.broadcast_to(radial, len(given))):
+        turned = new.camera_from_world[:3, :3] @ old.camera_from_world[:3, :3].T
+        degrees = float(np.degrees(2 * np.arcsin(min(1.0, np.linalg.norm(turned - np.eye(3)) / np.sqrt(8)))))
+        moved_m = float(np.linalg.norm(new.centre_m - old.centre_m))
+        longer = new.focal_px[0] / old.focal_px[0] - 1
+        changes.append(
+            {
+                "camera": old.name,
+                "turned_deg": degrees,
+                "moved_m": moved_m,
+                "focal_longer": longer,
+                "radial_k1": float(k1),
+            }
+        )
+    return changes
+
+
+def changes_since(
+    given: Sequence[Camera], refined: Sequence[Camera], report: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """The same, with the radial terms that an earlier refinement told in ``report``."""
+    radial = [change["radial_k1"] for change in report.get("changes", [])] or [0.0] * len(given)
+    return changes_of(given, refined, np.array(radial))
