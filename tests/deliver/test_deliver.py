@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.body.model import BodyModel
 from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver import camera_files, export, keypoint_files
@@ -19,7 +20,7 @@ from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.people import Detections, write_detections, write_identities
 
 from tests.made.delivered import options
-from tests.made.scene import ring, write_scene
+from tests.made.scene import FRAMES, avatar, ring, room, write_scene
 
 
 def test_everything_delivered_can_be_read_and_matches_its_digest(tmp_path: Path, root: Path) -> None:
@@ -123,3 +124,14 @@ def test_a_missing_film_is_named(tmp_path: Path, root: Path) -> None:
     chosen["films"][0].unlink()
     with pytest.raises(UserError, match=r"orbit\.mp4"):
         export.run(**chosen)
+
+
+def test_who_comes_later_is_not_in_the_still_picture_and_alone_as_they_came(root: Path) -> None:
+    rng, body = np.random.default_rng(0), BodyModel.load(root / "resources/body.npz")
+    background, first, second = room(rng), avatar(body, rng, "p0"), avatar(body, rng, "p1")
+    late = replace(second, present=np.arange(FRAMES) >= 3)
+    files = export.gaussian_files(background, [first, late], 0)
+    assert files["still.ply"].count == background.count + first.gaussians.count
+    np.testing.assert_array_equal(files["people/p1.ply"].means_m, second.posed(3).means_m)
+    assert files["people/p1.ply"].logit_opacities.min() > 0
+    np.testing.assert_array_equal(files["people/p0.ply"].means_m, first.posed(0).means_m)
