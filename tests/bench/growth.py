@@ -9,7 +9,7 @@ counts little, and the largest resident memory of a job. A rule's slope is what 
 difference of the two runs over that of their camera-frames; twice the slope of the first run alone would be a step
 that grows faster than the film. ``exponent`` is log(seconds) over log(frames) between the two, 0 for what does not
 grow, 1 for what grows with the film, 2 for what compares every frame with every other. Table and machine go to
-tests/bench/results/growth.json.
+tests/bench/results/growth.json, one entry per number of cameras.
 """
 
 from __future__ import annotations
@@ -121,7 +121,9 @@ def main() -> None:
         print(f"{rule:28s} {seconds} {memory} {row['ms_per_camera_frame']:14.1f} {row['exponent']:9.2f}{over}")
     machine = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
     asked = {"frames": list(given.frames), "cameras": given.cameras, "people": given.people, "size": list(given.size)}
-    RESULTS.write_text(json.dumps({"machine": machine, "asked": asked, "rows": rows}, indent=1) + "\n")
+    kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    kept[f"{given.cameras} cameras"] = {"machine": machine, "asked": asked, "rows": rows}
+    RESULTS.write_text(json.dumps(kept, indent=1) + "\n")
 
 
 if __name__ == "__main__":

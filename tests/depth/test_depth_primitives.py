@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.depth.layout import visibility
 from studiorecon.depth.layout.furniture import allowed, around, furnish
 from studiorecon.depth.layout.primitives import Primitive, in_front, read_primitives, write_primitives
 from studiorecon.depth.layout.primitives_picture import sheet
@@ -237,6 +238,18 @@ def test_nothing_stands_between_a_camera_and_what_it_saw_of_somebody() -> None:
     assert allowed(behind, room.room_box, free)[0] == allowed(behind, room.room_box, NOBODY)[0], (
         "what stands behind somebody stays possible"
     )
+
+
+def test_lines_of_sight_counted_in_parts_are_those_counted_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    room = made_room(table=False)
+    cameras = [looked.camera for looked in looks(room)[:2]]
+    joints = cameras[0].centre_m + 2.5 * cameras[0].forward + np.array([0.0, 0.0, 0.02]) * np.arange(24)[:, None]
+    person, seen = seen_person(cameras[0], joints, 7)
+    at_once = seen_through(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
+    monkeypatch.setattr(visibility, "_LINES_AT_ONCE", 5)
+    in_parts = seen_through(cameras, [person], [seen], {(cameras[0].name, 0): "p0"})
+    assert len(at_once)
+    assert np.array_equal(at_once, in_parts)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ _CONFIDENCE, _BEFORE_M = 0.5, 0.3
 _NEAR_SHARE = 0.03
 # Detectors guess hidden joints now and then: so many lines must cross a place.
 _LEAST_LINES = 3
+# Lines are counted so many at a time: a long film has millions of them, but a room has only so many cells.
+_LINES_AT_ONCE = 20_000
 
 
 def walked(people: Sequence[Person]) -> Float[np.ndarray, "M 4"]:
@@ -58,7 +60,8 @@ def seen_through(
     track).
     """
     bodies, views = {person.name: person for person in people}, {camera.name: camera for camera in cameras}
-    lines: list[np.ndarray] = [np.zeros((0, 3))]
+    lines: list[np.ndarray] = []
+    places, crossed = np.zeros((0, 3)), np.zeros(0, np.int64)
     for detections in found:
         camera = views.get(detections.camera)
         if camera is None:
@@ -70,9 +73,22 @@ def seen_through(
             lines += [
                 _along(camera.centre_m, target) for target in _sighted(camera, keypoints, body.joints[int(frame)])
             ]
-    points = np.concatenate(lines)
-    _, first, count = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_counts=True)
-    return kept_from(points[first[count >= _LEAST_LINES]], 0.0)
+            if len(lines) >= _LINES_AT_ONCE:
+                places, crossed = _counted(places, crossed, lines)
+                lines = []
+    places, crossed = _counted(places, crossed, lines)
+    return kept_from(places[crossed >= _LEAST_LINES], 0.0)
+
+
+def _counted(places_m: np.ndarray, crossed: np.ndarray, lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Places (M, 3), one in a cell, that lines went through so far, and how many did (M,), with some more ``lines``."""
+    points = np.concatenate([places_m, *lines])
+    cells, first, cell_of = np.unique(np.round(points / _LINE_CELL_M), axis=0, return_index=True, return_inverse=True)
+    times = np.ones(len(points), np.int64)
+    times[: len(crossed)] = crossed
+    found = np.zeros(len(cells), np.int64)
+    np.add.at(found, cell_of.reshape(-1), times)
+    return points[first], found
 
 
 def _sighted(camera: Camera, keypoints: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
