@@ -22,6 +22,12 @@ def edit(path: Path, text: str) -> None:
     path.write_text(path.read_text() + text)
 
 
+def forget() -> None:
+    """What a process of its own would not know."""
+    code._known.cache_clear()
+    code._parsed.cache_clear()
+
+
 def memory(copy: Path) -> Path:
     (file,) = (copy / "__pycache__").glob("digests.*.json")
     return file
@@ -58,7 +64,7 @@ def test_sources_are_parsed_once_and_remembered_by_what_they_hold(copy: Path, mo
     edited = code.digest("capture.manifest")
     source = (copy / "capture" / "manifest.py").read_text()
     (copy / "capture" / "manifest.py").write_text(source.removesuffix("\nEXTRA = 1\n"))
-    code._known.cache_clear()
+    forget()
     monkeypatch.setattr(code.ast, "parse", lambda source: pytest.fail("parsed again"))
     assert code.digest("capture.manifest") == before != edited
 
@@ -67,7 +73,7 @@ def test_sources_are_parsed_once_and_remembered_by_what_they_hold(copy: Path, mo
 def test_a_damaged_memory_is_made_anew(copy: Path, damage: bytes) -> None:
     before = code.digest("capture.manifest")
     memory(copy).write_bytes(damage)
-    code._known.cache_clear()
+    forget()
     assert code.digest("capture.manifest") == before
     assert memory(copy).read_bytes() != damage
 
@@ -76,5 +82,15 @@ def test_where_nothing_can_be_remembered_sources_are_parsed(copy: Path) -> None:
     before = code.digest("capture.manifest")
     shutil.rmtree(copy / "__pycache__")
     (copy / "__pycache__").touch()
-    code._known.cache_clear()
+    forget()
     assert code.digest("capture.manifest") == before
+
+
+def test_modules_that_come_and_go_while_a_process_runs_are_seen(copy: Path) -> None:
+    assert code.module_path("capture.later") is None
+    (copy / "capture" / "later.py").write_text("from studiorecon import errors\n")
+    assert code.module_path("capture.later") == copy / "capture" / "later.py"
+    assert "errors" in code.reached(["capture.later"])
+    (copy / "capture" / "later.py").unlink()
+    with pytest.raises(FileNotFoundError):
+        code.digest("capture.later")
