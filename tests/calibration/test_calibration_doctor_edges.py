@@ -37,10 +37,13 @@ def examined(
 ) -> dict[str, Any]:
     """What the doctor says of ``given`` cameras, where ``ring()``'s filmed people."""
     seen = detect(ring(), list(people), px, np.random.default_rng(2))[: len(given)]
+    return doctor.examined(given, seen, about(given), loaded(doctor.Settings), rooms=rooms)[0]
+
+
+def about(cameras: Sequence[Camera]) -> list[dict[str, Any]]:
     facts = {"frames": FRAMES, "first_frame": 0.0, "keypoints": True, "video_frames": FRAMES, "fps": 30.0}
     light = {"rotation_deg": 0, "brightness": 0.4, "burnt": 0.0}
-    about = [{**facts, **light, "camera": c.name, "wh": list(c.wh)} for c in given]
-    return doctor.examined(given, seen, about, loaded(doctor.Settings), rooms=rooms)[0]
+    return [{**facts, **light, "camera": c.name, "wh": list(c.wh)} for c in cameras]
 
 
 def pictured(cameras: Sequence[Camera], clutter: float = 0.2) -> list[RoomPicture | None]:
@@ -117,6 +120,19 @@ def test_of_a_calibration_that_is_wrong_anyway_edges_say_nothing() -> None:
     assert verdict({**report, "edges": contradicted["edges"]}, 100.0)[1] == report["advice"]
 
 
+def test_a_camera_that_only_judges_takes_no_part() -> None:
+    """It sees nobody and its room is not looked at: neither moved nor counted in how well the others are known."""
+    given = about_the_spot(ring(), OFF_DEG)
+    alone = examined(given, pictured(ring()))["edges"]
+    held_out = replace(ring(5)[4], name="view")
+    seen = [*detect(ring(), ON_ONE_SPOT, 6.0, np.random.default_rng(2)), doctor.nobody("view")]
+    rooms = [*pictured(ring()), None]
+    judged = doctor.examined([*given, held_out], seen, about([*given, held_out]), loaded(doctor.Settings), rooms=rooms)
+    assert judged[0]["edges"]["moves"].keys() == alone["moves"].keys()
+    assert judged[0]["edges"]["between_deg"] < 1.2 * alone["between_deg"]
+    assert judged[0]["edges"]["mended"]
+
+
 def test_two_cameras_are_told_apart_by_edges_too() -> None:
     """Two cameras have no third one that people could refine them on; edges and people move them all the same."""
     report = examined(about_the_spot(ring(), OFF_DEG)[:2], pictured(ring())[:2])
@@ -140,10 +156,10 @@ def test_of_a_real_man_s_two_calibrations_edges_contradict_the_hand_picked_one(
     calibrated = out / "calibration.json"
     files.run(loaded(files.Settings), [take / "calibration" / file], names, maps, calibrated)
     for c in names:
-        about = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c], 60.0
+        recorded = dataset.keypoint_layout, dataset.keypoint_first_frame, dataset.footage[c], 60.0
         told = json.dumps(dataset.pixel_maps[c])
         found = out / f"{c}.npz", out / f"{c}.json"
-        keypoints.run(loaded(tracks_keypoints.Settings), c, dataset.keypoints[c], *about, told, *found)
+        keypoints.run(loaded(tracks_keypoints.Settings), c, dataset.keypoints[c], *recorded, told, *found)
     footage, seen = [dataset.footage[c] for c in names], [out / f"{c}.npz" for c in names]
     clocks = out / "clocks.json", out / "sync.json"
     offsets.run(loaded(offsets.Settings), names, footage, seen, "{}", 0, 0, *clocks)

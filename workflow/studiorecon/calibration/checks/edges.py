@@ -35,16 +35,19 @@ def by_edges(
     """
     if all(room is None for room in rooms):
         return None
+    seen = seen if people is None else people.seen
+    # Nothing is known of the others: held-out cameras, whose pictures are not looked at.
+    known = [v for v, room in enumerate(rooms) if room is not None or (seen.confidence[v] > 0).any()]
+    given, rooms, seen = [given[v] for v in known], [rooms[v] for v in known], seen.by(known)
     before = contradiction(given, turns_of(given, rooms))
     if before is None:
         return {"told": False, "clear": False}
     moved = people is not None and (people.elsewhere or people.better)
-    cameras = list(people.cameras) if people is not None and moved else list(given)
+    cameras = [people.cameras[v] for v in known] if people is not None and moved else given
     after = contradiction(cameras, turns_of(cameras, rooms)) if moved else before
     mended, after_deg, between_deg, worse = False, None, None, None
     if after is not None:
-        mended, after_deg = not after.clear, after.off_deg
-        seen = seen if people is None else people.seen
+        mended, after_deg = before.clear and not after.clear, after.off_deg
         # Where cameras were moved since, edges joined people already.
         if after.clear and len(seen.frame) and not (people is not None and people.elsewhere):
             right = put_right(given, cameras, seen, rooms, limits, bundle)

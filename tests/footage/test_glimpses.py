@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A few pictures of a long video, sought from key frame to key frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from studiorecon.footage import source as footage
+from studiorecon.footage.source import glimpses, open_source
+
+FRAMES = 120
+
+
+def written(path: Path, key_frames_every: int) -> Path:
+    """Every picture has a grey level of its own."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"sc_threshold": "0"})
+        stream.width, stream.height, stream.pix_fmt, stream.gop_size = 64, 48, "yuv420p", key_frames_every
+        for k in range(FRAMES):
+            picture = np.full((48, 64, 3), 2 * k, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "mkv"])
+@pytest.mark.parametrize("key_frames_every", [10, 50, 1000])
+def test_the_frames_are_those_that_were_asked_for(tmp_path: Path, suffix: str, key_frames_every: int) -> None:
+    source = open_source(written(tmp_path / f"a.{suffix}", key_frames_every), 30.0)
+    wanted = [0, 0, 1, 37, 38, 51, 100, 119, 119, 500]
+    found = [float(picture.mean()) / 2 for picture in glimpses(source, wanted)]
+    np.testing.assert_allclose(found, np.minimum(wanted, FRAMES - 1), atol=0.7)
+
+
+def test_one_group_of_pictures_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And where there are many, none of those between."""
+    sought: list[int] = []
+    between = footage._key_frame_between
+
+    def noted(stream: av.VideoStream, after: int, target: int) -> bool:
+        sought.append(between(stream, after, target))
+        return bool(sought[-1])
+
+    monkeypatch.setattr(footage, "_key_frame_between", noted)
+    for every, jumps in ((1000, [False] * 4), (10, [True] * 4)):
+        sought.clear()
+        glimpses(open_source(written(tmp_path / f"{every}.mp4", every), 30.0), [0, 25, 50, 75, 100])
+        assert sought == jumps
