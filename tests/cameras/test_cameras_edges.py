@@ -60,6 +60,17 @@ def test_a_calibration_that_is_right_stays() -> None:
     assert all(a is b for a, b in zip(found, truth))
 
 
+def test_a_room_that_is_mostly_hidden_moves_no_camera() -> None:
+    truth = ring()
+    given = about_the_spot(truth, [1.5, -1.5, 1.2, -0.8])
+    rooms = [drawn(c, v) for v, c in enumerate(truth)]
+    for room in rooms:
+        # Whoever stands before the camera hides the left half, and some of the rest.
+        room.known[:, : int(0.45 * room.known.shape[1])] = False
+    assert contradiction(given, turns_of(given, rooms)) is None
+    assert by(given, observed(truth, given), rooms) == (given, {"refined": False})
+
+
 def test_lines_that_run_anywhere_move_no_camera() -> None:
     truth = ring()
     given = about_the_spot(truth, [1.5, -1.5, 1.2, -0.8])

@@ -87,6 +87,22 @@ class TestPlate:
         assert regions[3, 30, 50]  # the middle of the torso
         assert regions[3].mean() < 0.2
 
+    def test_a_camera_that_follows_the_light_leaves_no_holes(self, tmp_path: Path, default_settings) -> None:
+        background = (30 + 0.6 * smooth_pictures(1, seed=4)[0]).astype(np.uint8)
+        frames, there = passing_block(40, background, 1.0)
+        swing = 1 + 0.2 * np.sin(np.linspace(0, 2 * np.pi, 40))
+        pictures = np.clip(np.rint(frames * swing[:, None, None, None]), 0, 255).astype(np.uint8)
+        write_lossless(tmp_path / "a.mkv", iter(pictures), 30)
+        write_footage(tmp_path / "a.json", footage("a", 40))
+        write_detections(tmp_path / "a.npz", boxed(there))
+        options = load(plate_step.Settings, default_settings("plates"), "plates")
+        arguments = options, tmp_path / "a.mkv", tmp_path / "a.json", calibrated(tmp_path), [tmp_path / "a.npz"]
+        plate_step.run(*arguments, [], tmp_path / "plate.png")
+        rgb, measured = read_plate(tmp_path / "plate.png")
+        beside = np.s_[:, :68]
+        assert measured[beside].mean() > 0.97
+        assert np.median(np.abs(rgb * 255 - background)[beside][measured[beside]]) < 1.5
+
     def test_a_given_plate_fills_what_the_footage_never_shows(self, tmp_path: Path, default_settings) -> None:
         background = smooth_pictures(1, seed=4)[0]
         frames, there = passing_block(40, background, 1.0)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A static camera's pictures in one light: what lamps that swing, or a camera that sets its own exposure, do to all of
+a picture at once is divided out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import require
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer, Num
+
+# So many pixels of a grid stand for all; grey levels between which a camera still tells brightness.
+_PIXELS, _DARKEST, _BRIGHTEST = 6000, 12, 243
+# What everything shares is told by pictures in which so many of those pixels are free and not saturated.
+_LEAST_PIXELS = 50
+_ROUNDS = 3
+STEADY = 0.02
+"""Pictures whose brightness differs by less than this share are in one light: noise and people make as much."""
+
+
+def light_factors(frames: Integer[np.ndarray, "T H W 3"], free: Bool[np.ndarray, "T H W"]) -> Float[np.ndarray, "T 3"]:
+    """(T, 3) how much brighter each picture (uint8) is than the clip in the median, per channel, by the pixels that are
+    ``free`` of people; 1 where too few of them tell.
+
+    A gain of light is taken for a gain of grey levels, which a camera's curve makes it nearly. Medians over pixels and
+    over time: who or what moves in front decides nothing. Raises ValueError for arrays that do not belong together.
+    """
+    require("free", free, ("T", "H", "W"), require("frames", frames, ("T", "H", "W", 3)))
+    step = max(1, int(np.sqrt(frames.shape[1] * frames.shape[2] / _PIXELS)))
+    grid = (slice(None), slice(step // 2, None, step), slice(step // 2, None, step))
+    levels = frames[grid].reshape(len(frames), -1, 3).astype(np.float64)
+    told = free[grid].reshape(len(frames), -1) & ((levels > _DARKEST) & (levels < _BRIGHTEST)).all(axis=-1)
+    usual = told.sum(axis=0) >= len(frames) / 2
+    levels, told = np.log(np.maximum(levels[:, usual], 1.0)), told[:, usual]
+    tells = told.sum(axis=1) >= _LEAST_PIXELS
+    factors = np.ones((len(frames), 3))
+    seen = told[tells].any(axis=0)
+    if not seen.any():
+        return factors
+    logs = np.where(told[..., None], levels, np.nan)[tells][:, seen]
+    gains = np.zeros((len(logs), 3))
+    for _ in range(_ROUNDS):
+        room = np.nanmedian(logs - gains[:, None], axis=0)
+        gains = np.nanmedian(logs - room, axis=1)
+        gains -= np.median(gains, axis=0)
+    factors[tells] = np.exp(gains)
+    return factors
+
+
+def in_one_light(
+    frames: Integer[np.ndarray, "T H W 3"], factors: Num[np.ndarray, "T 3"]
+) -> Integer[np.ndarray, "T H W 3"]:
+    """Pictures (T, H, W, 3) uint8 with their ``factors`` (T, 3) divided out: the same array where they are steady."""
+    if np.abs(np.log(factors)).max(initial=0.0) <= STEADY:
+        return frames
+    even = np.empty_like(frames)
+    levels = np.arange(256)[:, None]
+    for picture, factor, out in zip(frames, factors, even):
+        table = np.clip(np.rint(levels / factor), 0, 255).astype(np.uint8)
+        for channel in range(3):
+            out[..., channel] = table[picture[..., channel], channel]
+    return even
