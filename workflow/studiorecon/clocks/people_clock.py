@@ -12,7 +12,6 @@ import numpy as np
 from studiorecon.clocks.agreement import Pair
 from studiorecon.clocks.calibrated_lag import CalibratedPair, calibrated_lag, straightened
 from studiorecon.clocks.people_lag import Meeting, PeopleLag, lag_of, lag_of_all
-from studiorecon.clocks.together import together
 from studiorecon.keypoints.correspondence import stable_detections
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock
@@ -74,11 +73,6 @@ def people_pair(
             agreed = _sharper(agreed, _agreed(_by_calibration(rays[a], rays[b], rate, pair)))
         if agreed is not None:
             pairs.append(Pair(a, b, -agreed[0] / rate, agreed[1] / rate))
-    if lenses and pairs:
-        told = [c for c in sighted if c in rays]
-        lens = {c: lenses[clocks[c].camera][0] for c in told}
-        geometry = {(a, b): CalibratedPair.of(lens[a], lens[b]) for a, b in itertools.combinations(told, 2)}
-        pairs = together(pairs, rays, geometry, len(clocks), rate)
     for i in {c for p in pairs for c in (p.first, p.second)}:
         reasons.pop(i, None)
     return pairs, reasons
