@@ -112,6 +112,27 @@ def test_a_floor_that_stayed_keeps_the_cameras() -> None:
     assert levelled(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
 
 
+def test_feet_that_rise_on_one_spot_tilt_no_world() -> None:
+    """Somebody who balances: the higher the foot, the further to the side, however sure the detector is."""
+    across = np.linspace(-0.15, 0.15, 80)
+    points = np.column_stack([across, np.tile([0.02, -0.02], 40), 0.9 * across])
+    floor = floor_of(points, points[:, 2])
+    assert floor is not None
+    assert floor.tilt_deg > 40
+    back, tilt_deg, _ = levelled(ring(), floor, np.zeros(2))
+    assert tilt_deg == 0.0
+    for camera, before in zip(back, ring()):
+        np.testing.assert_allclose(camera.camera_from_world[:3, :3], before.camera_from_world[:3, :3], atol=1e-12)
+
+
+def test_somebody_on_a_platform_lifts_no_world() -> None:
+    rng = np.random.default_rng(3)
+    points_m = rng.uniform(-1, 1, (400, 3))
+    floor = floor_of(points_m, 0.44 + rng.normal(0, 0.005, 400))
+    assert floor is not None
+    assert levelled(ring(), floor, np.zeros(2))[1:] == (0.0, 0.0)
+
+
 def test_one_spot_shows_no_slope_and_too_few_points_no_floor() -> None:
     rng = np.random.default_rng(2)
     points_m = np.tile([0.4, 0.2, 0.0], (100, 1)) + rng.normal(0, 1e-4, (100, 3))

@@ -29,6 +29,9 @@ _PARTS = 10
 _LEAST = 30
 # Below this nobody sees it.
 _LEAST_DEG, _LEAST_M = 0.05, 0.003
+# No refinement leans or lifts a floor by more: those are feet that rise, or stand on something (a real man who balances
+# on one spot: 42 degrees, 0.44 m).
+_MOST_DEG, _MOST_M = 10.0, 0.15
 _SIGMAS = 2.0
 _ANKLES = [STABLE_KEYPOINTS.index(f"{side}_ankle") for side in ("left", "right")]
 # Ankles are so high above the floor, and detectors misplace them by so much.
@@ -120,11 +123,12 @@ def under_feet(
 
 def levelled(cameras: Sequence[Camera], floor: Floor, at_m: Num[np.ndarray, " 2"]) -> tuple[list[Camera], float, float]:
     """The cameras in a world whose floor lies at z = 0 about ``at_m``, and by how much (degrees, metres) it was tilted
-    and lifted there; (cameras, 0, 0) where that is less than it is known to, or than anybody sees."""
+    and lifted there; (cameras, 0, 0) where that is less than it is known to, or than anybody sees. A slope or a
+    height that is no refinement's moves nothing."""
     lift_m = float(floor.slope_height @ [*at_m, 1.0])
     lift_sigma = float(np.sqrt([*at_m, 1.0] @ floor.covariance @ [*at_m, 1.0]))
-    tilted = floor.tilt_deg > max(_LEAST_DEG, _SIGMAS * floor.tilt_sigma_deg)
-    lifted = abs(lift_m) > max(_LEAST_M, _SIGMAS * lift_sigma)
+    tilted = max(_LEAST_DEG, _SIGMAS * floor.tilt_sigma_deg) < floor.tilt_deg <= _MOST_DEG
+    lifted = max(_LEAST_M, _SIGMAS * lift_sigma) < abs(lift_m) <= _MOST_M
     if not (tilted or lifted):
         return list(cameras), 0.0, 0.0
     normal = np.array([*(-floor.slope_height[:2] if tilted else (0.0, 0.0)), 1.0])
