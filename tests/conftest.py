@@ -42,18 +42,27 @@ FINISHED_STUDIO = {
 }
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keeps the tests of a file on one worker, where what they share is made once."""
+    # xdist is there where this is called. Its own groups are suffixes of test ids, which pytest 9 does not show it.
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByWhatTheyShare(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return "finished studio" if file in FINISHED_STUDIO else file
+
+    return ByWhatTheyShare(config, log)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keeps the tests of a file on one worker, where what they share is made once.
-
-    Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests
-    before them compiled.
-    """
+    """Whole runs of the workflow take longest, so they do not come last; nor first, because they take along what tests
+    before them compiled."""
     if [Path(given).resolve() for given in config.args] == [ROOT / "tests"]:
         config.stash[EVERY_TEST] = [item.nodeid for item in items]
     files = [item.nodeid.partition("::")[0] for item in items]
-    for item, file in zip(items, files):
-        item.add_marker(pytest.mark.xdist_group("finished studio" if file in FINISHED_STUDIO else file))
     after = max((k for k, file in enumerate(files) if file.startswith("tests/hard/")), default=-1)
 
     def place(k: int) -> tuple[float, bool]:

@@ -107,6 +107,27 @@ def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> 
     assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
+    """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air that hides it explains the
+    photos better."""
+    room = made_room(table=False)
+    too_high = replace(room.room_box, low_m=room.room_box.low_m + np.array([0, 0, 0.4]))
+    seen = Explained.by_room_box(looks(room), too_high, 5, 1.5)
+    rng = np.random.default_rng(0)
+    upright = np.array([[0, *rng.uniform(-1, 1, 2), 0, 1.2, 0.1, 0.5, 0.9] for _ in range(40)])
+    hiding = upright[seen.gains(upright, looks=False) > 100]
+    assert len(hiding) > 10, "they explain the photos better"
+    assert np.mean([seen.contradicted(one) for one in hiding]) > 0.9
+
+
+def test_what_is_there_is_not_contradicted() -> None:
+    room = made_room()
+    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    moved = cupboard(room).numbers + np.array([0, 0.08, -0.08, 0, 0, 0, 0, 0])
+    assert not seen.contradicted(cupboard(room).numbers)
+    assert not seen.contradicted(moved), "nor when it is some centimetres beside"
+
+
 def test_the_cupboard_is_found(furnished: tuple[Room, list[Picture], list[Primitive]]) -> None:
     room, pictures, found = furnished
     assert found

@@ -99,6 +99,18 @@ def test_a_changed_line_of_one_step_runs_that_step_and_what_follows(finished: Ho
     assert commented == {}
 
 
+def test_a_changed_setting_counts_where_kernels_are_compiled_anew_as_well(finished: House) -> None:
+    kernels = finished.folder / "workflow/studiorecon/depth/kernels.py"
+    text = kernels.read_text()
+    kernels.write_text(text.replace("the kernels of depth are compiled", "kernels are compiled"))
+    assert kernels.read_text() != text
+    plan = finished.plan("--configfile", finished.overlay(depth={"primitives": 3}))
+    kernels.write_text(text)
+    assert plan["depth_kernels"] == 1
+    assert plan["depth_room"] == 1
+    assert plan["background_train"] == 1
+
+
 def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts_as_finished(finished: House) -> None:
     overlay = ("--configfile", finished.overlay(humans={"iterations": 20}))
     broken = finished.snakemake(

@@ -2,11 +2,16 @@
 
 
 # What trainings of room and people would each compile by themselves, compiled once, while cameras are looked at and a core is idle.
-# Nothing but the time depends on it: hence ancient, here and where it is waited for.
 # The first film that anybody can look at is drawn with some of them, so they come before those of depth.
+# What waits for them waits for these videos anyway. Neither is ancient: Snakemake asks a job that an ancient file leads to for no reason of its own,
+# and a changed setting was passed over where kernels were compiled anew.
 rule background_kernels:
     input:
-        manifest=ancient("results/{scene}/capture/manifest.json"),
+        videos=collect(
+            "results/{scene}/capture/{camera}.mkv",
+            camera=files.training,
+            allow_missing=True,
+        ),
     output:
         kernels="results/{scene}/background/kernels.txt",
     log:
@@ -49,7 +54,7 @@ if PLAN.networks.refiner:
             supports=files.view_masks,
             videos=files.first_pictures,
             masks=files.first_masks,
-            kernels=ancient("results/{scene}/background/kernels.txt"),
+            kernels="results/{scene}/background/kernels.txt",
         output:
             half="results/{scene}/background/half.ply",
             provenance="results/{scene}/background/half.npz",
@@ -130,7 +135,7 @@ rule background_train:
         videos=files.first_pictures,
         masks=files.first_masks,
         half=files.half_trained,
-        kernels=ancient("results/{scene}/background/kernels.txt"),
+        kernels="results/{scene}/background/kernels.txt",
     output:
         background="results/{scene}/background/scene.ply",
         provenance="results/{scene}/background/provenance.npz",

@@ -44,10 +44,9 @@ rule depth_sweep:
 
 # What the fit of the room would compile by itself, with every later step waiting for it, compiled while people are found: not earlier,
 # or both cores would compile before cameras are looked at.
-# Nothing but the time depends on it: hence ancient, here and where it is waited for.
 rule depth_kernels:
     input:
-        model=ancient(MODEL),
+        model=MODEL,
     output:
         kernels="results/{scene}/depth/kernels.txt",
     log:
@@ -148,7 +147,7 @@ rule depth_room:
         fits=files.walkers,
         detections=files.sightings,
         identities=files.sighted,
-        kernels=ancient("results/{scene}/depth/kernels.txt"),
+        kernels="results/{scene}/depth/kernels.txt",
     output:
         room_box="results/{scene}/depth/room.json",
         primitives="results/{scene}/depth/primitives.json",

@@ -19,7 +19,7 @@ rule humans_train:
         fit="results/{scene}/people/{person}.npz",
         body=files.body,
         exposure=files.exposure,
-        kernels=ancient("results/{scene}/background/kernels.txt"),
+        kernels="results/{scene}/background/kernels.txt",
         earlier=files.earlier("report/audit.json"),
     output:
         gaussians="results/{scene}/humans/{person}.ply",

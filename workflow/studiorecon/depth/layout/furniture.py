@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,6 +29,8 @@ _CLEARANCE_M = 0.05
 _SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
 # So many proposals are priced anew at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
+# Proposals this near the middle of one that was refused are moved to it.
+_REFUSED_M = 0.25
 
 
 def moves(primitive: Float[np.ndarray, " 8"], step_m: float, turns: bool) -> Float[np.ndarray, "M 8"]:
@@ -132,6 +134,48 @@ def climb(
     return primitive, gain
 
 
+class Proposals:
+    """Primitives that may be added, each with what it last explained; prices only fall as a room is filled."""
+
+    def __init__(self, least: float) -> None:
+        """Nothing yet; what explains less than ``least`` pixels is forgotten."""
+        self._least = least
+        self._primitives: list[np.ndarray] = []
+        self._heap: list[tuple[float, int]] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._heap)
+
+    def keep(self, primitives: Iterable[tuple[Float[np.ndarray, " 8"], float]]) -> None:
+        """Put primitives (8,) in, each with how many pixels it explains."""
+        for primitive, price in primitives:
+            if price >= self._least:
+                heapq.heappush(self._heap, (-float(price), len(self._primitives)))
+                self._primitives.append(primitive)
+
+    def take(
+        self, room: Explained, most: int, refused_m: Float[np.ndarray, "M 4"]
+    ) -> list[tuple[Float[np.ndarray, " 8"], float]]:
+        """The best by what they explain now, ``most`` at most, with that many pixels; they are taken out.
+
+        What cameras contradict goes too where it is near one of ``refused_m`` (M, 4: points and distances): it would be
+        moved to what was refused there.
+        """
+        while self._heap:
+            # The best few by their last price, priced anew, hold the best.
+            head = [heapq.heappop(self._heap)[1] for _ in range(min(_HEAD, len(self._heap)))]
+            prices = room.gains(np.array([self._primitives[k] for k in head]))
+            ranked = sorted((-float(price), k) for k, price in zip(head, prices) if price >= self._least)
+            best = [entry for entry in ranked if not self._heap or entry <= self._heap[0]][:most]
+            for entry in ranked[len(best) :]:
+                heapq.heappush(self._heap, entry)
+            found = [(self._primitives[k], -price) for price, k in best]
+            found = [one for one in found if not (around(one[0][None], refused_m)[0] and room.contradicted(one[0]))]
+            if found:
+                return found
+        return []
+
+
 def furnish(
     pictures: Sequence[Picture],
     room_box: RoomBox,
@@ -144,10 +188,10 @@ def furnish(
 ) -> list[Primitive]:
     """The primitives that explain the pictures better than the bare room box, in the order they were found.
 
-    Greedy: of all proposals the best is moved to where it explains most, added when the photos' disagreement falls by
-    ``least_gain`` pixels, and the rest are priced anew. Nothing is put where a camera or one of ``free_m`` (M, 4:
-    points and distances to keep) is: somebody walked there, or was seen through it. Costs some 25 s for four pictures
-    160 pixels wide.
+    Greedy: of all proposals the best few are moved to where they explain most, the best of them is added when the
+    photos' disagreement falls by ``least_gain`` pixels and not against what the cameras see of it, and the rest are
+    priced anew. Nothing is put where a camera or one of ``free_m`` (M, 4: points and distances to keep) is: somebody
+    walked there, or was seen through it. Costs some 25 s for four pictures 160 pixels wide.
     """
     room = Explained.by_room_box(pictures, room_box, window, mean_weight)
     taken = np.concatenate([kept_from(room.centre, _CLEARANCE_M), free_m])
@@ -155,41 +199,38 @@ def furnish(
         [primitive for source in (tops, fronts, standing) for _, primitive in source(room, room_box)]
     ).reshape(-1, 8)
     proposals = proposals[allowed(proposals, room_box, taken)]
-    first_leg = len(proposals)
-    gains = room.gains(proposals)
-    heap = [(-gain, k) for k, gain in enumerate(gains) if gain >= least_gain / 2]
-    heapq.heapify(heap)
+    others, legs = Proposals(least_gain / 2), Proposals(least_gain / 2)
+    others.keep(zip(proposals, room.gains(proposals)))
     evidence: list[float] = []
-    while heap and len(evidence) < most:
-        # Prices only fall as primitives are added, so the best few by their last price, priced anew, hold the best.
-        head = [heapq.heappop(heap)[1] for _ in range(min(_HEAD, len(heap)))]
-        ranked = sorted((-gain, k) for k, gain in zip(head, room.gains(proposals[head])) if gain >= least_gain / 2)
-        fresh = [entry for entry in ranked if not heap or entry <= heap[0]]
-        for entry in ranked if not fresh else [r for r in ranked if r is not fresh[0]]:
-            heapq.heappush(heap, entry)
-        if not fresh:
+    refused_m = np.zeros((0, 4))
+    while len(evidence) < most and (others or legs):
+        tried = [
+            climb(room, room_box, taken, primitive, gain, _STEPS_M[:2])
+            for primitive, gain in others.take(room, _CLIMBERS, refused_m)
+        ]
+        tried = sorted((one for one in tried if one[1] >= least_gain), key=lambda one: -one[1])
+        leg = [one for one in legs.take(room, 1, np.zeros((0, 4))) if one[1] >= least_gain]
+        if not tried and not leg:
             continue
-        if fresh[0][1] < first_leg:
-            tried = [
-                climb(room, room_box, taken, proposals[k], -price, _STEPS_M[:2])
-                for price, k in fresh[:_CLIMBERS]
-                if k < first_leg
-            ]
-            primitive, gain = max(tried, key=lambda found: found[1])
+        # A leg waits for whatever explains more once it is moved: four of them also explain some of a box that stands
+        # there. Legs are looked for every few centimetres, stay as thin and as long as they are, and are too thin to
+        # match by themselves: they are there for what they carry.
+        is_leg = bool(leg) and (not tried or leg[0][1] > tried[0][1])
+        primitive, gain = (leg if is_leg else tried).pop(0)
+        others.keep(tried)
+        legs.keep(leg)
+        if not is_leg:
+            if room.contradicted(primitive):
+                middle = np.array([[*primitive[1:3], primitive[6:].mean()]])
+                refused_m = np.concatenate([refused_m, kept_from(middle, _REFUSED_M)])
+                continue
             primitive, gain = climb(room, room_box, taken, primitive, gain, _STEPS_M[2:])
             primitive, gain = rounded(room, room_box, taken, primitive, gain)
-        else:
-            # Legs are looked for every few centimetres, and stay as thin and as long as they are.
-            primitive, gain = proposals[fresh[0][1]], -fresh[0][0]
-        if gain >= least_gain:
-            room.add(primitive)
-            evidence.append(gain)
-            legs = posts(primitive, room.floor_m)
-            legs = legs[allowed(legs, room_box, taken)]
-            for k, price in enumerate(room.gains(legs), start=len(proposals)):
-                if price >= least_gain / 2:
-                    heapq.heappush(heap, (-price, k))
-            proposals = np.concatenate([proposals, legs])
+        room.add(primitive)
+        evidence.append(gain)
+        under = posts(primitive, room.floor_m)
+        under = under[allowed(under, room_box, taken)]
+        legs.keep(zip(under, room.gains(under)))
     return [Primitive.from_numbers(primitive, gain) for primitive, gain in zip(room.primitives, evidence)]
 
 

@@ -215,11 +215,12 @@ def draw(lens, pose, centre, known, depth, surface, primitive, first):
 def gains(
     lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, primitives
 ):
-    """(N,) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; ``floor_m``: height
-    of the floor."""
-    found = np.zeros(len(primitives))
+    """(N, 3) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; then of the pixels
+    that show it and that another camera judges, by how much theirs falls and what it was; ``floor_m``: height of the
+    floor."""
+    found = np.zeros((len(primitives), 3))
     for k in prange(len(primitives)):
-        found[k] = _gain(
+        found[k, 0], found[k, 1], found[k, 2] = _gain(
             lens,
             pose,
             centre,
@@ -288,7 +289,7 @@ def _gain(
                     trial[v, y, x], number[v, y, x] = d, _TRIAL + face
                     touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
                     touched[v, 2], touched[v, 3] = min(touched[v, 2], x), max(touched[v, 3], x + 1)
-    gain, unlike, clear = 0.0, 0.0, 0.0
+    gain, shown, before_cost, unlike, clear = 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(views):
         before_view = unlike
         # Pixels that now show the primitive.
@@ -337,7 +338,8 @@ def _gain(
                     continue
                 was = cost[v, y + top, x + left]
                 if count[y, x] > 0:
-                    gain += was - total[y, x] / count[y, x]
+                    shown += was - total[y, x] / count[y, x]
+                    before_cost += was
                 elif was < UNSEEN:
                     gain += was - UNSEEN
                 elif surface[v, y + top, x + left] < 6:
@@ -368,4 +370,5 @@ def _gain(
                     gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
     # Looks extend what cameras agree on, and are never worth more than that: one photo does not tell where a thing
     # floats. It does tell where a thing stands whose foot it sees.
-    return gain + max(min(unlike, max(gain, 0.0)), clear)
+    gain += shown
+    return gain + max(min(unlike, max(gain, 0.0)), clear), shown, before_cost
