@@ -261,8 +261,8 @@ def run(
     others = [(c.resized(a.shape[::-1]), a) for i, (c, a) in enumerate(zip(cameras, agreed)) if i != index]
     labelled, floating = back_to_room_box(labelled, pictures[index].camera, room, others)
     say(
-        f"{floating:.1%} of {camera} would float where another camera looks through "
-        "it: put on the walls and floor instead"
+        f"{floating:.1%} of {camera} would float: other cameras look through it, or none agrees; put on the walls and "
+        "floor instead"
     )
     rgb, _ = read_plate(plates[index])
     depth_m, source = at_full_size(

@@ -239,12 +239,16 @@ class _Problem:
         of_cameras = np.concatenate([-rows @ cross_matrix(flat), -of_points, of_lens], axis=-1)
         weighted = of_cameras * robust[..., None, None]
         weighted_points = of_points * robust[..., None, None]
+        views, points = self.seen.shape
+        # (V, 8, 2 N): all rows of a camera in one product.
+        by_camera = np.swapaxes(weighted.reshape(views, 2 * points, 8), 1, 2)
+        by_point = np.swapaxes(weighted_points, -1, -2)
         return (
-            np.einsum("vnki,vnkj->vij", weighted, of_cameras) + np.eye(8) / self.sigma[:, None] ** 2,
-            np.einsum("vnki,vnk->vi", weighted, error) + self.prior(state) / self.sigma**2,
-            np.einsum("vnki,vnkj->nij", weighted_points, of_points),
-            np.einsum("vnki,vnk->ni", weighted_points, error),
-            np.einsum("vnki,vnkj->vnij", weighted, of_points),
+            by_camera @ of_cameras.reshape(views, 2 * points, 8) + np.eye(8) / self.sigma[:, None] ** 2,
+            (by_camera @ error.reshape(views, 2 * points, 1))[..., 0] + self.prior(state) / self.sigma**2,
+            (by_point @ of_points).sum(axis=0),
+            (by_point @ error[..., None])[..., 0].sum(axis=0),
+            np.swapaxes(weighted, -1, -2) @ of_points,
         )
 
     def accuracy(self, state: _State) -> tuple[Num[np.ndarray, "V 8"], float]:
@@ -287,8 +291,10 @@ def _reduced(blocks: np.ndarray, point_blocks: np.ndarray, mixed: np.ndarray) ->
     system = np.zeros((views, 8, views, 8))
     for v in range(views):
         system[v, :, v] += blocks[v]
-    system -= np.einsum("vnij,wnkj->viwk", mixed @ np.linalg.inv(point_blocks), mixed, optimize=True)
-    return system.reshape(8 * views, 8 * views)
+    solved, flat = (
+        (m.transpose(0, 2, 1, 3)).reshape(8 * views, -1) for m in (mixed @ np.linalg.inv(point_blocks), mixed)
+    )
+    return system.reshape(8 * views, 8 * views) - solved @ flat.T
 
 
 def _solve(problem: _Problem, points_m: np.ndarray, iterations: int) -> tuple[_State, float]:

@@ -71,13 +71,10 @@ def sampson(
     Raises ValueError for other shapes.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2)))
-    one, two = (
-        np.pad(first, ((0, 0), (0, 1)), constant_values=1.0),
-        np.pad(second, ((0, 0), (0, 1)), constant_values=1.0),
-    )
-    line, back = one @ essential.T, two @ essential
+    # Epipolar lines of (x, y, 1) in either picture.
+    line, back = first @ essential[:, :2].T + essential[:, 2], second @ essential[:2] + essential[2]
     scale = np.sqrt((line[:, :2] ** 2).sum(-1) + (back[:, :2] ** 2).sum(-1))
-    return (two * line).sum(-1) / np.maximum(scale, 1e-12)
+    return ((second * line[:, :2]).sum(-1) + line[:, 2]) / np.maximum(scale, 1e-12)
 
 
 def in_front(

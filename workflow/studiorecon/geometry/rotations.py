@@ -29,9 +29,13 @@ def cross_matrix(vectors: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"
     """(..., 3, 3) matrices [v]× with [v]× u = v × u of ``vectors`` (..., 3). Raises ValueError for another last
     axis."""
     require("vectors", vectors, (..., 3))
-    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    v = np.asarray(vectors, dtype=np.float64)
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    cross = np.zeros((*v.shape, 3))
+    cross[..., 0, 1], cross[..., 0, 2] = -z, y
+    cross[..., 1, 0], cross[..., 1, 2] = z, -x
+    cross[..., 2, 0], cross[..., 2, 1] = -y, x
+    return cross
 
 
 def exp(axis_angle_rad: Num[np.ndarray, "... 3"]) -> Num[np.ndarray, "... 3 3"]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces that another camera looks through and no other camera confirms are taken back: they would float in
-mid-air."""
+"""Surfaces that another camera looks through and no other camera confirms, and those that nobody's match speaks for,
+are taken back: they would float in mid-air."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 # Another camera looks through a point when its own surface there is further by this share; it confirms it within that
 # share.
 _THROUGH_SHARE, _CONFIRM_SHARE = 0.07, 0.05
+# A plane inside the room stays where another camera judges it and half of the colours' agreement is there.
+_MOST_COST = 0.5
 
 
 def looked_through(
@@ -47,12 +49,14 @@ def looked_through(
 def back_to_room_box(
     labelled: Labelled, camera: Camera, room_box: RoomBox, others: Sequence[tuple[Camera, Float[np.ndarray, "h w"]]]
 ) -> tuple[Labelled, float]:
-    """The labelling with unconfirmed floating surfaces put on the room box, unjudged, and the share of pixels
-    concerned.
+    """The labelling with floating surfaces put on the room box, unjudged, and the share of pixels concerned.
 
-    Only planes inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
+    Floating is what others look through and nobody confirms; and what no other camera judges, or matches badly there:
+    where floor and walls match nothing, a plane that hides from all other cameras costs less than they do. Only planes
+    inside the room (label ≥ 6) are questioned; the room box is where everything else already stands.
     """
-    floating = looked_through(camera, labelled.depth_m, others) & (labelled.plane >= 6)
+    unproven = ~labelled.judged | (labelled.cost > _MOST_COST)
+    floating = (looked_through(camera, labelled.depth_m, others) | unproven) & (labelled.plane >= 6)
     origin, directions = camera.rays()
     length, face = room_box.intersect(origin, directions)
     floating &= face >= 0
