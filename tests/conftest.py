@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,15 @@ from studiorecon.__main__ import KERNELS  # after that, and before numba is impo
 
 os.environ.update({name: os.environ.get(name, chosen) for name, chosen in KERNELS.items()})
 
-from tests import defaults  # after that
-
 ROOT = Path(__file__).resolve().parents[1]
+# Also as every step: where byte code is not written beside the sources, every worker and every process of a test would
+# compile all that it imports.
+if sys.dont_write_bytecode:
+    sys.pycache_prefix, sys.dont_write_bytecode = str(ROOT / ".snakemake/bytecode"), False
+    os.environ |= {"PYTHONPYCACHEPREFIX": sys.pycache_prefix, "PYTHONDONTWRITEBYTECODE": ""}
+
+from tests import defaults  # noqa: E402 after that
+
 # The ids of all tests, slow ones included, where this run was not asked for some of them.
 EVERY_TEST = pytest.StashKey[list[str]]()
 # Files that share one run of the smallest studio to its end.

@@ -62,7 +62,7 @@ def capture(tmp_path: Path) -> Path:
     for camera, seen in zip(cameras(), found):
         (tmp_path / "images" / camera.name).mkdir(parents=True)
         picture = tmp_path / "images" / camera.name / "000000.png"
-        cv2.imwrite(str(picture), np.full((*camera.hw, 3), 128, np.uint8))
+        cv2.imwrite(str(picture), np.full(camera.hw, 128, np.uint8))
         for t in range(1, FRAMES + 4):
             os.link(picture, picture.with_name(f"{t:06d}.png"))
         (tmp_path / "keypoints" / camera.name).mkdir(parents=True)

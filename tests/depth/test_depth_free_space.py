@@ -67,3 +67,18 @@ def test_floating_pixels_go_to_the_room_box_unjudged(rig: tuple[Camera, Camera])
     np.testing.assert_allclose(back.depth_m[changed], walls(a)[changed], rtol=1e-6)
     assert not back.judged[changed].any()
     assert (back.plane[changed] < 6).all()
+
+
+def test_a_plane_inside_the_room_stays_only_where_somebody_s_match_speaks_for_it(rig: tuple[Camera, Camera]) -> None:
+    """Nobody looks through it: the other camera does not see there, or agrees badly."""
+    a, _ = rig
+    depth_m, plane = walls(a), ROOM_BOX.intersect(*a.rays())[1]
+    depth_m[25:35, 35:45], plane[25:35, 35:45] = 2.5, 7
+    cost, judged = np.full((60, 80), 0.2, np.float32), np.ones((60, 80), bool)
+    cost[25:35, 35:40] = 0.8
+    judged[30:35, 40:45] = False
+    back, share = back_to_room_box(Labelled(plane, depth_m.astype(np.float32), cost, judged), a, ROOM_BOX, [])
+    assert (back.plane[25:30, 40:45] == 7).all(), "matched"
+    assert (back.plane[25:35, 35:40] < 6).all(), "matched badly"
+    assert (back.plane[30:35, 40:45] < 6).all(), "judged by nobody"
+    assert share == pytest.approx(75 / (60 * 80))

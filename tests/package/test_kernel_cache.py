@@ -48,7 +48,8 @@ def called(clone: Path, cache: Path, **more: str) -> tuple[int, int]:
         "from studiorecon.geometry.outer_kernel import plus_one as f\nprint(f(10), sum(f.stats.cache_hits.values()))\n"
     )
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | KERNELS
-    environment |= {"PYTHONPATH": str(clone), "XDG_CACHE_HOME": str(cache), **more}
+    # Without byte code: sources that change within a second look unchanged to it.
+    environment |= {"PYTHONPATH": str(clone), "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1", **more}
     done = subprocess.run(
         [sys.executable, "-c", program], env=environment, text=True, capture_output=True, cwd=clone, check=True
     )
