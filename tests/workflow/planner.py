@@ -48,6 +48,8 @@ if __name__ == "__main__":
     import yaml  # noqa: F401 asked by every plan
     from snakemake.cli import get_argument_parser, main
 
-    get_argument_parser()  # finds the plugins
+    get_argument_parser()  # finds the plugins, of which one is the package's own: not the copy's
+    for name in [name for name in sys.modules if name.partition(".")[0] == "studiorecon"]:
+        del sys.modules[name]
     for line in sys.stdin:
         print(planned(**json.loads(line)), flush=True)
