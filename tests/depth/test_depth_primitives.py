@@ -182,6 +182,13 @@ def test_nothing_that_stands_on_the_floor_has_legs() -> None:
     assert not len(posts(np.array([1, 0.3, -0.2, 0.0, 0.8, 0.8, 0.7, 0.75]), 0.0)), "a cylinder"
 
 
+def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though the cupboard is there: everything is refused, and the search ends."""
+    monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
+    room = made_room()
+    assert furnish(looks(room), room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+
+
 def test_an_empty_room_stays_empty() -> None:
     room = made_room(table=False)
     assert furnish(looks(room), room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []

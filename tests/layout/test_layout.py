@@ -342,8 +342,8 @@ def test_no_rule_takes_an_input_of_a_later_stage(stage: str) -> None:
 
 
 def test_no_input_is_ancient() -> None:
-    """A job that an ancient file of a job to run leads to is asked for no reason of its own: what was changed there
-    would be passed over, and the film count as finished."""
+    """Where the job before an ancient input runs, Snakemake does not ask whether the job behind it has a reason of its
+    own: a changed setting would be passed over, and the film count as finished."""
     assert not [path.name for path in sorted((ROOT / "workflow/rules").glob("*.smk")) if "ancient(" in path.read_text()]
 
 

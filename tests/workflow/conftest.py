@@ -31,7 +31,7 @@ QUICK = {
 
 
 # What only plans.
-PLANS = {"--dry-run", "--summary"}
+PLANS = {"--dry-run", "--summary", "--list-changes"}
 
 
 @cache

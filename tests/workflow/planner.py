@@ -47,7 +47,10 @@ if __name__ == "__main__":
     import jsonschema  # noqa: F401 asked by every plan
     import yaml  # noqa: F401 asked by every plan
     from snakemake.cli import get_argument_parser, main
+    from snakemake.persistence import ParamsChange
 
+    # Snakemake lists the files of unchanged parameters too, which its own plan does not take for changed.
+    ParamsChange.__iter__ = lambda self: iter(self.files if self else ())
     get_argument_parser()  # finds the plugins, of which one is the package's own: not the copy's
     for name in [name for name in sys.modules if name.partition(".")[0] == "studiorecon"]:
         del sys.modules[name]

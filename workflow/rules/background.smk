@@ -3,8 +3,8 @@
 
 # What trainings of room and people would each compile by themselves, compiled once, while cameras are looked at and a core is idle.
 # The first film that anybody can look at is drawn with some of them, so they come before those of depth.
-# What waits for them waits for these videos anyway. Neither is ancient: Snakemake asks a job that an ancient file leads to for no reason of its own,
-# and a changed setting was passed over where kernels were compiled anew.
+# The videos only say when: everything that waits for the kernels waits for them too. No input is ancient, though nothing but time depends on these:
+# where the job before an ancient input runs, Snakemake does not ask whether the job behind it has a reason of its own, and passes over a changed setting.
 rule background_kernels:
     input:
         videos=collect(
