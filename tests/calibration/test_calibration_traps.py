@@ -61,10 +61,10 @@ def capture(tmp_path: Path) -> Path:
     (tmp_path / "capture.yaml").write_text("keypoint_layout: coco17\n")
     for camera, seen in zip(cameras(), found):
         (tmp_path / "images" / camera.name).mkdir(parents=True)
-        picture = tmp_path / "images" / camera.name / "000000.png"
+        picture = tmp_path / "images" / camera.name / "000000.jpg"
         cv2.imwrite(str(picture), np.full(camera.hw, 128, np.uint8))
         for t in range(1, FRAMES + 4):
-            os.link(picture, picture.with_name(f"{t:06d}.png"))
+            os.link(picture, picture.with_name(f"{t:06d}.jpg"))
         (tmp_path / "keypoints" / camera.name).mkdir(parents=True)
         for t in range(FRAMES):
             people = [

@@ -216,46 +216,57 @@ class _Problem:
         Num[np.ndarray, "V 8"],
         Num[np.ndarray, "N 3 3"],
         Num[np.ndarray, "N 3"],
-        Num[np.ndarray, "V N 8 3"],
+        Num[np.ndarray, "V 8 3 N"],
     ]:
         """Camera blocks and sides, point blocks and sides, mixed blocks; priors included."""
-        robust = self.weights / np.maximum(np.linalg.norm(error, axis=-1), 1.0)
-        depth = np.where(self.seen, in_camera[..., 2], 1.0)
-        normal = np.where(self.seen[..., None], in_camera[..., :2], 0.0) / depth[..., None]
-        squared = (normal**2).sum(-1)
-        factor = (self.focal * np.exp(state.lens[:, :1]))[:, None]  # (V, 1, 2)
-        bent = 1 + state.lens[:, None, 1] * squared
-        of_normal = (
-            bent[..., None, None] * np.eye(2)
-            + 2 * state.lens[:, 1, None, None, None] * normal[..., None] * normal[..., None, :]
-        )
-        of_normal = factor[..., None] * of_normal
-        rows = np.concatenate([of_normal, -(of_normal @ normal[..., None])], axis=-1) / depth[..., None, None]
-        rows = np.where(self.seen[..., None, None], rows, 0.0)
-        # y = exp(w) R (X - C): dy/dw = -[y]x, dy/dC = -R, dy/dX = R
-        of_points = rows @ state.rotations[:, None]
-        flat = np.where(self.seen[..., None], in_camera, 0.0)
-        of_lens = np.stack([factor * bent[..., None] * normal, factor * squared[..., None] * normal], axis=-1)
-        of_cameras = np.concatenate([-rows @ cross_matrix(flat), -of_points, of_lens], axis=-1)
-        weighted = of_cameras * robust[..., None, None]
-        weighted_points = of_points * robust[..., None, None]
         views, points = self.seen.shape
-        # (V, 8, 2 N): all rows of a camera in one product.
-        by_camera = np.swapaxes(weighted.reshape(views, 2 * points, 8), 1, 2)
-        by_point = np.swapaxes(weighted_points, -1, -2)
+        robust = (self.weights / np.maximum(np.linalg.norm(error, axis=-1), 1.0))[:, None, None]
+        x, y, depth = np.moveaxis(np.where(self.seen[..., None], in_camera, [0.0, 0.0, 1.0]), -1, 0)[:, :, None]
+        normal = np.concatenate([x, y], axis=1) / depth  # (V, 2, N)
+        squared = (normal**2).sum(1, keepdims=True)
+        factor = (self.focal * np.exp(state.lens[:, :1]))[..., None]  # (V, 2, 1)
+        radial = state.lens[:, 1:, None]
+        bent = 1 + radial * squared
+        # Arrays run over the points for every number of a derivative: small matrices, one product for each point and
+        # camera, would cost more than what they multiply.
+        rows = np.empty((views, 2, 3, points))
+        rows[:, :, :2] = 2 * radial[..., None] * normal[:, :, None] * normal[:, None]
+        rows[:, [0, 1], [0, 1]] += bent
+        rows[:, :, 2] = -(bent + 2 * radial * squared) * normal
+        rows *= (np.where(self.seen[:, None], 1 / depth, 0.0) * factor)[:, :, None]
+        # y = exp(w) R (X - C): dy/dw = -[y]x, dy/dC = -R, dy/dX = R
+        of_points = np.swapaxes(state.rotations, 1, 2)[:, None] @ rows
+        of_cameras = np.empty((views, 8, 2, points))
+        of_cameras[:, 0] = y * rows[:, :, 2] - depth * rows[:, :, 1]
+        of_cameras[:, 1] = depth * rows[:, :, 0] - x * rows[:, :, 2]
+        of_cameras[:, 2] = x * rows[:, :, 1] - y * rows[:, :, 0]
+        of_cameras[:, 3:6] = -np.swapaxes(of_points, 1, 2)
+        of_cameras[:, 6] = factor * bent * normal
+        of_cameras[:, 7] = factor * squared * normal
+        weighted = of_cameras * robust
+        by_camera = weighted.reshape(views, 8, 2 * points)
+        errors = np.ascontiguousarray(np.swapaxes(error, 1, 2))
+        point_blocks, side = np.empty((points, 3, 3)), np.empty((points, 3))
+        for i in range(3):
+            own = of_points[:, :, i] * robust[:, 0]
+            side[:, i] = (own * errors).sum((0, 1))
+            for j in range(i, 3):
+                point_blocks[:, i, j] = point_blocks[:, j, i] = (own * of_points[:, :, j]).sum((0, 1))
+        mixed = weighted[:, :, 0, None] * of_points[:, None, 0]
+        mixed += weighted[:, :, 1, None] * of_points[:, None, 1]
         return (
-            by_camera @ of_cameras.reshape(views, 2 * points, 8) + np.eye(8) / self.sigma[:, None] ** 2,
-            (by_camera @ error.reshape(views, 2 * points, 1))[..., 0] + self.prior(state) / self.sigma**2,
-            (by_point @ of_points).sum(axis=0),
-            (by_point @ error[..., None])[..., 0].sum(axis=0),
-            np.swapaxes(weighted, -1, -2) @ of_points,
+            by_camera @ of_cameras.reshape(views, 8, 2 * points).swapaxes(1, 2) + np.eye(8) / self.sigma[:, None] ** 2,
+            (by_camera @ errors.reshape(views, 2 * points, 1))[..., 0] + self.prior(state) / self.sigma**2,
+            point_blocks,
+            side,
+            mixed,
         )
 
     def accuracy(self, state: _State) -> tuple[Num[np.ndarray, "V 8"], float]:
         """Standard deviations without the common similarity, and the robust residual per coordinate in error units."""
         in_camera, error, _ = self.residuals(state)
         blocks, _, point_blocks, _, mixed = self.normal_equations(state, in_camera, error)
-        reduced = _reduced(blocks, point_blocks + 1e-9 * np.eye(3), mixed)
+        reduced = _reduced(blocks, _times(mixed, np.linalg.inv(point_blocks + 1e-9 * np.eye(3))), mixed)
         norm = np.linalg.norm(error, axis=-1)
         counted = (self.weights / np.maximum(norm, 1.0)).sum()
         variance = float((self.weights / np.maximum(norm, 1.0) * norm**2).sum() / max(2 * counted, 1e-9))
@@ -285,16 +296,23 @@ def _gauge(state: _State) -> np.ndarray:
     return columns.reshape(8 * views, 7)
 
 
-def _reduced(blocks: np.ndarray, point_blocks: np.ndarray, mixed: np.ndarray) -> np.ndarray:
-    """(8 V, 8 V) normal matrix of the cameras alone: Schur complement of the points."""
+def _times(mixed: np.ndarray, of_points: np.ndarray) -> np.ndarray:
+    """(V, 8, 3, N) mixed blocks (V, 8, 3, N), each times its point's matrix (N, 3, 3)."""
+    by_number = np.ascontiguousarray(np.moveaxis(of_points, 0, -1))
+    product = mixed[:, :, 0, None] * by_number[0]
+    for k in (1, 2):
+        product += mixed[:, :, k, None] * by_number[k]
+    return product
+
+
+def _reduced(blocks: np.ndarray, divided: np.ndarray, mixed: np.ndarray) -> np.ndarray:
+    """(8 V, 8 V) normal matrix of the cameras alone: Schur complement of the points, whose blocks the mixed ones are
+    ``divided`` by."""
     views = len(blocks)
     system = np.zeros((views, 8, views, 8))
     for v in range(views):
         system[v, :, v] += blocks[v]
-    solved, flat = (
-        (m.transpose(0, 2, 1, 3)).reshape(8 * views, -1) for m in (mixed @ np.linalg.inv(point_blocks), mixed)
-    )
-    return system.reshape(8 * views, 8 * views) - solved @ flat.T
+    return system.reshape(8 * views, 8 * views) - divided.reshape(8 * views, -1) @ mixed.reshape(8 * views, -1).T
 
 
 def _solve(problem: _Problem, points_m: np.ndarray, iterations: int) -> tuple[_State, float]:
@@ -332,11 +350,13 @@ def _step(equations: tuple[np.ndarray, ...], damping: float) -> tuple[np.ndarray
         :, None, None
     ] * np.eye(3)
     inverse = np.linalg.inv(point_blocks)
-    side = camera_side - np.einsum("vnij,nj->vi", mixed @ inverse, point_side)
+    divided = _times(mixed, inverse)
+    side = camera_side - divided.reshape(views, 8, -1) @ point_side.T.reshape(-1)
     # Columns of radians, metres and fixed numbers differ by 18 powers of ten: solved with a unit diagonal.
-    system = _reduced(blocks, point_blocks, mixed)
+    system = _reduced(blocks, divided, mixed)
     unit = 1 / np.sqrt(np.maximum(np.diag(system), 1e-300))
     solved = np.linalg.solve(system * unit[:, None] * unit[None], side.reshape(-1) * unit) * unit
     step_cameras = -solved.reshape(views, 8)
-    step_points = -np.einsum("nij,nj->ni", inverse, point_side + np.einsum("vnij,vi->nj", mixed, step_cameras))
+    pull = step_cameras.reshape(-1) @ mixed.reshape(8 * views, -1)
+    step_points = -(inverse @ (point_side + pull.reshape(3, -1).T)[..., None])[..., 0]
     return step_cameras, step_points

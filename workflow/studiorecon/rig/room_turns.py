@@ -131,8 +131,16 @@ def _planes(camera: Camera, ends: np.ndarray) -> _Edges:
 
 def support(edges: _Edges, camera_from_room: Num[np.ndarray, "... 3 3"], width_deg: float) -> Num[np.ndarray, " ..."]:
     """Share of the edges' length that runs along one of the room's directions, to within about ``width_deg``."""
-    off = np.abs(np.einsum("ni,...ij->...nj", edges.normals, camera_from_room)).min(-1)
-    return (edges.weights * np.exp(-0.5 * (off / np.radians(width_deg)) ** 2)).sum(-1)
+    # One matrix product per direction, and one array that is worked on where it lies: thousands of rotations are tried.
+    axes = camera_from_room.reshape(-1, 3, 3)
+    off = np.abs(edges.normals @ axes[:, :, 0].T)
+    for k in (1, 2):
+        np.minimum(off, np.abs(edges.normals @ axes[:, :, k].T), out=off)
+    off /= np.radians(width_deg)
+    np.square(off, out=off)
+    off *= -0.5
+    shares: np.ndarray = edges.weights @ np.exp(off, out=off)
+    return shares.reshape(camera_from_room.shape[:-2])
 
 
 def _room(edges: Sequence[_Edges], rotations: Sequence[np.ndarray]) -> np.ndarray:

@@ -59,6 +59,13 @@ _TRUNK = [
 ]
 # The head is as far beyond the middle of the shoulders as this share of the trunk.
 _HEAD_SHARE = 0.6
+# Both ends of each part of a skeleton, and how far it reaches; after the joints come the middles of shoulders and hips,
+# and the head.
+_SHOULDERS, _HIPS, _HEAD = len(STABLE_KEYPOINTS) + np.arange(3)
+_THIN = [*_LIMBS, *((k, k) for k in range(len(STABLE_KEYPOINTS)))]
+_WIDE = [*_TRUNK, (_SHOULDERS, _HIPS), (_SHOULDERS, _HEAD)]
+_PARTS = np.array([*_THIN, *_WIDE])
+_REACHES_M = np.repeat([_LIMB_M, _TRUNK_M], [len(_THIN), len(_WIDE)])
 
 
 @dataclass(frozen=True)
@@ -131,6 +138,7 @@ def motion_support(
     metre_px = camera.intrinsics[0, 0] / np.maximum(
         np.nan_to_num(_middle(depth[..., None])[..., 0], nan=np.inf), 1e-6
     )  # (G, F)
+    parts = _parts_of(pixels)
     counts, own = np.zeros((len(STABLE_KEYPOINTS), 2), dtype=int), points_m[who]
     rest = np.arange(len(points_m)) != who
     for a, b in combinations(range(len(pictures)), 2):
@@ -141,9 +149,9 @@ def motion_support(
         threshold = threshold_of(apart, limits)
         for here, other in ((a, b), (b, a)):
             places = pixels[who, here, moved]
-            uncovered = _outside(places, pixels[who, [other]], metre_px[who, [other]])
+            uncovered = _outside(places, parts[who, [other]], metre_px[who, [other]])
             for t in (a, b):
-                uncovered &= _outside(places, pixels[rest, t], _CLOTHED * metre_px[rest, t])
+                uncovered &= _outside(places, parts[rest, t], _CLOTHED * metre_px[rest, t])
             radius = max(1, round(_PLACE_M * float(metre_px[who, here])))
             counts[np.flatnonzero(moved)[uncovered]] += changed(apart, places[uncovered], radius, threshold)
     return counts
@@ -181,21 +189,24 @@ def _middle(values: np.ndarray) -> np.ndarray:
     return np.where(known.any(-2), np.where(known, values, 0.0).sum(-2) / np.maximum(known.sum(-2), 1), np.nan)
 
 
-def _outside(places: np.ndarray, skeletons: np.ndarray, metre_px: np.ndarray) -> np.ndarray:
-    """(N,) which places (N, 2) are outside of all known limbs, trunks and heads of ``skeletons`` (S, 12, 2);
-    ``metre_px`` (S,) pixels."""
-    free = np.isfinite(places).all(-1)
-    for joints, scale in zip(skeletons, metre_px):
-        shoulders, hips = (_middle(joints[[_AT[f"left_{j}"], _AT[f"right_{j}"]]]) for j in ("shoulder", "hip"))
-        parts = [(joints[i], joints[j], _LIMB_M) for i, j in _LIMBS] + [(j, j, _LIMB_M) for j in joints]
-        parts += [(joints[i], joints[j], _TRUNK_M) for i, j in _TRUNK]
-        parts += [(shoulders, hips, _TRUNK_M), (shoulders, shoulders + _HEAD_SHARE * (shoulders - hips), _TRUNK_M)]
-        for first, second, reach_m in parts:
-            if np.isfinite(first).all() and np.isfinite(second).all():
-                along = second - first
-                share = np.clip(((places - first) @ along) / max(float(along @ along), 1e-9), 0, 1)
-                free &= ~(np.linalg.norm(places - first - share[:, None] * along, axis=-1) <= reach_m * scale)
-    return free
+def _parts_of(skeletons: np.ndarray) -> np.ndarray:
+    """(..., P, 2, 2) both ends of the limbs, joints, trunk and head of skeletons (..., 12, 2), NaN where unknown."""
+    shoulders, hips = (_middle(skeletons[..., [_AT[f"left_{j}"], _AT[f"right_{j}"]], :]) for j in ("shoulder", "hip"))
+    head = shoulders + _HEAD_SHARE * (shoulders - hips)
+    points = np.concatenate([skeletons, shoulders[..., None, :], hips[..., None, :], head[..., None, :]], axis=-2)
+    return points[..., _PARTS, :]
+
+
+def _outside(places: np.ndarray, parts: np.ndarray, metre_px: np.ndarray) -> np.ndarray:
+    """(N,) which places (N, 2) are outside of all known ``parts`` (S, P, 2, 2) of some skeletons; ``metre_px`` (S,)
+    pixels."""
+    first, along = parts[..., 0, :], parts[..., 1, :] - parts[..., 0, :]
+    from_first = places[:, None, None] - first  # (N, S, P, 2)
+    share = ((from_first * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)).clip(0, 1)
+    apart = np.linalg.norm(from_first - share[..., None] * along, axis=-1)
+    # A part that is not known is at no distance, and nothing is inside of it.
+    inside = (apart <= _REACHES_M * metre_px[:, None]).any((1, 2))
+    return np.isfinite(places).all(-1) & ~inside
 
 
 def changed(
