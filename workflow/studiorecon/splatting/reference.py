@@ -70,10 +70,9 @@ def blend(
     with torch.no_grad():
         open_pixels = torch.cumprod((torch.cumprod(1 - alpha, 0) > float(TRANSMITTANCE_MIN)).double(), 0)
     alpha = alpha * open_pixels
-    after = torch.cumprod(1 - alpha, 0)
-    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
-    weight = alpha * before
-    rest = torch.prod(1 - alpha, 0)
+    # A sum of logarithms is differentiated in one pass; alpha ends below 1.
+    before = torch.exp(torch.cumsum(torch.cat([torch.zeros_like(dx[:1]), torch.log1p(-alpha)]), 0))
+    weight, rest = alpha * before[:-1], before[-1]
     depth_sum = (weight * depth[drawn, None]).sum(0)
     return (
         (weight.T @ colours[drawn]).reshape(*camera.hw, -1),
