@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,12 @@ def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
 
 def test_nothing_is_left_to_do(finished: House) -> None:
     assert finished.plan() == {}
+
+
+def test_a_folder_that_is_moved_stays_finished(finished: House, tmp_path: Path) -> None:
+    moved = replace(finished, folder=tmp_path / "elsewhere")
+    shutil.copytree(finished.folder, moved.folder, symlinks=True)
+    assert moved.plan() == {}
 
 
 def test_strict_ends_a_run_that_warned_with_all_it_was_told(finished: House) -> None:

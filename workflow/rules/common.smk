@@ -25,6 +25,9 @@ from studiorecon.plan.networks import images_of
 from studiorecon.configuration.schema import mistakes, typed
 
 HOME = Path(workflow.basedir)
+# Where results lie beside the workflow its files are named from there: a folder that is moved whole stays as finished as it was.
+if HOME.is_relative_to(Path.cwd()):
+    HOME = HOME.relative_to(Path.cwd())
 
 
 # libyaml reads it in a tenth of the time that plain Python takes; every start of Snakemake waits for it.
