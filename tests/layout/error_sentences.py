@@ -13,6 +13,8 @@ import ast
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from tests.made.sources import tree
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow" / "studiorecon"
 PAGE = ROOT / "docs" / "errors.md"
@@ -37,11 +39,11 @@ _TITLES = {"__main__": "One step, started by itself."}
 def sentences() -> Iterator[tuple[str, str, str]]:
     """(part, module's first line, sentence) of every refusal, in the order of parts, files and lines."""
     for path in sorted(PACKAGE.rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        source = tree(path)
         inside = path.relative_to(PACKAGE).with_suffix("")
         part = inside.parts[0] if len(inside.parts) > 1 else "the package"
-        title = _TITLES.get(path.stem, " ".join((ast.get_docstring(tree) or "").split("\n\n")[0].split()))
-        for node in ast.walk(tree):
+        title = _TITLES.get(path.stem, " ".join((ast.get_docstring(source) or "").split("\n\n")[0].split()))
+        for node in ast.walk(source):
             if (
                 isinstance(node, ast.Raise)
                 and isinstance(node.exc, ast.Call)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.made.sources import tree
+
 PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
 
 
@@ -36,10 +38,9 @@ def annotations(body: list[ast.stmt], within: str) -> Iterator[tuple[str, ast.ex
             yield from ((f"{within}.{node.name}", a) for a in given if a is not None)
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_public_functions_and_fields_say_the_shapes_of_their_arrays(path: Path) -> None:
-    module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
-    assert not {name for name, a in annotations(ast.parse(path.read_text()).body, module) if bare(a)}, (
+def test_public_functions_and_fields_say_the_shapes_of_their_arrays() -> None:
+    bodies = {p.relative_to(PACKAGE).with_suffix("").parts: tree(p).body for p in sorted(PACKAGE.rglob("*.py"))}
+    assert not [name for parts, body in bodies.items() for name, a in annotations(body, ".".join(parts)) if bare(a)], (
         'say the shape: Float[np.ndarray, "N 3"]; of what has any, as files and memory do, Shaped[np.ndarray, " ..."]'
     )
 

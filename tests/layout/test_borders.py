@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.made.sources import tree
+
 PACKAGE = Path(__file__).resolve().parents[2] / "workflow" / "studiorecon"
 FOUNDATIONS = ["geometry", "body", "images", "splatting"]
 MODULES = sorted(path for room in FOUNDATIONS for path in (PACKAGE / room).glob("*.py"))
@@ -18,7 +20,7 @@ Function = ast.FunctionDef
 
 def functions(path: Path) -> dict[str, Function]:
     """Every function and method of a module by its qualified name."""
-    body = ast.parse(path.read_text(encoding="utf-8")).body
+    body = tree(path).body
     found = {node.name: node for node in body if isinstance(node, Function)}
     for owner in (node for node in body if isinstance(node, ast.ClassDef)):
         found |= {f"{owner.name}.{node.name}": node for node in owner.body if isinstance(node, Function)}

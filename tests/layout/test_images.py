@@ -6,6 +6,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from studiorecon.models.catalogue.selection import CANONICAL, CHOICES
 from studiorecon.models.containers import definition
 
 from tests.containers.resolve import recipe
+from tests.made.sources import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = yaml.safe_load((ROOT / "envs/images.yaml").read_text())
@@ -148,7 +150,7 @@ def test_an_image_has_what_our_steps_import_there(step: str, network: str) -> No
     for module, path in code.reached([step]).items():
         if module.startswith("models."):
             continue
-        for node in ast.parse(path.read_text()).body:
+        for node in tree(path).body:
             names = (
                 [a.name for a in node.names]
                 if isinstance(node, ast.Import)
@@ -186,21 +188,26 @@ def steps_and_images() -> list[tuple[str, str]]:
     return sorted(found)
 
 
+@cache
+def imported_anywhere(path: Path) -> set[str]:
+    """Top names of what a module imports, in functions too; what only a type checker sees needs to be nowhere."""
+    body = tree(path).body
+    run = [s for s in body if not (isinstance(s, ast.If) and ast.unparse(s.test) == "TYPE_CHECKING")]
+    nodes = list(ast.walk(ast.Module(run, [])))
+    names = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
+    names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
+    return {name.split(".")[0] for name in names}
+
+
 @pytest.mark.parametrize(("step", "image"), steps_and_images())
 def test_an_image_has_what_a_step_imports_anywhere(step: str, image: str) -> None:
     """In functions too: what is imported late is missing late, hours into a run."""
     has = pins(image)
+    allowed = {*sys.stdlib_module_names, "studiorecon", "__future__", *(ONLY_IN_VISION if image == "core" else ())}
     for module, path in code.reached([step]).items():
         if module.startswith("models."):
             continue
-        # What only a type checker sees needs to be nowhere.
-        body = ast.parse(path.read_text()).body
-        run = [s for s in body if not (isinstance(s, ast.If) and ast.unparse(s.test) == "TYPE_CHECKING")]
-        nodes = list(ast.walk(ast.Module(run, [])))
-        names = [a.name for node in nodes if isinstance(node, ast.Import) for a in node.names]
-        names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
-        allowed = {*sys.stdlib_module_names, "studiorecon", "__future__", *(ONLY_IN_VISION if image == "core" else ())}
-        for top in {name.split(".")[0] for name in names} - allowed:
+        for top in imported_anywhere(path) - allowed:
             packages = PACKAGES.get(top, (top,))
             assert any(canonicalize_name(p) in has for p in packages), (
                 f"{module} imports {top}, which the image {image} of {step} lacks"

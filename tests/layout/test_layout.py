@@ -8,7 +8,6 @@ import importlib
 import inspect
 import re
 import subprocess
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from studiorecon.configuration.step_settings import section_of
 from studiorecon.plan.command import command
 
 from tests.made.layout import ON_REQUEST, STAGES, rules
+from tests.made.sources import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow" / "studiorecon"
@@ -56,21 +56,23 @@ def name_of(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_imports_go_one_way(path: Path) -> None:
-    room = path.relative_to(PACKAGE).parts[0]
-    for module in code.imported_by(path):
-        other = module.split(".")[0]
-        if room in FOUNDATIONS:
-            below = {*FOUNDATIONS[: FOUNDATIONS.index(room) + 1], *GROUND, *BESIDE.get(room, ())}
-            assert other in below, f"{name_of(path)} imports {module}, which is not below it"
-        if room in STAGES or room == "studio":
-            assert other == room or other not in [*STAGES, "studio"], f"{name_of(path)} imports another stage: {module}"
+def test_imports_go_one_way() -> None:
+    wrong = []
+    for path in MODULES:
+        room = path.relative_to(PACKAGE).parts[0]
+        for module in code.imported_by(path):
+            other = module.split(".")[0]
+            if room in FOUNDATIONS:
+                below = {*FOUNDATIONS[: FOUNDATIONS.index(room) + 1], *GROUND, *BESIDE.get(room, ())}
+                wrong += [f"{name_of(path)} imports {module}, which is not below it"] if other not in below else []
+            if (room in STAGES or room == "studio") and other in {*STAGES, "studio"} - {room}:
+                wrong.append(f"{name_of(path)} imports another stage: {module}")
+    assert not wrong, "\n".join(wrong)
 
 
 def imported_when_run(path: Path) -> list[str]:
     """Our modules that a file imports, but for those that only a type checker sees."""
-    body = [s for s in body_of(path) if not (isinstance(s, ast.If) and ast.unparse(s.test) == "TYPE_CHECKING")]
+    body = [s for s in tree(path).body if not (isinstance(s, ast.If) and ast.unparse(s.test) == "TYPE_CHECKING")]
     return [name for name in code.imported_at(body) if code.module_path(name) is not None]
 
 
@@ -103,12 +105,11 @@ def test_a_folder_s_first_page_names_every_module_in_it(page: Path) -> None:
     assert not left_out or name_of(page) in LISTED_ELSEWHERE, f"{page.parent.name} does not say what these are"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_file_is_short_and_licensed(path: Path) -> None:
-    lines = path.read_text().splitlines()
-    assert lines[0] == "# SPDX-License-Identifier: Apache-2.0"
-    assert len(lines) <= 380, "past 300 lines it is mostly two ideas"
-    assert not re.search(r"(^|_)(utils?|helpers?|misc|manager|common)$", path.stem)
+def test_files_are_short_and_licensed() -> None:
+    lines = {name_of(path): path.read_text().splitlines() for path in MODULES}
+    assert not [name for name, own in lines.items() if own[0] != "# SPDX-License-Identifier: Apache-2.0"]
+    assert not [name for name, own in lines.items() if len(own) > 380], "past 300 lines it is mostly two ideas"
+    assert not [p for p in MODULES if re.search(r"(^|_)(utils?|helpers?|misc|manager|common)$", p.stem)]
 
 
 @pytest.mark.parametrize("path", [p for p in MODULES if p.parent.name == "adapters"], ids=name_of)
@@ -127,7 +128,7 @@ def test_adapters_import_upstream_names_only_inside_functions(path: Path) -> Non
         "importlib",
         "studiorecon",
     }
-    for node in ast.parse(path.read_text()).body:
+    for node in tree(path).body:
         names = (
             [a.name for a in node.names]
             if isinstance(node, ast.Import)
@@ -269,15 +270,10 @@ def test_no_registry_addresses_or_machine_paths() -> None:
             assert not pattern.search(text), f"{name} holds {pattern.search(text).group(0)}"
 
 
-@cache
-def body_of(path: Path) -> list[ast.stmt]:
-    return ast.parse(path.read_text()).body
-
-
 def test_steps_without_torch_do_not_import_it() -> None:
     for _, step, _ in rules():
         for module, path in code.reached([step], without=ON_REQUEST).items():
-            for node in body_of(path):
+            for node in tree(path).body:
                 names = (
                     [a.name for a in node.names]
                     if isinstance(node, ast.Import)
@@ -291,7 +287,7 @@ def test_steps_without_torch_do_not_import_it() -> None:
 
 def test_what_trains_on_cuda_is_imported_only_when_it_is_asked_for() -> None:
     for path in MODULES:
-        outside = [node for node in ast.parse(path.read_text()).body if isinstance(node, (ast.Import, ast.ImportFrom))]
+        outside = [node for node in tree(path).body if isinstance(node, (ast.Import, ast.ImportFrom))]
         assert not code.imported_at(outside) & ON_REQUEST, f"{name_of(path)} imports {ON_REQUEST} outside a function"
 
 
@@ -355,13 +351,14 @@ def test_stages_stand_in_the_snakefile_as_data_meets_them() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "tests").rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT / "tests"))
-)
-def test_no_test_takes_anything_from_another_test_file(path: Path) -> None:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        module = node.module or "" if isinstance(node, ast.ImportFrom) else ""
-        assert not re.search(r"(^|\.)test_\w+$", module), f"take it from tests/made instead of {module}"
+def test_no_test_takes_anything_from_another_test_file() -> None:
+    taken = [
+        f"{path.relative_to(ROOT)}: {node.module}"
+        for path in sorted((ROOT / "tests").rglob("*.py"))
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ImportFrom) and re.search(r"(^|\.)test_\w+$", node.module or "")
+    ]
+    assert not taken, "take it from tests/made"
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "tests/bench").glob("*.py")), ids=lambda p: p.stem)

@@ -17,6 +17,7 @@ from studiorecon import code
 from studiorecon.machine.libraries import EXTRAS
 
 from tests.made.layout import ON_REQUEST
+from tests.made.sources import tree
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow/studiorecon"
@@ -76,7 +77,7 @@ def test_what_steps_import_at_once_is_in_the_plain_environment() -> None:
     steps = set(re.findall(r"command\(\"(\w+\.\w+)\"\)", rules))
     assert len(steps) > 30
     for path in code.reached(steps, without=ON_REQUEST).values():
-        assert imports(outside_functions(ast.parse(path.read_text()))) <= PLAIN, path
+        assert imports(outside_functions(tree(path))) <= PLAIN, path
 
 
 def test_what_the_workflow_imports_is_declared() -> None:
@@ -90,7 +91,7 @@ def test_what_tests_import_is_declared() -> None:
     everything = PLAIN.union(*OPTIONAL.values(), DRIVER, names(GROUPS["test"]))
     for path in sorted((ROOT / "tests").rglob("*.py")):
         if path.parent.name not in ("bench", "gpu"):
-            assert imports(outside_functions(ast.parse(path.read_text()))) <= everything, path.name
+            assert imports(outside_functions(tree(path))) <= everything, path.name
 
 
 def test_the_first_command_is_light_and_the_second_adds_to_it() -> None:

@@ -16,6 +16,7 @@ from studiorecon import code
 
 from tests.conftest import EVERY_TEST
 from tests.hard import table
+from tests.made.sources import tree
 
 AGAIN = "run: python -m tests.hard.table"
 
@@ -47,7 +48,7 @@ def test_the_owner_of_a_held_row_is_a_module_that_its_test_runs(found: dict[str,
 def reached(test_file: Path) -> set[str]:
     """Modules of the package that a test file imports, itself or by what tests share, and what those import in turn."""
     imported = set(code.imported_by(test_file))
-    for node in ast.walk(ast.parse(test_file.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree(test_file)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tests.made"):
             shared = table.ROOT.joinpath(*node.module.split(".")).with_suffix(".py")
             imported |= reached(shared) if shared.is_file() else set()
