@@ -233,7 +233,9 @@ def test_generated_frames_stand_aside_for_photos(
     assert np.array_equal(kept.camera.camera_from_world, between[0].camera_from_world)
 
 
-def test_holes_of_views_show_the_painted_room(cameras: list[Camera], between: list[Camera], settings: Callable) -> None:
+def test_holes_of_views_go_over_from_their_rim_to_the_painted_room(
+    cameras: list[Camera], between: list[Camera], settings: Callable
+) -> None:
     view = between[0]
     truth, depth_m = look(view)
     painted = [
@@ -246,8 +248,12 @@ def test_holes_of_views_show_the_painted_room(cameras: list[Camera], between: li
     picture, steps = np.rint(truth * 255).astype(np.uint8), [PathStep(view, 0.0, "00")]
     (target,) = preparation.view_targets(steps, [picture], [support], cameras, painted, settings())
     inside = depth_m[:20] > 0
-    assert inside.any()
-    np.testing.assert_allclose(target.rgb[:20][inside], 0.25, atol=1e-6)
+    assert inside[:10].any()
+    np.testing.assert_allclose(target.rgb[:10][inside[:10]], 0.25, atol=1e-3)
+    own, found = (np.abs(rgb - 0.25).mean(-1) for rgb in (picture[:20] / 255, target.rgb[:20]))
+    told = inside & (own > 0.05)
+    assert (found[told] < own[told]).all()
+    assert found[19][told[19]].mean() > 0.1 * own[19][told[19]].mean(), "beside the rim what it goes on as counts"
     np.testing.assert_allclose(target.rgb[20:], picture[20:] / 255, atol=1e-6)
     (bare,) = preparation.view_targets(steps, [picture], [support], cameras, [], settings())
     np.testing.assert_allclose(bare.rgb, picture / 255, atol=1e-6)

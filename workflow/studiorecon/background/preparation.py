@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from studiorecon.background import hole_filling
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 _FLATNESS = 0.15  # of a wall's discs
 _WIDTH_SHARE = 0.75  # of the grid step: neighbours overlap enough to be opaque together
 _FILL_OPACITY = 0.9
+# How far into a hole its rim is believed, of the picture's width.
+_RIM_SHARE = 0.01
 _SAME_PLACE_M, _SAME_ANGLE_RAD = 0.01, 0.01
 
 
@@ -165,8 +168,8 @@ def view_targets(
     settings: Settings,
 ) -> list[Target]:
     """Every synthesized view as a target; its weight falls with the angle to the nearest real camera (paper, appendix
-    C). Where it has no support it shows the ``painted`` room, if there is one: a hole's own rim is furniture as often
-    as not.
+    C). Where it has no support it goes over from what it was painted with, which goes on as the hole's rim does, to the
+    ``painted`` room, if there is one: a rim is furniture as often as not.
 
     Views that stand where a photo does are left out: the photo is there already (U16).
     """
@@ -180,7 +183,9 @@ def view_targets(
         weight = view_weight(nearest, cutoff, settings.plate_boost)
         picture, hole = to_float(rgb), support == 0
         if painted and hole.any():
-            picture[hole] = hole_filling.seen_from(step.camera, painted)[hole]
+            apart = cv2.distanceTransform(hole.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            rim = np.exp(-apart / (_RIM_SHARE * hole.shape[1]))[hole, None]
+            picture[hole] = rim * picture[hole] + (1 - rim) * hole_filling.seen_from(step.camera, painted)[hole]
         targets.append(Target(step.camera, picture, support_weight(support, settings.hole_weight) * np.float32(weight)))
     return targets
 
