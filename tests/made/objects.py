@@ -51,19 +51,31 @@ def plate_of(camera: Camera) -> np.ndarray:
     return cv2.resize(rng.uniform(0.3, 0.6, (6, 8, 3)).astype(np.float32), WH, interpolation=cv2.INTER_CUBIC)
 
 
+def about(camera: Camera, ball: Ball, frame: int) -> tuple[slice, slice]:
+    """Rows and columns of the picture that the ball can be in."""
+    (middle_px,), (depth_m,) = camera.project(ball.path_m[frame][None])
+    reach_px = 2 + 1.5 * max(camera.focal_px) * ball.radius_m / max(depth_m - ball.radius_m, 0.05)
+    low, high = (np.clip(middle_px + sign * reach_px, 0, camera.wh).astype(int) for sign in (-1, 1))
+    return slice(low[1], high[1] + 1), slice(low[0], high[0] + 1)
+
+
 def drawn(camera: Camera, balls: list[Ball], frame: int, seed: int = 0) -> np.ndarray:
     """(H, W, 3) uint8 picture with the balls, four rays a pixel, and noise of one grey level."""
     fine = camera.resized((2 * WH[0], 2 * WH[1]))
     picture = cv2.resize(plate_of(camera), fine.wh, interpolation=cv2.INTER_NEAREST)
-    origin, rays = fine.rays()
-    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    origin = fine.centre_m
     for ball in sorted(balls, key=lambda b: -np.linalg.norm(b.path_m[frame] - origin)):
+        part = about(fine, ball, frame)
+        centres = fine.pixel_centres()[part]
+        rays = fine.unproject(centres, np.ones(centres.shape[:2])) - origin
+        unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         away = ball.path_m[frame] - origin
         along = unit @ away
         gap = ball.radius_m**2 - (away @ away - along**2)
         hit = gap > 0
         point = origin + (along - np.sqrt(np.maximum(gap, 0)))[..., None] * unit - ball.path_m[frame]
-        picture = np.where(hit[..., None], np.where(point[..., 2:] > 0, *np.float32(ball.colours)), picture)
+        colours = np.where(point[..., 2:] > 0, *np.float32(ball.colours))
+        picture[part] = np.where(hit[..., None], colours, picture[part])
     small = cv2.resize(picture.astype(np.float32), WH, interpolation=cv2.INTER_AREA) * 255
     noise = np.random.default_rng([seed, frame, CAMERAS.index(camera) if camera in CAMERAS else 9]).normal(
         0, 1, small.shape
