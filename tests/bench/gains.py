@@ -56,8 +56,10 @@ OWN = {
 
 
 def told(house: House, scene: str) -> dict[str, Any]:
-    """Seconds and score of the run that a house has just finished."""
-    return {"cpu_s": round(sum(spent_s(house, scene).values()), 1), "psnr_db": score_db(house, scene)}
+    """Seconds, in all and by stage, and score of the run that a house has just finished."""
+    stages = spent_s(house, scene)
+    parts = {stage: round(seconds, 1) for stage, seconds in stages.items()}
+    return {"cpu_s": round(sum(stages.values()), 1), "psnr_db": score_db(house, scene), "stages_cpu_s": parts}
 
 
 def verdicts(house: House, scene: str) -> dict[str, str]:

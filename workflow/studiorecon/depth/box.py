@@ -11,14 +11,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
+from studiorecon.depth.layout import uprights
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
+from studiorecon.footage.stills import read_plate
+from studiorecon.footage.video import to_bytes
 from studiorecon.progress import progress, say
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
@@ -135,11 +139,20 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    for name, ok, face, score in zip(FACES, fitted.fitted, fitted.faces, fitted.score):
-        say(
-            f"{name} at {face[3]:.3f} m"
-            + (f" (correlation {score:.2f})" if ok else ": a default, no such surface was found")
-        )
+    shown = [read_plate(plate) for plate in plates]
+    greys = [cv2.cvtColor(to_bytes(rgb), cv2.COLOR_RGB2GRAY) for rgb, _ in shown]
+    feet = uprights.feet(cameras, greys, [known for _, known in shown], float(fitted.low_m[2]))
+    fitted, uprights_at = uprights.with_walls(fitted, feet, cameras)
+    for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
+        if fitted.fitted[index]:
+            why = f" (correlation {fitted.score[index]:.2f})"
+        elif uprights_at.get(index) == 0:
+            why = ": a default, no further behind the cameras than the walls that were found"
+        elif index in uprights_at:
+            why = f": nothing matches there, but {uprights_at[index]} upright edges end on the floor before it"
+        else:
+            why = ": a default, no such surface was found"
+        say(f"{name} at {face[3]:.3f} m{why}")
     votes = swept.votes.inside(pictures, fitted)
     planes = room.candidates(
         votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)

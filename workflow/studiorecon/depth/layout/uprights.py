@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a wall stands that nothing matches: where upright edges end on the floor.
+
+Frames of doors and windows, cupboards and corners of a room are upright, and what is upright does not lie on the
+floor: it stands no further away than where its lower end would meet it. What hides a lower end makes that too far, and
+what stands about in the room is nearer; of a wall itself many meet the floor in one line. One camera is enough, where a
+match needs two that see the same piece of wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.rig.room_turns import straight_edges
+from studiorecon.scene.camera import Camera
+from studiorecon.scene.room import RoomBox
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Integer
+
+# An edge is upright to within this, so long at least, and its lower end so far below the horizon and from the picture's
+# rim (share of its longer side).
+_UPRIGHT_DEG, _LEAST_SPAN_DEG, _BELOW_HORIZON_DEG, _RIM_SHARE = 2.0, 2.5, 1.0, 0.02
+# Long edges count up to this.
+_MOST_SPAN_DEG = 15.0
+# What an end is off by, seen from the camera; and how straight the foot of a wall is, with skirting and frames.
+_END_DEG, _FOOT_M = 0.2, 0.12
+# A wall is faced where a look goes along its normal by this much.
+_FACED = 0.35
+_STEP_M = 0.05
+# So many edges, and so many of them a degree apart as seen from their camera, over so much of the wall, with this share
+# of what all edges that face it count, and no less sure than this.
+_LEAST_EDGES, _LEAST_APART, _LEAST_WIDTH_M, _LEAST_SHARE, _MOST_SIGMA_M = 5, 4, 0.6, 0.2, 0.3
+# Furniture makes a line of feet too: of two lines about as strong the further one is the wall.
+_RIVAL = 0.8
+# Lines nearer than this to the middle of what cameras look at are furniture, and so much before the outermost camera.
+_BEYOND_MIDDLE_M, _BEFORE_CAMERAS_M = 2.0, 0.2
+# Where so many walls are known, others are no further behind the cameras than these, or than this; and where no camera
+# stands one might, as far from the middle as others do.
+_KNOWN_WALLS, _CLOSE_BY_M, _ROOM_FOR_ONE_M = 2, 2.0, 0.5
+# Cupboards and desks stand along a wall, and cameras beside them: it is so far behind their feet, and behind cameras.
+_BEHIND_M, _BEHIND_CAMERAS_M = 0.5, 0.3
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Lower ends of upright edges on the floor.
+
+    Attributes:
+        place_m: (N, 2) x and y.
+        towards: (N, 2) unit, from the camera.
+        sigma_m: (N,) along that.
+        span_deg: (N,) how long the edge is, seen from the camera.
+        azimuth_deg: (N,) of the edge, and ``camera``: (N,) whose.
+    """
+
+    place_m: Float[np.ndarray, "N 2"]
+    towards: Float[np.ndarray, "N 2"]
+    sigma_m: Float[np.ndarray, " N"]
+    span_deg: Float[np.ndarray, " N"]
+    azimuth_deg: Float[np.ndarray, " N"]
+    camera: Integer[np.ndarray, " N"]
+
+    def of(self, chosen: Bool[np.ndarray, " N"]) -> Feet:
+        """Some of them."""
+        return Feet(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+
+def feet(
+    cameras: Sequence[Camera],
+    greys: Sequence[Integer[np.ndarray, "H W"]],
+    known: Sequence[Bool[np.ndarray, "H W"]],
+    floor_m: float,
+) -> Feet:
+    """Of the upright edges in all pictures ``greys`` (H, W, uint8), where ``known`` (H, W); z is up."""
+    found = [_feet_of(v, *one, floor_m) for v, one in enumerate(zip(cameras, greys, known, strict=True))]
+    return Feet(*(np.concatenate(column) for column in zip(*found)))
+
+
+def _feet_of(
+    view: int, camera: Camera, grey: np.ndarray, known: np.ndarray, floor_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    ends_px = straight_edges(grey, known).reshape(-1, 2, 2)
+    rays = camera.unproject(ends_px, np.ones(ends_px.shape[:2])) - camera.centre_m
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    across = np.cross(rays[:, 0], rays[:, 1])
+    tilt_deg = np.degrees(np.arcsin(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-12)))
+    elevation_deg = np.degrees(np.arcsin(rays[..., 2].clip(-1, 1)))
+    low = elevation_deg.argmin(1)
+    every = np.arange(len(rays))
+    lower, lower_px, down_deg = rays[every, low], ends_px[every, low], -elevation_deg[every, low]
+    rim_px = _RIM_SHARE * max(camera.wh)
+    inside = ((lower_px > rim_px) & (lower_px < np.array(camera.wh) - rim_px)).all(-1)
+    span_deg = np.ptp(elevation_deg, axis=1)
+    height_m = camera.centre_m[2] - floor_m
+    kept = (tilt_deg < _UPRIGHT_DEG) & (span_deg > _LEAST_SPAN_DEG) & (down_deg > _BELOW_HORIZON_DEG) & inside
+    if height_m <= 0:
+        kept[:] = False
+    lower, down = lower[kept], np.radians(down_deg[kept])
+    towards = lower[:, :2] / np.maximum(np.linalg.norm(lower[:, :2], axis=-1, keepdims=True), 1e-12)
+    away_m = height_m / np.tan(down)
+    # d(h / tan a) = h / sin² a da
+    sigma_m = np.hypot(_FOOT_M, height_m / np.sin(down) ** 2 * np.radians(_END_DEG))
+    azimuth_deg = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
+    place_m = camera.centre_m[:2] + away_m[:, None] * towards
+    return place_m, towards, sigma_m, span_deg[kept], azimuth_deg, np.full(len(towards), view)
+
+
+def foot_of(
+    seen: Feet, normal: Float[np.ndarray, " 2"], nearest_m: float, furthest_m: float
+) -> tuple[float, Bool[np.ndarray, " N"], float] | None:
+    """(offset along ``normal``, which feet, their degrees of edge) of the line of feet on that side, between
+    ``nearest_m`` and ``furthest_m``; None where none stands out."""
+    offsets = seen.place_m @ normal
+    sigma = np.hypot(seen.sigma_m * (seen.towards @ normal), _FOOT_M)
+    faced = (seen.towards @ normal > _FACED) & (offsets > nearest_m - 2 * sigma)
+    if faced.sum() < _LEAST_EDGES:
+        return None
+    weight = np.minimum(seen.span_deg, _MOST_SPAN_DEG) * faced
+    places = np.arange(nearest_m, furthest_m, _STEP_M)
+    off = (places[:, None] - offsets) / sigma
+    score = (np.exp(-0.5 * off**2) * weight).sum(1)
+    # What is strongest at the nearest place has its peak before that.
+    peaks = 1 + np.flatnonzero((score[1:-1] >= score[:-2]) & (score[1:-1] > score[2:]))
+    beside = np.array([-normal[1], normal[0]])
+    for k in peaks[::-1]:
+        own = faced & (np.abs(off[k]) < 2)
+        apart = {(int(c), round(a)) for c, a in zip(seen.camera[own], seen.azimuth_deg[own])}
+        if (
+            score[k] >= max(_RIVAL * score.max(), _LEAST_SHARE * weight.sum())
+            and own.sum() >= _LEAST_EDGES
+            and len(apart) >= _LEAST_APART
+            and np.ptp(seen.place_m[own] @ beside) >= _LEAST_WIDTH_M
+            and np.median(sigma[own]) <= _MOST_SIGMA_M
+        ):
+            return float(places[k]), own, float(score[k])
+    return None
+
+
+def with_walls(box: RoomBox, seen: Feet, cameras: Sequence[Camera]) -> tuple[RoomBox, dict[int, int]]:
+    """The box with walls that are defaults put where uprights stand, and face → number of edges that say so; 0 where it
+    is put as far behind the cameras as the walls that are known.
+
+    They stay defaults (``fitted``): nothing was matched there. The wall with most uprights comes first, and what stands
+    along it says nothing of others.
+    """
+    centres = np.stack([c.centre_m for c in cameras])[:, :2]
+    middle = scene_centre(cameras)[:2]
+    low_m, high_m, told = box.low_m.copy(), box.high_m.copy(), dict[int, int]()
+    free = np.ones(len(seen.span_deg), bool)
+    while True:
+        found = {}
+        for face in (int(f) for f in np.flatnonzero(~box.fitted[:4]) if int(f) not in told):
+            normal, outermost_m = _outwards(box, face), float((centres @ _outwards(box, face)).max())
+            nearest_m = max(outermost_m - _BEFORE_CAMERAS_M, float(middle @ normal) + _BEYOND_MIDDLE_M)
+            line = foot_of(seen.of(free), normal, nearest_m, _offset(box, face))
+            if line is not None:
+                found[face] = line, outermost_m
+        if not found:
+            break
+        face = max(found, key=lambda f: found[f][0][2])
+        (foot_m, own, _), outermost_m = found[face]
+        offset_m = max(foot_m + _BEHIND_M, outermost_m + _BEHIND_CAMERAS_M)
+        (low_m, high_m)[face % 2][face // 2] = (2 * (face % 2) - 1) * offset_m
+        told[face] = int(own.sum())
+        free[np.flatnonzero(free)[own]] = False
+    placed = replace(box, low_m=low_m, high_m=high_m)
+    outermost = {face: float((centres @ _outwards(box, face)).max()) for face in range(4)}
+    known = [_offset(placed, face) - outermost[face] for face in range(4) if box.fitted[face] or face in told]
+    if len(known) >= _KNOWN_WALLS:
+        around_m = float(np.linalg.norm(centres - middle, axis=1).max()) + _ROOM_FOR_ONE_M
+        for face in (f for f in range(4) if not box.fitted[f] and f not in told):
+            offset_m = max(outermost[face] + max(*known, _CLOSE_BY_M), float(middle @ _outwards(box, face)) + around_m)
+            if offset_m < _offset(box, face):
+                (low_m, high_m)[face % 2][face // 2] = (2 * (face % 2) - 1) * offset_m
+                told[face] = 0
+    return replace(box, low_m=low_m, high_m=high_m), told
+
+
+def _offset(box: RoomBox, face: int) -> float:
+    """Of a wall along its normal out of the room, metres."""
+    return (2 * (face % 2) - 1) * float((box.low_m, box.high_m)[face % 2][face // 2])
+
+
+def _outwards(box: RoomBox, face: int) -> np.ndarray:
+    """(2,) unit normal of a wall, out of the room."""
+    return (2 * (face % 2) - 1) * box.axes[face // 2][:2]
