@@ -180,6 +180,42 @@ def test_unseen_wall_is_painted_like_the_wall_beside_it(cameras: list[Camera]) -
     assert np.all((painted["ceiling"].rgb >= 0) & (painted["ceiling"].rgb <= 1))
 
 
+def test_a_wall_that_nobody_sees_looks_like_the_walls_that_somebody_does(cameras: list[Camera]) -> None:
+    """At the same height, and not like the floor before it."""
+    camera = cameras[0]
+    origin, directions = camera.rays()
+    depth_m, face = BOX.intersect(origin, directions)
+    height_m = (origin + directions * depth_m[..., None])[..., 2:]
+    red, grey = np.array([0.9, 0.1, 0.1]), np.repeat(0.2 + 0.2 * height_m, 3, axis=-1)
+    plate = np.where((face >= 4)[..., None], red, grey).astype(np.float32)
+    known = np.ones(camera.hw, bool)
+    painted = room.paint(BOX.rectangles, [camera], [plate], [known], [depth_m.astype(np.float32)], 0.1)
+    unseen = [p for p in painted if not p.seen.any() and p.face.name not in ("floor", "ceiling")]
+    seen_m = np.concatenate([p.points_m[p.seen][:, 2] for p in painted if p.face.name not in ("floor", "ceiling")])
+    assert unseen
+    for own in unseen:
+        heights = own.points_m[..., 2].clip(seen_m.min(), seen_m.max())
+        np.testing.assert_allclose(own.rgb, np.repeat(0.2 + 0.2 * heights[..., None], 3, axis=-1), atol=0.1)
+
+
+def test_far_from_what_is_seen_of_it_a_wall_looks_like_walls(cameras: list[Camera]) -> None:
+    """What stands before it once does not stand along all of it."""
+    wide = RoomBox(0.0, np.array([-12.0, -3, 0]), np.array([12.0, 3, 3]), np.ones(6, bool), np.ones(6))
+    camera = cameras[0]
+    depth_m, _ = wide.intersect(*camera.rays())
+    stripes = np.where(np.arange(camera.wh[0]) // 6 % 2, 0.2, 0.8)[None, :, None]
+    plate = np.broadcast_to(stripes, (*camera.hw, 3)).astype(np.float32)
+    known = np.ones(camera.hw, bool)
+    painted = room.paint(wide.rectangles, [camera], [plate], [known], [depth_m.astype(np.float32)], 0.1)
+    partly = [p for p in painted if p.face.name.startswith("v") and 0.02 < p.seen.mean() < 0.5]
+    assert partly
+    for own in partly:
+        reach_m = np.abs(own.points_m[..., 0] - np.median(own.points_m[own.seen][:, 0]))
+        far = reach_m > np.abs(own.points_m[own.seen][:, 0] - np.median(own.points_m[own.seen][:, 0])).max() + 5
+        assert far.any()
+        assert own.rgb[far].std(0).max() < 0.3 * own.rgb[own.seen].std(0).max()
+
+
 def test_the_grid_of_a_far_away_room_box_stays_within_its_limit() -> None:
     faces = RoomBox(0.0, np.full(3, -40.0), np.full(3, 40.0), np.zeros(6, bool), np.ones(6)).rectangles
     step_m = room.node_step(faces, 0.04, 5000)

@@ -33,6 +33,9 @@ _LEAST_SEEN = 0.02
 _LIGHT_M, _PATCH_M, _SHIFT_M = 0.35, 0.27, 0.12
 # What nobody sees anything of is painted on so coarse a grid, and blurred so far: it has no detail.
 _COARSE, _BLUR_NODES = 2, 4.0
+# This far from what is seen of it a wall goes over to what walls look like at that height: copied further, what stands
+# before a wall once would stand along all of it. Heights alike within this.
+_COPIED_M, _HEIGHT_M = 2.0, 0.3
 
 
 def node_step(faces: Sequence[Face], step_m: float, limit: int) -> float:
@@ -77,7 +80,7 @@ def paint(
     step_m: float,
 ) -> list[Painted]:
     """The atlas of every face: photographed where a camera sees it, going on alike beside that, borrowed where nothing
-    of it was seen.
+    of it was seen: for a wall from walls, at the same height.
 
     ``plates`` (H, W, 3) float, ``known`` (H, W) bool where a plate is measured, ``depths_m`` (H, W), 0 unknown.
     """
@@ -86,21 +89,62 @@ def paint(
     all_points = np.concatenate([nodes[seen] for (_, nodes), (_, seen) in zip(looked, gathered)])
     all_rgb = np.concatenate([rgb[seen] for rgb, seen in gathered])
     nearest = scipy.spatial.cKDTree(all_points) if len(all_points) else None
+    walls = _Walls.of(looked, gathered)
     patch = 2 * round(_PATCH_M / step_m / 2) + 1
     scale = Scale(_LIGHT_M / step_m, max(patch, 3), max(round(_SHIFT_M / step_m), 2))
     painted = []
     for (face, nodes), (rgb, seen) in zip(looked, gathered):
         if seen.mean() >= _LEAST_SEEN:
-            painted.append(Painted(face, nodes, filled(rgb, seen, scale, np.random.default_rng(0)), seen))
+            rgb = filled(rgb, seen, scale, np.random.default_rng(0))
+            if walls is not None and _upright(face):
+                apart_m = step_m * cv2.distanceTransform((~seen).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+                copied = np.exp(-((apart_m / _COPIED_M) ** 2))[..., None]
+                rgb = copied * rgb + (1 - copied) * walls.at(nodes)
+            painted.append(Painted(face, nodes, rgb, seen))
             continue
         nodes = face.nodes(step_m * _COARSE)
-        if nearest is None:
+        if walls is not None and _upright(face):
+            rgb = walls.at(nodes)
+        elif nearest is None:
             rgb = np.full(nodes.shape, 0.5)
         else:
             borrowed = all_rgb[nearest.query(nodes.reshape(-1, 3))[1]].reshape(nodes.shape)
             rgb = cv2.GaussianBlur(borrowed, (0, 0), _BLUR_NODES, borderType=cv2.BORDER_REPLICATE)
         painted.append(Painted(face, nodes, rgb, np.zeros(nodes.shape[:2], bool)))
     return painted
+
+
+@dataclass(frozen=True)
+class _Walls:
+    """What the walls look like at every height: ``heights_m`` (B,) and their mean colours (B, 3)."""
+
+    heights_m: np.ndarray
+    rgb: np.ndarray
+
+    @classmethod
+    def of(
+        cls, looked: Sequence[tuple[Face, np.ndarray]], gathered: Sequence[tuple[np.ndarray, np.ndarray]]
+    ) -> _Walls | None:
+        """From the nodes of all walls that are seen; None where none is."""
+        upright = [(nodes[seen], rgb[seen]) for (f, nodes), (rgb, seen) in zip(looked, gathered) if _upright(f)]
+        height_m = np.concatenate([points[:, 2] for points, _ in upright]) if upright else np.zeros(0)
+        if not len(height_m):
+            return None
+        colours = np.concatenate([rgb for _, rgb in upright])
+        heights_m = np.arange(height_m.min(), height_m.max() + _HEIGHT_M, _HEIGHT_M / 2)
+        bins = np.rint((height_m - heights_m[0]) / (_HEIGHT_M / 2)).astype(int)
+        counts = np.bincount(bins, minlength=len(heights_m))
+        sums = np.stack([np.bincount(bins, colours[:, k], len(heights_m)) for k in range(3)], axis=1)
+        near = np.exp(-0.5 * ((heights_m[:, None] - heights_m) / _HEIGHT_M) ** 2)
+        return cls(heights_m, (near @ sums) / (near @ counts)[:, None])
+
+    def at(self, nodes: np.ndarray) -> np.ndarray:
+        """(..., 3) colours of points (..., 3)."""
+        return np.stack([np.interp(nodes[..., 2], self.heights_m, self.rgb[:, k]) for k in range(3)], axis=-1)
+
+
+def _upright(face: Face) -> bool:
+    return bool(abs(face.normal[2]) < 0.5)
 
 
 def seen_from(camera: Camera, painted: Sequence[Painted]) -> Float[np.ndarray, "H W 3"]:
