@@ -87,6 +87,8 @@ def measured(folder: Path, name: str, cores: str) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as temporary:
             copy = replace(house, folder=Path(temporary) / "house")
             shutil.copytree(house.folder, copy.folder, symlinks=True)
+            # A person around whom nothing has changed is not trained again, which costs nothing and says nothing.
+            shutil.rmtree(copy.folder / "logs" / scene / "humans", ignore_errors=True)
             for pattern in OWN.get(effect, ()) if other == "off" else ():
                 for path in (copy.folder / "benchmarks" / scene).glob(pattern):
                     path.unlink() if path.is_file() else shutil.rmtree(path)
