@@ -29,7 +29,7 @@ _UPRIGHT_DEG, _LEAST_SPAN_DEG, _BELOW_HORIZON_DEG, _RIM_SHARE = 2.0, 2.5, 1.0, 0
 # Long edges count up to this.
 _MOST_SPAN_DEG = 15.0
 # What an end is off by, seen from the camera; and how straight the foot of a wall is, with skirting and frames.
-_END_DEG, _FOOT_M = 0.2, 0.12
+_END_DEG, _FOOT_M = 0.2, 0.16
 # A wall is faced where a look goes along its normal by this much.
 _FACED = 0.35
 _STEP_M = 0.05
@@ -39,7 +39,7 @@ _LEAST_EDGES, _LEAST_APART, _LEAST_WIDTH_M, _LEAST_SHARE, _MOST_SIGMA_M = 5, 4, 
 # Furniture makes a line of feet too: of two lines about as strong the further one is the wall.
 _RIVAL = 0.8
 # Lines nearer than this to the middle of what cameras look at are furniture, and so much before the outermost camera.
-_BEYOND_MIDDLE_M, _BEFORE_CAMERAS_M = 2.0, 0.2
+_BEYOND_MIDDLE_M, _BEFORE_CAMERAS_M = 2.5, 0.2
 # Where so many walls are known, others are no further behind the cameras than these, or than this; and where no camera
 # stands one might, as far from the middle as others do.
 _KNOWN_WALLS, _CLOSE_BY_M, _ROOM_FOR_ONE_M = 2, 2.0, 0.5
@@ -79,12 +79,10 @@ def feet(
 ) -> Feet:
     """Of the upright edges in all pictures ``greys`` (H, W, uint8), where ``known`` (H, W); z is up."""
     found = [_feet_of(v, *one, floor_m) for v, one in enumerate(zip(cameras, greys, known, strict=True))]
-    return Feet(*(np.concatenate(column) for column in zip(*found)))
+    return Feet(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Feet)))
 
 
-def _feet_of(
-    view: int, camera: Camera, grey: np.ndarray, known: np.ndarray, floor_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _feet_of(view: int, camera: Camera, grey: np.ndarray, known: np.ndarray, floor_m: float) -> Feet:
     ends_px = straight_edges(grey, known).reshape(-1, 2, 2)
     rays = camera.unproject(ends_px, np.ones(ends_px.shape[:2])) - camera.centre_m
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
@@ -105,10 +103,10 @@ def _feet_of(
     towards = lower[:, :2] / np.maximum(np.linalg.norm(lower[:, :2], axis=-1, keepdims=True), 1e-12)
     away_m = height_m / np.tan(down)
     # d(h / tan a) = h / sin² a da
-    sigma_m = np.hypot(_FOOT_M, height_m / np.sin(down) ** 2 * np.radians(_END_DEG))
+    sigma_m = height_m / np.sin(down) ** 2 * np.radians(_END_DEG)
     azimuth_deg = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
     place_m = camera.centre_m[:2] + away_m[:, None] * towards
-    return place_m, towards, sigma_m, span_deg[kept], azimuth_deg, np.full(len(towards), view)
+    return Feet(place_m, towards, sigma_m, span_deg[kept], azimuth_deg, np.full(len(towards), view))
 
 
 def foot_of(
