@@ -14,9 +14,6 @@ import pytest
 # As every step of the workflow (__main__): threads of linear algebra that wait in busy loops make workers side by side
 # several times slower. Said before numpy is imported, and inherited by the workers.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Workers and what they start keep the memory they have freed (glibc): the reference in torch asks the system for every
-# array anew otherwise, which costs it more than the arithmetic.
-os.environ |= {f"MALLOC_{name}_THRESHOLD_": str(2**33) for name in ("MMAP", "TRIM")}
 
 from studiorecon.__main__ import KERNELS  # after that, and before numba is imported
 
