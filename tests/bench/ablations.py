@@ -43,17 +43,21 @@ def studios(frames: int, size: tuple[int, int]) -> dict[str, dict]:
     }
 
 
-def sweep(work: Path, name: str, described: dict, cores: int) -> Path:
-    """Run the table on one studio in a folder of its own; the records it wrote."""
-    folder = work / name
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.yaml").write_text(yaml.safe_dump(described))
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", str(cores)]
-    command += ["--directory", str(folder), "sweep"]
-    command += ["--config", f"dataset={folder / name}.yaml", f"sweep={TABLE}", "sweep_minutes=60"]
+def sweep(folder: Path, table: Path, told: list[str], cores: str) -> None:
+    """Run a table in ``folder`` on what ``--config`` is ``told``."""
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", cores]
+    command += ["--directory", str(folder), "sweep", "--config", f"sweep={table}", "sweep_minutes=60", *told]
     environment = {**os.environ, "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
     environment["PYTHONPATH"] = str(ROOT / "workflow")
     subprocess.run(command, env=environment, check=True)
+
+
+def ablated(work: Path, name: str, described: dict, cores: int) -> Path:
+    """Run the ablations on one studio in a folder of its own; the records they wrote."""
+    folder = work / name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(described))
+    sweep(folder, TABLE, [f"dataset={folder / name}.yaml"], str(cores))
     return folder / "results" / name / "sweep" / TABLE.stem / "records.jsonl"
 
 
@@ -68,7 +72,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = (given.work or Path(temporary)).resolve()
         made = studios(given.frames, tuple(given.size))
-        records = {name: sweep(work, name, described, given.cores) for name, described in made.items()}
+        records = {name: ablated(work, name, described, given.cores) for name, described in made.items()}
         page = [sys.executable, "-m", "studiorecon", "sweep.page", "--records", *map(str, records.values())]
         page += ["--solvers", str(ROOT / "resources/solvers.tsv")]
         subprocess.run([*page, "--page", str(work / "index.html"), "--table", str(work / "first.csv")], check=True)

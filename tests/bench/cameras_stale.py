@@ -34,7 +34,7 @@ from studiorecon.geometry.bundle import BundleSettings, moved
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.bundle import fitted
 from studiorecon.rig.correspondences import observe
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

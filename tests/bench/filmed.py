@@ -20,7 +20,7 @@ from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, read_detections

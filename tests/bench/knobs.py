@@ -15,15 +15,13 @@ import argparse
 import csv
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import yaml
 from studiorecon.sweep.records import OK, read_records
 
-from tests.bench.ablations import studios
+from tests.bench.ablations import studios, sweep
 from tests.bench.captures import TAKE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,11 +57,7 @@ def described(scene: str, folder: Path, frames: int) -> list[str]:
 def swept(scene: str, folder: Path, frames: int, cores: str) -> dict[str, dict[str, float]]:
     """Row → PSNR, and seconds from nothing."""
     folder.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", cores]
-    command += ["--directory", str(folder), "sweep", "--config", f"sweep={table(folder)}", "sweep_minutes=60"]
-    environment = {**os.environ, "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
-    environment["PYTHONPATH"] = str(ROOT / "workflow")
-    subprocess.run([*command, *described(scene, folder, frames)], env=environment, check=True)
+    sweep(folder, table(folder), described(scene, folder, frames), cores)
     records = read_records(folder / "results" / scene / "sweep/knobs/records.jsonl")[1]
     return {
         record.name: {"psnr": round(psnr, 3), "from_nothing_s": round(record.seconds["from_nothing"], 1)}

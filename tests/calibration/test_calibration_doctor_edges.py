@@ -17,7 +17,7 @@ from studiorecon.calibration.checks.advice import verdict
 from studiorecon.clocks import offsets
 from studiorecon.detect import keypoints
 from studiorecon.plan.discovery import open_dataset
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.tracks import keypoints as tracks_keypoints
 

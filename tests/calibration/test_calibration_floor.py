@@ -7,7 +7,8 @@ import itertools
 
 import numpy as np
 import pytest
-from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
+from studiorecon.rig.floor_marks import FloorMarks, floor_marks
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 from tests.made.cameras import LIMITS, ring

@@ -13,7 +13,7 @@ from studiorecon.cameras.by_the_edges import by_the_edges
 from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations, observe
 from studiorecon.rig.edge_check import contradiction
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 from tests.defaults import loaded

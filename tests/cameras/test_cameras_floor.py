@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.cameras import refine
-from studiorecon.cameras.by_the_floor import room_of
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
 from studiorecon.rig.correspondences import observe
 from studiorecon.rig.level import floor_of, levelled, under_feet
+from studiorecon.rig.room_picture import room_of
 from studiorecon.rig.stale import moved_since
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

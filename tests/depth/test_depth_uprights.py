@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from studiorecon.depth.layout import uprights
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
@@ -52,8 +53,8 @@ def open_place(cameras: Sequence[Camera]) -> RoomBox:
 
 
 def placed(cameras: Sequence[Camera], pictures: Sequence[np.ndarray], box: RoomBox) -> tuple[RoomBox, dict[int, int]]:
-    known = [np.ones(p.shape, bool) for p in pictures]
-    return uprights.with_walls(box, uprights.feet(cameras, pictures, known, 0.0), cameras)
+    rooms = [RoomPicture(p, np.ones(p.shape, bool)) for p in pictures]
+    return uprights.with_walls(box, uprights.feet(cameras, rooms, 0.0), cameras)
 
 
 CAMERAS = [camera(-3.0, -1.0), camera(2.8, -1.5)]
@@ -128,7 +129,7 @@ def test_a_camera_that_stands_beside_cupboards_is_inside_the_room() -> None:
 
 def test_a_camera_below_the_floor_sees_no_feet() -> None:
     one = [camera(0.0, -3.0)]
-    found = uprights.feet(one, [drawn(one[0], WALL, 0)], [np.ones(WH[::-1], bool)], 2.0)
+    found = uprights.feet(one, [RoomPicture(drawn(one[0], WALL, 0), np.ones(WH[::-1], bool))], 2.0)
     assert len(found.span_deg) == 0
 
 

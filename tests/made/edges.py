@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import exp
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 ROOM_M = np.array([[-3.0, -2.5, 0.0], [3.0, 2.5, 2.6]])

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from studiorecon.geometry.bundle import moved
 from studiorecon.geometry.rotations import angle, exp
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 _PLACE_M, _HALF_M = 0.01, 3.0

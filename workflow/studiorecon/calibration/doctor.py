@@ -35,10 +35,10 @@ from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.hypotheses import LENS_READINGS, best_swap, lens_row, verdicts
 from studiorecon.rig.lens_model import LensReading, as_model
 from studiorecon.rig.odd_one_out import odd_one_out
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import Clocks, read_clocks

@@ -24,11 +24,11 @@ from studiorecon.progress import say, warn
 from studiorecon.rig.arrangement import Arrangement, apart, arranged
 from studiorecon.rig.bundle import Agreement
 from studiorecon.rig.certainty import between_deg, sigma_of
-from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import Rig, bone_factor, scaled
 from studiorecon.rig.given_lengths import GivenLengths, Scale, by_given_lengths, stature_m
 from studiorecon.rig.gravity import world_from_people
 from studiorecon.rig.one_floor import on_one_floor
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.self_calibration import self_calibrated, turned_by_edges
 from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.clocks import read_clocks

@@ -15,7 +15,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.source import glimpses, open_source
 from studiorecon.geometry.lens import video_from_working
 from studiorecon.progress import warn
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import straight_edges
 from studiorecon.scene.camera import Camera, Lens
 

@@ -13,7 +13,7 @@ from studiorecon.progress import say, warn
 from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.edge_check import contradiction, put_right
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 

@@ -5,21 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from studiorecon.cameras.changes import changes_since
-from studiorecon.footage.stills import read_plate
 from studiorecon.geometry.bundle import BundleSettings
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.progress import say
 from studiorecon.rig.by_the_room import CALLED_SIGMAS, by_the_room, where_people_stand
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.floor_marks import RoomPicture, floor_marks
+from studiorecon.rig.floor_marks import floor_marks
 from studiorecon.rig.level import floor_of, levelled
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 # How far a floor that is not far off may lie beside itself, metres: at first, and once that was made use of.
@@ -89,10 +87,3 @@ def on_the_same_floor(
     if tilt_deg or lift_m:
         say(f"refinement had tilted the floor by {tilt_deg:.2f}° and lifted it by {1000 * lift_m:.0f} mm: put back")
     return level, {**report, "levelled": {"tilt_deg": tilt_deg, "lift_m": lift_m}}
-
-
-def room_of(plate: Path) -> RoomPicture:
-    """The plate as the floor is looked for in it: grey, and where people never left it unseen."""
-    rgb, measured = read_plate(plate)
-    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-    return RoomPicture(np.clip(255 * grey + 0.5, 0, 255).astype(np.uint8), measured)

@@ -15,7 +15,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.camera_files.colmap import write_model
 from studiorecon.cameras.by_the_edges import by_the_edges
-from studiorecon.cameras.by_the_floor import by_the_floor, on_the_same_floor, room_of
+from studiorecon.cameras.by_the_floor import by_the_floor, on_the_same_floor
 from studiorecon.cameras.changes import changes_of, changes_since
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -36,11 +36,11 @@ from studiorecon.rig.bundle import (
 from studiorecon.rig.certainty import stale_between_deg
 from studiorecon.rig.contact_sheet import contact_sheet
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.gravity import tell_tilt
 from studiorecon.rig.human_size import check_human_size, check_units
 from studiorecon.rig.hypotheses import check_conventions, refuse_swapped
 from studiorecon.rig.odd_one_out import odd_one_out, warn_of_odd
+from studiorecon.rig.room_picture import RoomPicture, room_of
 from studiorecon.rig.stale import tell, where_they_stand_now
 from studiorecon.rig.watching import others_told, watching
 from studiorecon.scene.camera import Camera, Lens

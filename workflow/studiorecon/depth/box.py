@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from studiorecon.camera_files.colmap import read_model
@@ -21,9 +20,8 @@ from studiorecon.depth.layout import uprights
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
-from studiorecon.footage.stills import read_plate
-from studiorecon.footage.video import to_bytes
 from studiorecon.progress import progress, say
+from studiorecon.rig.room_picture import room_of
 from studiorecon.scene.room import FACES, RoomBox, write_room
 from studiorecon.signature import Written
 
@@ -139,9 +137,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    shown = [read_plate(plate) for plate in plates]
-    greys = [cv2.cvtColor(to_bytes(rgb), cv2.COLOR_RGB2GRAY) for rgb, _ in shown]
-    feet = uprights.feet(cameras, greys, [known for _, known in shown], float(fitted.low_m[2]))
+    feet = uprights.feet(cameras, [room_of(plate) for plate in plates], float(fitted.low_m[2]))
     fitted, uprights_at = uprights.with_walls(fitted, feet, cameras)
     for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
         if fitted.fitted[index]:

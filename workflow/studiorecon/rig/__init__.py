@@ -8,7 +8,8 @@ is.
   the floor;
 * ``from_tracks``: cameras from nothing but people; ``arrangement``: the best of what that finds, and who is not in it;
   ``self_calibration``: made exact, with their focal lengths and, by ``room_turns``, the room's straight edges;
-  ``floor_marks``: places on the floor that cameras share, ``one_floor``: the rig laid on them;
+  ``room_picture``: the room as a camera sees it; ``floor_marks``: places on the floor that cameras share,
+  ``one_floor``: the rig laid on them;
   ``given_lengths``: their metres; ``certainty``: how well they are known;
 * ``bundle``: calibrated cameras refined; ``stale``: cameras that were moved since; ``by_the_room``: by its floor and
   edges too; ``edge_check``: whether edges contradict cameras that people accept; ``level``: without tilting the floor;

@@ -20,7 +20,8 @@ from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
+from studiorecon.rig.floor_marks import FloorMarks, floor_marks
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn, room_turns, straight_edges
 from studiorecon.scene.camera import Camera
 

@@ -20,7 +20,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.by_the_room import by_the_room, turns_of
 from studiorecon.rig.certainty import ABOUT_ALL_AXES, between_deg
 from studiorecon.rig.correspondences import Observations
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn
 from studiorecon.rig.stale import FREE_DEG, FREE_M
 from studiorecon.scene.camera import Camera

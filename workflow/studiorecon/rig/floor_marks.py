@@ -21,10 +21,11 @@ from scipy import fft
 
 from studiorecon.arrays import require
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Integer, Num
+    from jaxtyping import Bool, Float, Num
 
 # Part of the floor that is looked at: half its width about where people are, metres.
 _HALF_M = 2.5
@@ -48,19 +49,6 @@ _SHARP, _LENS_SHARE, _ALONE = 0.4, 0.001, 0.1
 _LOOSE = 3.0
 # How far the floor that two cameras see may lie beside what the coarse look finds.
 _BEYOND_M = 0.06
-
-
-@dataclass(frozen=True)
-class RoomPicture:
-    """The room as one camera sees it.
-
-    Attributes:
-        grey: (H, W) uint8, in the camera's pixels.
-        known: (H, W) whether it shows the room there, and nobody.
-    """
-
-    grey: Integer[np.ndarray, "H W"]
-    known: Bool[np.ndarray, "H W"]
 
 
 @dataclass(frozen=True)

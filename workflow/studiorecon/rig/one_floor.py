@@ -12,9 +12,10 @@ import numpy as np
 from studiorecon.geometry.bundle import Adjusted, LensPrior
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement
-from studiorecon.rig.floor_marks import FloorMarks, RoomPicture, floor_marks
+from studiorecon.rig.floor_marks import FloorMarks, floor_marks
 from studiorecon.rig.from_tracks import Rig, Sightings, adjusted, settled
 from studiorecon.rig.gravity import world_from_people
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import RoomTurn
 
 if TYPE_CHECKING:

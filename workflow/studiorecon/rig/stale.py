@@ -24,9 +24,9 @@ from studiorecon.progress import warn
 from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.by_the_room import by_the_room
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.floor_marks import RoomPicture
 from studiorecon.rig.from_tracks import rigs, sightings
 from studiorecon.rig.level import levelled, under_feet
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 

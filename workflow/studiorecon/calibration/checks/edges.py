@@ -12,7 +12,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.by_the_room import turns_of
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.edge_check import contradiction, put_right
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera
 
 # Past this a camera looks 20 cm beside what is three metres away: films would show it, whoever is right.

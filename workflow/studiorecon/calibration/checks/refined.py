@@ -15,7 +15,7 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.rig.bundle import error_medians, fitted
 from studiorecon.rig.certainty import people_tell, stale_between_deg
 from studiorecon.rig.correspondences import Observations, observe
-from studiorecon.rig.floor_marks import RoomPicture
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.stale import moves, where_they_stand_now
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.geometry.camera_path import scene_centre
+from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.rig.room_turns import straight_edges
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
@@ -55,15 +56,13 @@ class Feet:
         place_m: (N, 2) x and y.
         towards: (N, 2) unit, from the camera.
         sigma_m: (N,) along that.
-        span_deg: (N,) how long the edge is, seen from the camera.
-        azimuth_deg: (N,) of the edge, and ``camera``: (N,) whose.
+        span_deg: (N,) how long the edge is, seen from the camera; ``camera``: (N,) whose.
     """
 
     place_m: Float[np.ndarray, "N 2"]
     towards: Float[np.ndarray, "N 2"]
     sigma_m: Float[np.ndarray, " N"]
     span_deg: Float[np.ndarray, " N"]
-    azimuth_deg: Float[np.ndarray, " N"]
     camera: Integer[np.ndarray, " N"]
 
     def of(self, chosen: Bool[np.ndarray, " N"]) -> Feet:
@@ -71,42 +70,33 @@ class Feet:
         return Feet(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
-def feet(
-    cameras: Sequence[Camera],
-    greys: Sequence[Integer[np.ndarray, "H W"]],
-    known: Sequence[Bool[np.ndarray, "H W"]],
-    floor_m: float,
-) -> Feet:
-    """Of the upright edges in all pictures ``greys`` (H, W, uint8), where ``known`` (H, W); z is up."""
-    found = [_feet_of(v, *one, floor_m) for v, one in enumerate(zip(cameras, greys, known, strict=True))]
+def feet(cameras: Sequence[Camera], rooms: Sequence[RoomPicture], floor_m: float) -> Feet:
+    """Of the upright edges in the pictures of the room of all cameras; z is up."""
+    found = [_feet_of(v, *one, floor_m) for v, one in enumerate(zip(cameras, rooms, strict=True))]
     return Feet(*(np.concatenate([getattr(one, f.name) for one in found]) for f in fields(Feet)))
 
 
-def _feet_of(view: int, camera: Camera, grey: np.ndarray, known: np.ndarray, floor_m: float) -> Feet:
-    ends_px = straight_edges(grey, known).reshape(-1, 2, 2)
+def _feet_of(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> Feet:
+    ends_px = straight_edges(room.grey, room.known).reshape(-1, 2, 2)
     rays = camera.unproject(ends_px, np.ones(ends_px.shape[:2])) - camera.centre_m
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     across = np.cross(rays[:, 0], rays[:, 1])
     tilt_deg = np.degrees(np.arcsin(np.abs(across[:, 2]) / np.maximum(np.linalg.norm(across, axis=-1), 1e-12)))
     elevation_deg = np.degrees(np.arcsin(rays[..., 2].clip(-1, 1)))
-    low = elevation_deg.argmin(1)
-    every = np.arange(len(rays))
+    every, low = np.arange(len(rays)), elevation_deg.argmin(1)
     lower, lower_px, down_deg = rays[every, low], ends_px[every, low], -elevation_deg[every, low]
     rim_px = _RIM_SHARE * max(camera.wh)
     inside = ((lower_px > rim_px) & (lower_px < np.array(camera.wh) - rim_px)).all(-1)
     span_deg = np.ptp(elevation_deg, axis=1)
     height_m = camera.centre_m[2] - floor_m
     kept = (tilt_deg < _UPRIGHT_DEG) & (span_deg > _LEAST_SPAN_DEG) & (down_deg > _BELOW_HORIZON_DEG) & inside
-    if height_m <= 0:
-        kept[:] = False
+    kept &= height_m > 0
     lower, down = lower[kept], np.radians(down_deg[kept])
     towards = lower[:, :2] / np.maximum(np.linalg.norm(lower[:, :2], axis=-1, keepdims=True), 1e-12)
-    away_m = height_m / np.tan(down)
     # d(h / tan a) = h / sin² a da
     sigma_m = height_m / np.sin(down) ** 2 * np.radians(_END_DEG)
-    azimuth_deg = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
-    place_m = camera.centre_m[:2] + away_m[:, None] * towards
-    return Feet(place_m, towards, sigma_m, span_deg[kept], azimuth_deg, np.full(len(towards), view))
+    place_m = camera.centre_m[:2] + height_m / np.tan(down)[:, None] * towards
+    return Feet(place_m, towards, sigma_m, span_deg[kept], np.full(len(towards), view))
 
 
 def foot_of(
@@ -128,7 +118,8 @@ def foot_of(
     beside = np.array([-normal[1], normal[0]])
     for k in peaks[::-1]:
         own = faced & (np.abs(off[k]) < 2)
-        apart = {(int(c), round(a)) for c, a in zip(seen.camera[own], seen.azimuth_deg[own])}
+        azimuth_deg = np.degrees(np.arctan2(*seen.towards[own].T))
+        apart = {(int(c), round(a)) for c, a in zip(seen.camera[own], azimuth_deg)}
         if (
             score[k] >= max(_RIVAL * score.max(), _LEAST_SHARE * weight.sum())
             and own.sum() >= _LEAST_EDGES
@@ -147,44 +138,32 @@ def with_walls(box: RoomBox, seen: Feet, cameras: Sequence[Camera]) -> tuple[Roo
     They stay defaults (``fitted``): nothing was matched there. The wall with most uprights comes first, and what stands
     along it says nothing of others.
     """
-    centres = np.stack([c.centre_m for c in cameras])[:, :2]
-    middle = scene_centre(cameras)[:2]
-    low_m, high_m, told = box.low_m.copy(), box.high_m.copy(), dict[int, int]()
-    free = np.ones(len(seen.span_deg), bool)
+    outwards = np.array([[-1.0], [1.0], [-1.0], [1.0]])
+    normals, offsets_m = outwards * box.axes[[0, 0, 1, 1], :2], outwards[:, 0] * box.faces[:4, 3]
+    centres, middle = np.stack([c.centre_m for c in cameras])[:, :2], scene_centre(cameras)[:2]
+    outermost_m, middle_m = (centres @ normals.T).max(0), normals @ middle
+    nearest_m = np.maximum(outermost_m - _BEFORE_CAMERAS_M, middle_m + _BEYOND_MIDDLE_M)
+    told, free = dict[int, int](), np.ones(len(seen.span_deg), bool)
     while True:
-        found = {}
-        for face in (int(f) for f in np.flatnonzero(~box.fitted[:4]) if int(f) not in told):
-            normal, outermost_m = _outwards(box, face), float((centres @ _outwards(box, face)).max())
-            nearest_m = max(outermost_m - _BEFORE_CAMERAS_M, float(middle @ normal) + _BEYOND_MIDDLE_M)
-            line = foot_of(seen.of(free), normal, nearest_m, _offset(box, face))
-            if line is not None:
-                found[face] = line, outermost_m
-        if not found:
+        left = [face for face in range(4) if not box.fitted[face] and face not in told]
+        lines = {
+            face: line
+            for face in left
+            if (line := foot_of(seen.of(free), normals[face], nearest_m[face], offsets_m[face])) is not None
+        }
+        if not lines:
             break
-        face = max(found, key=lambda f: found[f][0][2])
-        (foot_m, own, _), outermost_m = found[face]
-        offset_m = max(foot_m + _BEHIND_M, outermost_m + _BEHIND_CAMERAS_M)
-        (low_m, high_m)[face % 2][face // 2] = (2 * (face % 2) - 1) * offset_m
+        face = max(lines, key=lambda f: lines[f][2])
+        foot_m, own, _ = lines[face]
+        offsets_m[face] = max(foot_m + _BEHIND_M, outermost_m[face] + _BEHIND_CAMERAS_M)
         told[face] = int(own.sum())
         free[np.flatnonzero(free)[own]] = False
-    placed = replace(box, low_m=low_m, high_m=high_m)
-    outermost = {face: float((centres @ _outwards(box, face)).max()) for face in range(4)}
-    known = [_offset(placed, face) - outermost[face] for face in range(4) if box.fitted[face] or face in told]
+    known = [face for face in range(4) if face not in left]
     if len(known) >= _KNOWN_WALLS:
-        around_m = float(np.linalg.norm(centres - middle, axis=1).max()) + _ROOM_FOR_ONE_M
-        for face in (f for f in range(4) if not box.fitted[f] and f not in told):
-            offset_m = max(outermost[face] + max(*known, _CLOSE_BY_M), float(middle @ _outwards(box, face)) + around_m)
-            if offset_m < _offset(box, face):
-                (low_m, high_m)[face % 2][face // 2] = (2 * (face % 2) - 1) * offset_m
-                told[face] = 0
+        behind_m = max((offsets_m - outermost_m)[known].max(), _CLOSE_BY_M)
+        around_m = np.linalg.norm(centres - middle, axis=1).max() + _ROOM_FOR_ONE_M
+        close_m = np.maximum(outermost_m + behind_m, middle_m + around_m)
+        told |= {face: 0 for face in left if close_m[face] < offsets_m[face]}
+        offsets_m[left] = np.minimum(offsets_m, close_m)[left]
+    low_m, high_m = np.array([*-offsets_m[::2], box.low_m[2]]), np.array([*offsets_m[1::2], box.high_m[2]])
     return replace(box, low_m=low_m, high_m=high_m), told
-
-
-def _offset(box: RoomBox, face: int) -> float:
-    """Of a wall along its normal out of the room, metres."""
-    return (2 * (face % 2) - 1) * float((box.low_m, box.high_m)[face % 2][face // 2])
-
-
-def _outwards(box: RoomBox, face: int) -> np.ndarray:
-    """(2,) unit normal of a wall, out of the room."""
-    return (2 * (face % 2) - 1) * box.axes[face // 2][:2]
