@@ -184,9 +184,12 @@ def test_nothing_that_stands_on_the_floor_has_legs() -> None:
 
 def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Though the cupboard is there: everything is refused, and the search ends."""
-    monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
     room = made_room()
-    assert furnish(looks(room), room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+    gates = {"window": 5, "mean_weight": 1.5, "least_gain": 400.0, "most": 3}
+    pictures = looks(room, 64)
+    assert len(furnish(pictures, room.room_box, NOBODY, **gates)) == 1
+    monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
+    assert furnish(pictures, room.room_box, NOBODY, **gates) == []
 
 
 def test_an_empty_room_stays_empty() -> None:

@@ -57,6 +57,17 @@ def test_distortion_agrees_with_opencv():
         assert np.abs(back - points).max() < 1e-8
 
 
+@pytest.mark.parametrize("k1", [0.0, 1e-300])
+def test_without_distortion_every_finite_point_is_its_own(k1: float) -> None:
+    """With and without the solver, which a lens of all zeros does not need."""
+    points = np.array([[[0.3, -0.2], [0.0, 0.0]], [[40.0, 1e3], [np.nan, 0.1]]])
+    back, valid = undistort(points, "opencv", np.array([k1, 0, 0, 0, 0]))
+    assert valid.tolist() == [[True, True], [True, False]]
+    np.testing.assert_allclose(back[valid], points[valid], rtol=1e-12)
+    assert np.isnan(back[1, 1]).all()
+    assert undistort(np.array([np.inf, 0.0]), "opencv", np.array([k1]))[1].tolist() is False
+
+
 def test_fisheye_knows_that_a_right_angle_has_no_pinhole_ray():
     assert fold_radius("fisheye", np.zeros(4)) == pytest.approx(np.pi / 2, abs=1e-5)
     _, valid = undistort(np.array([[1.2, 0.0], [1.6, 0.0]]), "fisheye", np.zeros(4))

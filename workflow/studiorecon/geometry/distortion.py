@@ -58,15 +58,18 @@ def undistort(
     """
     points = np.asarray(points, dtype=np.float64)
     require("points", points, (..., 2))
-    # Loaded here: most steps that read this module only distort, and numba takes longer to import than they take to
-    # start.
+    full = _full(model, coefficients)
+    if model == "opencv" and not full.any():
+        valid = np.isfinite(points).all(-1)
+        return np.where(valid[..., None], points, np.nan), valid
+    # Loaded here: most steps have nothing to undistort, and numba takes longer to import than they take to start.
     from studiorecon.geometry import distortion_kernels as kernels
 
     flat = np.ascontiguousarray(points.reshape(-1, 2))
     answers, valid = np.empty_like(flat), np.empty(len(flat), dtype=bool)
     kernels.undistort(
         flat,
-        _full(model, coefficients),
+        full,
         model == "fisheye",
         fold_radius(model, coefficients),
         _RESIDUAL,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slow truth: a dense float64 rasteriser in torch whose gradients are autograd's. Only tests import it.
 
-Every Gaussian is evaluated at every pixel, so cost and memory are Gaussians × pixels. Conventions as in ``rasterise``.
+Every Gaussian is evaluated at every pixel, so cost is Gaussians × pixels. Conventions as in ``rasterise``.
 """
 
 from __future__ import annotations
@@ -10,10 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from torch.utils.checkpoint import checkpoint
 
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.splatting.conventions import ALPHA_MAX, DILATION_PX2, FRAME_MARGIN, TRANSMITTANCE_MIN
+
+# Pixels that are blended at once.
+_PIXELS = 512
 
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 
@@ -62,10 +66,30 @@ def blend(
     determinant = covariances[drawn, 0, 0] * covariances[drawn, 1, 1] - covariances[drawn, 0, 1] ** 2
     a, b, c = (covariances[drawn, i, j] / determinant for i, j in ((1, 1), (0, 1), (0, 0)))
     pixels = torch.as_tensor(camera.pixel_centres()).reshape(-1, 2)
-    dx = pixels[None, :, 0] - centres[drawn, 0, None]  # (drawn, pixels)
-    dy = pixels[None, :, 1] - centres[drawn, 1, None]
+    drawn_splats = (centres[drawn], a, b, c, opacity[drawn], depth[drawn], colours[drawn])
+    # Some pixels after others, each computed again for its gradients: what is held stays small, and memory that the
+    # system gives and takes anew for every picture costs more time than the second pass.
+    parts = [checkpoint(_blend_pixels, some, *drawn_splats, use_reentrant=False) for some in pixels.split(_PIXELS)]
+    colour, alpha, depth_sum = (torch.cat(part) for part in zip(*parts))
+    return colour.reshape(*camera.hw, -1), alpha.reshape(camera.hw), depth_sum.reshape(camera.hw)
+
+
+def _blend_pixels(
+    pixels: torch.Tensor,
+    centres: torch.Tensor,
+    a: torch.Tensor,
+    b: torch.Tensor,
+    c: torch.Tensor,
+    opacity: torch.Tensor,
+    depth: torch.Tensor,
+    colours: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Colours (P, C), alpha (P,) and depth sum (P,) at pixels (P, 2) of Gaussians in the order in which they are drawn;
+    ``a``, ``b`` and ``c`` are the numbers of their inverse covariances."""
+    dx = pixels[None, :, 0] - centres[:, 0, None]  # (drawn, pixels)
+    dy = pixels[None, :, 1] - centres[:, 1, None]
     exponent = 0.5 * (a[:, None] * dx * dx + c[:, None] * dy * dy) - b[:, None] * dx * dy
-    alpha = (opacity[drawn, None] * torch.exp(-exponent)).clamp_max(float(ALPHA_MAX))
+    alpha = (opacity[:, None] * torch.exp(-exponent)).clamp_max(float(ALPHA_MAX))
     alpha = torch.where(alpha >= 1 / 255, alpha, torch.zeros_like(alpha))
     with torch.no_grad():
         open_pixels = torch.cumprod((torch.cumprod(1 - alpha, 0) > float(TRANSMITTANCE_MIN)).double(), 0)
@@ -73,12 +97,7 @@ def blend(
     # A sum of logarithms is differentiated in one pass; alpha ends below 1.
     before = torch.exp(torch.cumsum(torch.cat([torch.zeros_like(dx[:1]), torch.log1p(-alpha)]), 0))
     weight, rest = alpha * before[:-1], before[-1]
-    depth_sum = (weight * depth[drawn, None]).sum(0)
-    return (
-        (weight.T @ colours[drawn]).reshape(*camera.hw, -1),
-        (1 - rest).reshape(camera.hw),
-        depth_sum.reshape(camera.hw),
-    )
+    return weight.T @ colours, 1 - rest, (weight * depth[:, None]).sum(0)
 
 
 def project(
