@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.body.fitting import elimination, paper_solver, prior
 from studiorecon.body.fitting import fit as fitting
-from studiorecon.body.fitting import paper_solver, prior
 from studiorecon.body.fitting.basis import State
 from studiorecon.body.fitting.fit import FitSettings, SurfacePoints
-from studiorecon.body.fitting.problem import Problem, Pulls
+from studiorecon.body.fitting.problem import Normal, Problem, Pulls
 from studiorecon.body.model import BodyModel, upright_global_orientation
 from studiorecon.body.skinning import forward_kinematics
 from studiorecon.geometry import rotations
@@ -195,6 +195,32 @@ def test_normal_equations_are_products_of_the_jacobian(body: BodyModel) -> None:
     np.testing.assert_allclose(normal.rows[0, :-1], products[75:, :75], atol=1e-8 * scale)
     free = np.arange(86) != 10
     np.testing.assert_allclose(normal.shared[free][:, free], products[75:, 75:][free][:, free], atol=1e-8 * scale)
+
+
+def test_a_long_film_is_fitted_some_frames_after_others(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, trans = moderate(40)
+    rng = np.random.default_rng(4)
+    points = body.keypoints(NAMES, poses, rng.normal(0, 1, 10), trans) + rng.normal(0, 0.01, (40, 25, 3))
+    points[rng.random((40, 25)) < 0.05] += 0.3
+    points[7, 4:] = np.nan  # few points: other bodies may explain them
+    whole = solve(body, points, SETTINGS, 0.01)
+    held: list[int] = []
+    formed = Problem.adding
+
+    def watched(problem: Problem, state: State, *shared: np.ndarray) -> Normal:
+        held.append(len(state.trans))
+        return formed(problem, state, *shared)
+
+    monkeypatch.setattr(Problem, "adding", watched)
+    monkeypatch.setattr(elimination, "_BLOCK", 12)
+    parts = solve(body, points, SETTINGS, 0.01)
+    assert max(held) <= 12
+    assert parts.iterations == whole.iterations
+    np.testing.assert_array_equal(parts.valid, whole.valid)
+    np.testing.assert_allclose(parts.betas, whole.betas, atol=1e-4)
+    np.testing.assert_allclose(parts.joints_m, whole.joints_m, atol=1e-4)
+    for name in ("joint_sigma_m", "turn_sigma_rad", "part_sigma_rad", "beta_sigma"):
+        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-3)
 
 
 @pytest.mark.parametrize("matched", ["all", "one"], ids="M01-{}-met".format)

@@ -251,7 +251,7 @@ def test_a_path_of_keys_is_a_film_that_validates(browser: Browser, page: Path, r
     schema = yaml.safe_load((root / "workflow/schemas/config.schema.yaml").read_text())
     assert mistakes(config, schema) == []
     assert kinds.film(shots["mine"], "mine").kind == "spline"
-    subjects = Subjects({}, {}, np.zeros(3), FRAMES, scene.capture.fps)
+    subjects = Subjects({}, {}, {}, np.zeros(3), FRAMES, scene.capture.fps)
     steps = plan("mine", shots, 160, 0.0, scene.cameras, [], subjects, scene.room)
     at = [key["picture"] for key in shots["mine"]["keys"]]
     assert at == [0, 4, 4 + round(scene.capture.fps)], "where time stands still the camera takes a second"

@@ -50,7 +50,7 @@ ORBIT = Orbit(
 
 
 def subjects(target_m: np.ndarray) -> Subjects:
-    return Subjects({}, {}, target_m, FRAMES, 15.0)
+    return Subjects({}, {}, {}, target_m, FRAMES, 15.0)
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,15 @@ def subjects() -> Subjects:
     walk = np.stack([np.linspace(-1, 1, T), np.zeros(T), np.full(T, 0.95)], axis=1)
     facing = np.tile([1.0, 0.0], (T, 1))
     stands = np.tile([0.0, 1.0, 0.95], (T, 1))
-    return Subjects({"p0": walk, "p1": stands}, {"p0": facing, "p1": facing}, np.array([0, 0, 1.0]), T, FPS)
+    present = np.ones(T, bool)
+    return Subjects(
+        {"p0": walk, "p1": stands},
+        {"p0": facing, "p1": facing},
+        {"p0": present, "p1": present},
+        np.array([0, 0, 1.0]),
+        T,
+        FPS,
+    )
 
 
 def seen_size(step: PathStep, place_m: np.ndarray) -> float:
@@ -220,8 +228,17 @@ def test_who_is_not_there_cannot_be_looked_at(subjects: Subjects) -> None:
         dolly_zoom_steps(replace(DOLLY, camera="north"), "dolly", CAMERAS, subjects, WH)
 
 
+def test_a_shot_of_people_looks_where_they_are_while_they_are_there(subjects: Subjects) -> None:
+    """Who left is led on to where they come back, which is no place of theirs."""
+    early = np.arange(T) < 10
+    left = replace(subjects, present={"p0": early, "p1": np.ones(T, bool)})
+    assert left.still("p0", "shot") == pytest.approx(np.median(subjects.pelvis_m["p0"][:10], axis=0))
+    both = np.concatenate([subjects.pelvis_m["p0"][:10], subjects.pelvis_m["p1"]])
+    assert left.still("people", "shot") == pytest.approx(np.median(both, axis=0))
+
+
 def test_people_without_people_means_the_scene(subjects: Subjects) -> None:
-    empty = replace(subjects, pelvis_m={}, facing={})
+    empty = replace(subjects, pelvis_m={}, facing={}, present={})
     assert empty.still("people", "shot") == pytest.approx(subjects.scene_m)
 
 

@@ -67,7 +67,8 @@ def subjects_of(people: Sequence[Avatar], cameras: Sequence[Camera], frames: int
     """What the shots of a scene can look at."""
     pelvis = {person.person: np.asarray(person.trans, np.float64) for person in people}
     facing = {person.person: person.facing() for person in people}
-    return Subjects(pelvis, facing, scene_centre(cameras), frames, fps)
+    present = {person.person: person.present for person in people}
+    return Subjects(pelvis, facing, present, scene_centre(cameras), frames, fps)
 
 
 def picture(

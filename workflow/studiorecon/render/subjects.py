@@ -13,7 +13,7 @@ import scipy
 from studiorecon.errors import UserError
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Num
+    from jaxtyping import Bool, Float, Num
 
 # ``people`` (the middle of where anybody ever stands), ``scene`` (where the cameras look), a person's id, or a point in
 # metres.
@@ -27,6 +27,7 @@ class Subjects:
     Attributes:
         pelvis_m: person → (T, 3) world positions of the pelvis.
         facing: person → (T, 2) horizontal unit vectors in which the pelvis faces.
+        present: person → (T,) bool, frames in which they are there.
         scene_m: (3,) point that the training cameras look at.
         frames: T.
         fps: frames per second of the capture.
@@ -34,12 +35,13 @@ class Subjects:
 
     pelvis_m: Mapping[str, Float[np.ndarray, "T 3"]]
     facing: Mapping[str, Float[np.ndarray, "T 2"]]
+    present: Mapping[str, Bool[np.ndarray, " T"]]
     scene_m: Float[np.ndarray, " 3"]
     frames: int
     fps: float
 
     def still(self, target: Target, shot: str) -> Float[np.ndarray, " 3"]:
-        """(3,) one point for a whole film: of people the median over all frames.
+        """(3,) one point for a whole film: of people the median over the frames in which they are there.
 
         Without people ``people`` means ``scene``. Raises UserError for a person who is not there.
         """
@@ -48,8 +50,9 @@ class Subjects:
         if target == "scene" or (target == "people" and not self.pelvis_m):
             return np.asarray(self.scene_m, np.float64)
         if target == "people":
-            return np.median(np.concatenate(list(self.pelvis_m.values())), axis=0)
-        return np.median(self._of(self.pelvis_m, target, shot), axis=0)
+            there = [track[self.present[person]] for person, track in self.pelvis_m.items()]
+            return np.median(np.concatenate(there), axis=0)
+        return np.median(self._of(self.pelvis_m, target, shot)[self.present[target]], axis=0)
 
     def at(
         self, target: Target, times: Num[np.ndarray, " P"], shot: str, smooth_s: float = 0.5

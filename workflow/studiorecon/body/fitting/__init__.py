@@ -4,6 +4,6 @@
 
 In reading order: ``fit`` (the door), ``start`` (where it begins), ``prior`` (what is known before), ``basis`` (points
 as functions of the pose, with derivatives), ``problem`` and ``normal_equations`` (cost and its linearisation),
-``levenberg_marquardt`` (the solver), ``multi_start`` (bodies that explain it as well), ``paper_solver`` (the paper's
-fit taken literally).
+``elimination`` (its solution), ``levenberg_marquardt`` (the solver), ``multi_start`` (bodies that explain it as well),
+``paper_solver`` (the paper's fit taken literally).
 """

@@ -31,11 +31,11 @@ class State:
         """(S,) what all frames share: betas, log scale, corrections."""
         return np.concatenate([self.betas, [self.log_scale], self.corrections.reshape(-1)])
 
-    def at(self, frames: Bool[np.ndarray, " F"]) -> State:
+    def at(self, frames: Bool[np.ndarray, " F"] | slice) -> State:
         """Some frames only."""
         return State(self.local[frames], self.trans[frames], self.betas, self.log_scale, self.corrections)
 
-    def put(self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"], part: State) -> State:
+    def put(self, frames: Bool[np.ndarray, " F"] | Integer[np.ndarray, " part"] | slice, part: State) -> State:
         """The state whose ``frames`` are those of ``part``; what is shared stays."""
         local, trans = self.local.copy(), self.trans.copy()
         local[frames], trans[frames] = part.local, part.trans
@@ -102,7 +102,7 @@ class Basis:
         self.bone_directions = body.joint_directions - body.joint_directions[np.maximum(body.parents, 0)]
         carried = (share != 0) | (self.offsets != 0).any((2, 3)).T
         parents = np.asarray(body.parents, dtype=np.int64)
-        # What ``assembly.add_points`` reads.
+        # What ``normal_equations.add_points`` reads.
         self.skeleton = parents, np.ascontiguousarray(self.bone_directions)
         self.compiled = (
             np.ascontiguousarray(share),

@@ -19,6 +19,7 @@ import numpy as np
 from studiorecon.arrays import require
 from studiorecon.body.fitting import multi_start
 from studiorecon.body.fitting.basis import Basis, State
+from studiorecon.body.fitting.elimination import Equations
 from studiorecon.body.fitting.levenberg_marquardt import descend
 from studiorecon.body.fitting.problem import PointEvidence, Problem, Pulls
 from studiorecon.body.fitting.start import start
@@ -156,14 +157,14 @@ def fit(
     )
     problem = Problem(body, evidence, pulls)
     state = State(first.local[valid], first.trans_m[valid], np.zeros(body.shapes), 0.0, np.zeros((count, 3)))
-    state, normal, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
+    state, equations, steps, converged = descend(problem, state, settings.iterations, settings.tolerance)
     spread, doubtful = None, multi_start.few(names, seen[valid])
     if doubtful.any():
         state, spread = multi_start.best_of(problem, state, doubtful, settings.iterations, settings.tolerance)
-        normal = problem.normal(state)
+        equations = Equations(problem, state)
     residual = np.linalg.norm(evidence.basis.points(state) - evidence.targets_m, axis=-1)[:, :count]
     out.rotations[valid], out.trans_m[valid], out.frame_betas[valid] = state.local, state.trans, state.betas
-    joints, *sigmas, out.beta_sigma[:] = problem.posterior(state, normal)
+    joints, *sigmas, out.beta_sigma[:] = equations.posterior(state)
     if spread is not None:
         sigmas = [
             np.sqrt(s**2 + more) for s, more in zip(sigmas, (spread.joints_m2, spread.turns_rad2, spread.parts_rad2))

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.body.fitting.basis import State
-from studiorecon.body.fitting.problem import Normal, Problem
+from studiorecon.body.fitting.elimination import Equations, blocks
+from studiorecon.body.fitting.problem import Problem
 
 if TYPE_CHECKING:
     from jaxtyping import Num
@@ -25,18 +26,18 @@ _DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _MORE, _LESS, _TRIALS = 1e-3, 1e-7, 1e3
 _BUSY, _FEW = 0.01, 0.3
 
 
-def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Normal, int, bool]:
-    """The state at the least cost that ``iterations`` steps reach, its last normal equations, the steps taken and
+def descend(problem: Problem, state: State, iterations: int, tolerance: float) -> tuple[State, Equations, int, bool]:
+    """The state at the least cost that ``iterations`` steps reach, the last equations, the steps taken and
     whether they converged.
 
     Converged = a step of everything gains less than ``tolerance`` of the cost, or none gains anything.
     """
     costs, damping = problem.costs(state), np.full(len(state.trans), _DAMPING)
     for step in range(1, iterations + 1):
-        normal = problem.normal(state)
+        equations = Equations(problem, state)
         whole = costs.sum() + problem.shared_cost(state)
         for _ in range(_TRIALS):
-            moved = problem.step(state, normal, damping)
+            moved = equations.step(damping)
             if moved is not None:
                 moved, new_costs, refused = _held_where_worse(problem, state, moved, costs)
                 gain = whole - new_costs.sum() - problem.shared_cost(moved)
@@ -44,18 +45,18 @@ def descend(problem: Problem, state: State, iterations: int, tolerance: float) -
                     break
             damping = damping * _MORE
         else:
-            return state, normal, step, True  # no direction gains: a minimum to rounding
+            return state, equations, step, True  # no direction gains: a minimum to rounding
         busy = refused | (costs - new_costs > _BUSY * costs)
         state, costs = moved, new_costs
         damping = np.where(refused, damping * _MORE, np.maximum(damping / _LESS, _LEAST_DAMPING))
         if gain < tolerance * whole:
-            return state, normal, step, True
+            return state, equations, step, True
         if 0 < busy.sum() <= _FEW * len(busy):
             part, costs[busy], damping[busy] = alone(
                 problem.only(busy), state.at(busy), costs[busy], iterations, tolerance, damping[busy]
             )
             state = state.put(busy, part)
-    return state, normal, iterations, False
+    return state, equations, iterations, False
 
 
 def _held_where_worse(
@@ -89,8 +90,19 @@ def alone(
 
     ``costs`` are those of ``state``; ``damping`` is where to start, by default where ``descend`` does.
     """
-    busy = np.ones(len(costs), dtype=bool)
     costs, damping = costs.copy(), np.full(len(costs), _DAMPING) if damping is None else damping.copy()
+    for some in blocks(len(costs)):
+        part, costs[some], damping[some] = _alone(
+            problem.only(some), state.at(some), costs[some], iterations, tolerance, damping[some]
+        )
+        state = state.put(some, part)
+    return state, costs, damping
+
+
+def _alone(
+    problem: Problem, state: State, costs: np.ndarray, iterations: int, tolerance: float, damping: np.ndarray
+) -> tuple[State, np.ndarray, np.ndarray]:
+    busy = np.ones(len(costs), dtype=bool)
     for _ in range(iterations):
         part, old = problem.only(busy), state.at(busy)
         moved = part.own_step(old, part.own(old), damping[busy])
