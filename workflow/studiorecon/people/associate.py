@@ -21,6 +21,7 @@ from studiorecon.people.association.confirmation import Witness
 from studiorecon.people.association.corrected import read_corrected, rows_of
 from studiorecon.people.association.left_out import LeftOut, tell
 from studiorecon.people.association.picture_change import EvidenceLimits
+from studiorecon.people.association.returned import returns, tell_returned
 from studiorecon.people.fit_settings import Triangulated
 from studiorecon.people.fitting.readouts import readouts
 from studiorecon.progress import say, warn
@@ -141,6 +142,8 @@ def run(
     write_readouts(who / "readouts.json", rows_look)
     write_readouts(who / "readouts.doubted.json", rows_look, doubted=True)
     tell(missed, newcomer)
+    if not corrected:
+        tell_returned(returns(given, table, videos), footage.fps)
 
 
 def _witnesses(
