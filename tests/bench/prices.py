@@ -36,12 +36,14 @@ CHECKED = Path(__file__).parent / "results" / "budget.json"
 
 @dataclass(frozen=True)
 class Run:
-    """One finished run: its work, processor seconds of every job by rule, seconds from start to end, its score."""
+    """One finished run: its work, the least and the most that it might have been for all that was known before,
+    processor seconds of every job by rule, seconds from start to end, its score."""
 
     name: str
     preset: str
     dataset: str
     work: dict[str, Work]
+    ends: tuple[dict[str, Work], dict[str, Work]]
     jobs_s: dict[str, list[float]]
     wall_s: float | None
     psnr_db: float | None
@@ -55,7 +57,8 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     plan = make_plan(config, HOME)
     # What it has decided is known now.
     gaps = foreseen(plan, config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}})
-    work = workload(footage_of(plan, config["capture"]["picture_fps"]), config, gaps.likely)
+    footage = footage_of(plan, config["capture"]["picture_fps"])
+    least, work, most = (workload(footage.with_people(k), config, gaps.likely) for k in range(3))
     jobs: dict[str, list[float]] = {}
     for stage, steps in cost(folder / "benchmarks" / scene)["stages"].items():
         for step, entry in steps["rules"].items():
@@ -64,7 +67,9 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     metrics = folder / "results" / scene / "report" / "metrics.json"
     pictures: Any = read_json(metrics)["pictures"] if metrics.is_file() else {}
     score = pictures.get("enhanced", {}).get("psnr", {}).get("value")
-    return Run(scene, "" if name == "default" else name, dataset, work, jobs, _wall_s(folder, scene), score)
+    return Run(
+        scene, "" if name == "default" else name, dataset, work, (least, most), jobs, _wall_s(folder, scene), score
+    )
 
 
 def fit(runs: Sequence[Run]) -> dict[str, Price]:
@@ -109,10 +114,12 @@ def main() -> None:
         guessed = sum(spent(run.work, held).values()) / pace
         real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
         ratios.append(real / guessed)
-        whole = predict(run.work, held, CORES, pace).seconds
+        told = predict(run.work, held, CORES, pace, *run.ends)
+        whole = told.seconds
         rows.append(
             {"run": run.name, "preset": run.preset, "predicted_cpu_s": round(guessed), "spent_cpu_s": round(real)}
-            | {"predicted_s": round(whole), "took_s": round(run.wall_s) if run.wall_s else None}
+            | {"predicted_s": round(whole), "between_s": [round(told.low_s), round(told.high_s)]}
+            | {"took_s": round(run.wall_s) if run.wall_s else None}
         )
         took = f"{run.wall_s:8.0f}" if run.wall_s else "        "
         score = f"{run.psnr_db:.2f} dB" if run.psnr_db else ""

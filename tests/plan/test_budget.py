@@ -27,7 +27,7 @@ DEFAULTS = yaml.safe_load((ROOT / "config/config.yaml").read_text(encoding="utf-
 SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text(encoding="utf-8"))
 NOBODY = Stated({}, SCHEMA)
 USUAL = 4  # gaps between the cameras of a ring of four
-DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), people=2)
+DEMO = Footage(training=4, held_out=4, detected=4, frames=60, wh=(480, 272), people=2, people_between=(2, 2))
 
 
 def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
@@ -106,9 +106,27 @@ def points(**scores: float) -> tuple[Point, ...]:
     return tuple(Point("" if name == "defaults" else name, {"demo": db}) for name, db in scores.items())
 
 
-def bought_for(minutes: float, of: tuple[Point, ...], config: dict | None = None, stated: Stated = NOBODY) -> Any:
+def bought_for(
+    minutes: float,
+    of: tuple[Point, ...],
+    config: dict | None = None,
+    stated: Stated = NOBODY,
+    footage: Footage = DEMO,
+) -> Any:
     held = replace(read_prices(), points=of)
-    return choose(minutes, config or DEFAULTS, stated, DEMO, Planned(), held, 2, 1.0)
+    return choose(minutes, config or DEFAULTS, stated, footage, Planned(), held, 2, 1.0)
+
+
+def test_people_who_are_not_counted_yet_widen_the_interval() -> None:
+    three = points(look=22.0, defaults=23.0, standard=22.5)
+    known, open_ = (
+        bought_for(600, three, footage=replace(DEMO, people_between=between)).chosen.predicted
+        for between in ((2, 2), (1, 4))
+    )
+    assert open_.seconds == known.seconds
+    alone, four = (60 * minutes_of("", replace(DEMO, people=people)) for people in (1, 4))
+    assert open_.low_s < min(alone, known.low_s)
+    assert open_.high_s > max(four, known.high_s)
 
 
 def test_the_best_score_that_fits_is_chosen_not_the_dearest() -> None:

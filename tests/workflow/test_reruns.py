@@ -38,6 +38,12 @@ def filmed(house: House) -> Path:
     return house.folder / "results/studio/tiny/dataset"
 
 
+def another(house: House, folder: Path) -> House:
+    """A finished house elsewhere, which a test may leave in another state."""
+    shutil.copytree(house.folder, folder, symlinks=True)
+    return replace(house, folder=folder)
+
+
 def test_a_film_a_page_and_every_product_come_out(finished: House) -> None:
     for name in (
         "enhance/orbit.mp4",
@@ -55,9 +61,7 @@ def test_nothing_is_left_to_do(finished: House) -> None:
 
 
 def test_a_folder_that_is_moved_stays_finished(finished: House, tmp_path: Path) -> None:
-    moved = replace(finished, folder=tmp_path / "elsewhere")
-    shutil.copytree(finished.folder, moved.folder, symlinks=True)
-    assert moved.plan() == {}
+    assert another(finished, tmp_path / "elsewhere").plan() == {}
 
 
 def test_strict_ends_a_run_that_warned_with_all_it_was_told(finished: House) -> None:
@@ -118,19 +122,20 @@ def test_a_changed_setting_counts_where_kernels_are_compiled_anew_as_well(finish
     assert plan["background_train"] == 1
 
 
-def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts_as_finished(finished: House) -> None:
-    overlay = ("--configfile", finished.overlay(humans={"iterations": 20}))
-    broken = finished.snakemake(
-        "--cores", "2", *overlay, check=False, path=finished.failing_python("humans.train", "p1")
-    )
+def test_a_person_whose_training_fails_is_retried_alone_and_no_stale_film_counts_as_finished(
+    finished: House, tmp_path: Path
+) -> None:
+    house = another(finished, tmp_path / "house")
+    overlay = ("--configfile", house.overlay(humans={"iterations": 20}))
+    broken = house.snakemake("--cores", "2", *overlay, check=False, path=house.failing_python("humans.train", "p1"))
     assert broken.returncode != 0
-    assert (results(finished) / "humans/p0.ply").is_file()
-    assert (results(finished) / "background/scene.ply").is_file()
-    plan = finished.plan(*overlay)
+    assert (results(house) / "humans/p0.ply").is_file()
+    assert (results(house) / "background/scene.ply").is_file()
+    plan = house.plan(*overlay)
     assert plan["humans_train"] == 1, "exactly the person that failed"
     assert set(plan) >= AFTER_HUMANS, "the old film is not finished"
-    finished.snakemake("--cores", "2", *overlay)
-    assert finished.plan(*overlay) == {}
+    house.snakemake("--cores", "2", *overlay)
+    assert house.plan(*overlay) == {}
 
 
 def test_a_killed_run_is_resumed(finished: House, tmp_path: Path) -> None:

@@ -145,7 +145,8 @@ def choose(
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
         gaps = foreseen(plan, made)
-        least, likely, most = (workload(footage, made, n) for n in (gaps.fewest, gaps.likely, gaps.most))
+        ends = enumerate((gaps.fewest, gaps.likely, gaps.most))
+        least, likely, most = (workload(footage.with_people(k), made, n) for k, n in ends)
         listed_s: dict[str, float] = {}
         for rule, seconds in spent(likely, prices).items():
             stage = rule.partition("_")[0]

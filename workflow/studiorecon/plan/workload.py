@@ -8,7 +8,7 @@ what a unit costs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,8 @@ from studiorecon.plan.decisions import Plan
 from studiorecon.render.kinds import film
 from studiorecon.studio.description import read_description
 
-_EXPECTED_PEOPLE = 2
-"""People in the footage, who are counted only once somebody has looked."""
+# People in the footage, who are counted only once somebody has looked: the likeliest, the fewest and the most.
+_EXPECTED_PEOPLE, _FEWEST_PEOPLE, _MOST_PEOPLE = 2, 1, 4
 _MEGA = 1e6
 # Share of the photos' pixels that no other photo shows finer, in the demo.
 _OWN = 0.65
@@ -32,7 +32,7 @@ _PLANE_STEPS_M = (0.04, 0.06)
 @dataclass(frozen=True)
 class Footage:
     """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
-    are used, picture size in pixels, people."""
+    are used, picture size in pixels, people, and between how many that is."""
 
     training: int
     held_out: int
@@ -40,6 +40,11 @@ class Footage:
     frames: int
     wh: tuple[int, int]
     people: int
+    people_between: tuple[int, int]
+
+    def with_people(self, which: int) -> Footage:
+        """With the fewest (0), the likeliest (1), or the most people (2)."""
+        return replace(self, people=(self.people_between[0], self.people, self.people_between[1])[which])
 
 
 @dataclass(frozen=True)
@@ -56,12 +61,13 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
     if plan.studio:
         described = read_description(Path(plan.description))
-        return Footage(*cameras, described.frames, described.size, described.people)
+        return Footage(*cameras, described.frames, described.size, described.people, (described.people,) * 2)
     sources = [open_source(path, picture_fps) for path in plan.dataset.footage.values()]
     lengths = [frame_count(source) - plan.dataset.first_frame for source in sources]
     frames = min([*lengths, *([count] if count else [])])
     widest = max((source.wh for source in sources), key=max)
-    return Footage(*cameras, max(frames, 1), widest, _EXPECTED_PEOPLE if plan.people else 0)
+    people = (_EXPECTED_PEOPLE, (_FEWEST_PEOPLE, _MOST_PEOPLE)) if plan.people else (0, (0, 0))
+    return Footage(*cameras, max(frames, 1), widest, *people)
 
 
 def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str, Work]:
