@@ -9,7 +9,8 @@ planted ("undetermined" turns nothing). The first row plants nothing. Asked: at 
 
 Then every two effects that can be planted in one scene are, with three of those seeds each, so that every seed has its
 turn: both must be found, but for what one of them voids or leaves nobody to show, which must be left open, and for what
-is not there beside it (``HIDDEN``); and no third one may be. Asked: every effect is found in at least 0.95 of its pairs, and turns in at most 0.05 of the others.
+is not there beside it (``HIDDEN``); and no third one may be. Asked: every effect is found in at least 0.95 of its
+pairs, and turns in at most 0.05 of the others.
 
 Beside it: the survey's own processor time on those scenes. What shows only in trained scenes is planted in tests/report
 alone. Prints both and writes tests/bench/results/effects.json and, from it, tests/effects/README.md. 50 seconds of

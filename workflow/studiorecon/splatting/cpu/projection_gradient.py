@@ -37,11 +37,24 @@ from studiorecon.splatting.cpu.projection import (
     rotation,
     unit_quaternion,
 )
-from studiorecon.splatting.cpu.simd import above, at_least, both, broadcast, least, mask_from_bits, most, select, where
+from studiorecon.splatting.cpu.simd import (
+    above,
+    at_least,
+    below,
+    both,
+    broadcast,
+    least,
+    magnitude,
+    mask_from_bits,
+    most,
+    select,
+    where,
+)
 from studiorecon.splatting.cpu.simd_rows import item, load, store, take_moments
 
 QUATERNION_SQUARE_MIN = np.float32(1e-24)
 """Quaternions shorter than 1e-12 get no gradient: its size would be one over their norm."""
+_STEEPEST = np.float32(1e30)
 
 
 @njit(**INLINE)
@@ -205,6 +218,12 @@ def _gradients_of_blocks(begin, end, parameters, camera, degree, splats, visible
         blue = where(both(seen, mask_from_bits(_positive(splats, first, BLUE))), m8)
         dx, dy, dz, inverse_distance = direction(parameters, base, camera)
         vx, vy, vz = colour_gradient(parameters, gradient, base, degree, seen, dx, dy, dz, red, green, blue)
+        # Harmonics at the end of float32 change so fast with the direction that the change is no number.
+        steepest = broadcast(_STEEPEST)
+        told = both(
+            below(magnitude(vx), steepest), both(below(magnitude(vy), steepest), below(magnitude(vz), steepest))
+        )
+        vx, vy, vz = where(told, vx), where(told, vy), where(told, vz)
         along = vx * dx + vy * dy + vz * dz
         wx = camera[0] * by_x + camera[3] * by_y + camera[6] * by_z + (vx - along * dx) * inverse_distance
         wy = camera[1] * by_x + camera[4] * by_y + camera[7] * by_z + (vy - along * dy) * inverse_distance
