@@ -142,7 +142,7 @@ def page(result: dict[str, Any]) -> str:
         "scene that has none of",
         "them, and the share of seeds in which a decision turned. Asked: at least 0.95 "
         "on the diagonal, at most 0.05 beside it.",
-        "A dot is 0. Scenes are made (`world.py`): no threshold is calibrated on real captures.",
+        "A dot is 0. Scenes are made (`tests/made/studio_world.py`): no threshold is calibrated on real captures.",
         "",
         "| planted | " + " | ".join(f"{letters[e]}" for e in judged) + " |",
         "|---|" + "---|" * len(judged),
