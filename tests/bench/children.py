@@ -28,7 +28,7 @@ def start() -> dict[str, float]:
     from studiorecon.splatting.train.targets import Target
 
     from tests.made.gaussians import camera, room
-    from tests.made.splatting_training import SETTINGS
+    from tests.made.splatting_settings import SETTINGS
 
     scene, view = room(2000, 0), camera(96, 56)
     target = Target(view, Rasteriser(near_m=0.01).forward(scene, view).rgb.clip(0, 1))
@@ -43,7 +43,7 @@ def memory(count: int = 300_000, width: int = 1280, height: int = 704) -> dict[s
     from studiorecon.splatting.train.targets import Target
 
     from tests.made.gaussians import camera, room
-    from tests.made.splatting_training import SETTINGS
+    from tests.made.splatting_settings import SETTINGS
 
     target = Target(camera(width, height), np.random.default_rng(0).random((height, width, 3), np.float32))
     train(room(count, 0), [target], _shortened(SETTINGS, 3), np.random.default_rng(0), extent_m=4.0, threads=2)

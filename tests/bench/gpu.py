@@ -27,7 +27,7 @@ from studiorecon.splatting.train.still import train_still
 from studiorecon.splatting.train.targets import Target
 
 from tests.made.gaussians import camera_on_ring, room
-from tests.made.splatting_training import SETTINGS
+from tests.made.splatting_settings import SETTINGS
 
 RESULTS = Path(__file__).resolve().parent / "results"
 BAR_S, DIFFERENCE_BAR = 90.0, 1e-3

@@ -42,7 +42,7 @@ from studiorecon.splatting.train.terms import Term, terms_of
 from tests.bench import ceiling, children, peers, plain
 from tests.made.gaussians import camera, camera_on_ring, hard, room
 from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, reference
-from tests.made.splatting_training import SETTINGS
+from tests.made.splatting_settings import SETTINGS
 from tests.made.training import one_step
 
 RESULTS = Path(__file__).resolve().parent / "results" / "splats.json"

@@ -171,7 +171,7 @@ def loop_cost(threads: int, iterations: int = 300) -> None:
     from studiorecon.splatting.train.terms import terms_of
 
     from tests.made.gaussians import camera_on_ring, room
-    from tests.made.splatting_training import SETTINGS
+    from tests.made.splatting_settings import SETTINGS
 
     truth, rasteriser = room(50_000, 0), Rasteriser(near_m=0.01, threads=threads)
     views = [camera_on_ring(i, 60, 320, 176) for i in range(60)]

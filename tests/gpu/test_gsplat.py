@@ -27,7 +27,7 @@ from studiorecon.splatting.train.terms import TensorView  # noqa: E402
 from tests.made.gaussians import camera, camera_on_ring, room  # noqa: E402
 from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, SCENES, reference  # noqa: E402
 from tests.made.splatting_limits import DEGENERATE, POISON, assert_finite, one, run  # noqa: E402
-from tests.made.splatting_training import SETTINGS  # noqa: E402
+from tests.made.splatting_settings import SETTINGS  # noqa: E402
 
 pytestmark = pytest.mark.gpu
 LIMIT = 1e-3

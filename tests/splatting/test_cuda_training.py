@@ -21,7 +21,8 @@ from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import WEIGHED, L1AndSsim, TensorView, Term
 
 from tests.made.gaussians import camera_on_ring, room
-from tests.made.splatting_training import FIELDS, SETTINGS
+from tests.made.splatting_settings import SETTINGS
+from tests.made.splatting_training import FIELDS
 from tests.made.training import plane_view, train_on_tensors
 
 

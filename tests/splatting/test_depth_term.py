@@ -14,7 +14,8 @@ from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import Depth
 
 from tests.made.gaussians import room
-from tests.made.splatting_training import FIELDS, SETTINGS, lesson
+from tests.made.splatting_settings import SETTINGS
+from tests.made.splatting_training import FIELDS, lesson
 from tests.made.training import of_term, plane_view
 
 __all__ = ["lesson"]

@@ -20,7 +20,7 @@ from studiorecon.splatting.train.targets import Target, scene_extent
 from studiorecon.splatting.train.terms import terms_of
 
 from tests.made.gaussians import camera, camera_on_ring, room
-from tests.made.splatting_training import SETTINGS
+from tests.made.splatting_settings import SETTINGS
 from tests.made.training import begun, one_step
 
 BLACK = Target(camera(97, 53), np.zeros((53, 97, 3), np.float32))

@@ -20,7 +20,7 @@ from studiorecon.splatting.train.targets import Target
 from tests.made.gaussians import camera, camera_on_ring, hard, room
 from tests.made.splatting_gradients import FIELDS, reference
 from tests.made.splatting_limits import NEAR_M, one
-from tests.made.splatting_training import SETTINGS
+from tests.made.splatting_settings import SETTINGS
 
 
 # ROCm/gsplat 10 and 11, fvdb-core 708, LichtFeld-Studio 2185: a count of intersections beyond int32 is negative or

@@ -20,7 +20,8 @@ from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import Target
 from studiorecon.splatting.train.terms import PlaneView
 
-from tests.made.splatting_training import FIELDS, SETTINGS, lesson
+from tests.made.splatting_settings import SETTINGS
+from tests.made.splatting_training import FIELDS, lesson
 
 __all__ = ["lesson"]
 

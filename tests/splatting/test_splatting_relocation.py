@@ -14,7 +14,8 @@ from studiorecon.splatting.train.still import train_still as train
 from studiorecon.splatting.train.targets import Target
 
 from tests.made.gaussians import rasterise, room
-from tests.made.splatting_training import FIELDS, SETTINGS, lesson, psnr_db
+from tests.made.splatting_settings import SETTINGS
+from tests.made.splatting_training import FIELDS, lesson, psnr_db
 
 __all__ = ["lesson"]
 

@@ -20,7 +20,8 @@ from studiorecon.splatting.train.targets import DrawOrder, Target, scene_extent
 from studiorecon.splatting.train.terms import terms_of
 
 from tests.made.gaussians import camera_on_ring, room
-from tests.made.splatting_training import FIELDS, SETTINGS, lesson, psnr_db  # noqa: F401
+from tests.made.splatting_settings import SETTINGS
+from tests.made.splatting_training import FIELDS, lesson, psnr_db  # noqa: F401
 from tests.made.training import begun, one_step
 
 

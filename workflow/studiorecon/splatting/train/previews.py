@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.footage.video import to_bytes
 from studiorecon.images.encoded import write_png
 from studiorecon.images.metrics import psnr
 from studiorecon.progress import say
@@ -82,5 +81,8 @@ class Feedback:
         self._told, self._told_at = now, done
         if self._previews is not None:
             percent = round(100 * done / (self._last - self._first))
+            # Loaded here: it brings the decoders of films, which take longer to import than a small training to start.
+            from studiorecon.footage.video import to_bytes
+
             sheet = np.concatenate([to_bytes(np.nan_to_num(wanted)), to_bytes(np.nan_to_num(shown))], axis=1)
             write_png(self._previews / f"preview_{percent:03d}.png", sheet)
