@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +58,7 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     # What it has decided is known now.
     gaps = foreseen(plan, config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}})
     footage = footage_of(plan, config["capture"]["picture_fps"])
-    least, work, most = (workload(footage.with_people(k), config, gaps.likely) for k in range(3))
+    least, work, most = (workload(replace(footage, people=people), config, gaps.likely) for people in footage.counts)
     jobs: dict[str, list[float]] = {}
     for stage, steps in cost(folder / "benchmarks" / scene)["stages"].items():
         for step, entry in steps["rules"].items():

@@ -56,6 +56,14 @@ def test_cameras_that_are_equally_sharp_set_nothing_off(blur_px: float, seed: in
     assert judged([blur_px] * 4, seed).verdict == "off"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_that_sees_somewhat_softer_things_is_not_called_out_of_focus(seed: int) -> None:
+    found = judged([1.0, 1.0, 1.2, 1.0], seed)
+    assert found.value is not None
+    assert found.value > DEFOCUS.threshold
+    assert found.verdict == "undetermined"
+
+
 def test_blurs_add_in_squares() -> None:
     sharp = edge_blur_px(tiles(3, 0.0), np.ones((192, 288), bool)).value
     for blur_px in (1.0, 2.0, 3.0):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from studiorecon import geometry
 from studiorecon.errors import UserError
 from studiorecon.geometry.distortion import distort, fold_radius, undistort
 from studiorecon.geometry.lens import video_from_working, working_from_video, working_view, working_wh
@@ -66,6 +68,15 @@ def test_without_distortion_every_finite_point_is_its_own(k1: float) -> None:
     np.testing.assert_allclose(back[valid], points[valid], rtol=1e-12)
     assert np.isnan(back[1, 1]).all()
     assert undistort(np.array([np.inf, 0.0]), "opencv", np.array([k1]))[1].tolist() is False
+
+
+def test_a_lens_without_distortion_asks_no_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its import takes longer than most steps that read footage take to start."""
+    monkeypatch.delattr(geometry, "distortion_kernels", raising=False)
+    monkeypatch.setitem(sys.modules, "studiorecon.geometry.distortion_kernels", None)
+    with pytest.raises(ImportError):
+        undistort(np.zeros(2), "opencv", np.array([0.1]))
+    assert undistort(np.ones(2), "opencv", np.zeros(5))[1]
 
 
 def test_fisheye_knows_that_a_right_angle_has_no_pinhole_ray():

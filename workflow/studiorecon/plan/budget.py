@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -145,8 +145,8 @@ def choose(
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
         gaps = foreseen(plan, made)
-        ends = enumerate((gaps.fewest, gaps.likely, gaps.most))
-        least, likely, most = (workload(footage.with_people(k), made, n) for k, n in ends)
+        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most))
+        least, likely, most = (workload(replace(footage, people=people), made, n) for people, n in ends)
         listed_s: dict[str, float] = {}
         for rule, seconds in spent(likely, prices).items():
             stage = rule.partition("_")[0]

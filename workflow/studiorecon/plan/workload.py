@@ -8,7 +8,7 @@ what a unit costs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,10 @@ class Footage:
     people: int
     people_between: tuple[int, int]
 
-    def with_people(self, which: int) -> Footage:
-        """With the fewest (0), the likeliest (1), or the most people (2)."""
-        return replace(self, people=(self.people_between[0], self.people, self.people_between[1])[which])
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """The fewest, the likeliest and the most people."""
+        return self.people_between[0], self.people, self.people_between[1]
 
 
 @dataclass(frozen=True)

@@ -112,19 +112,17 @@ class Problem:
         """What the shared unknowns cost by themselves; the whole cost is this and all ``costs``."""
         return float(0.5 * (self.shared_precision * state.shared**2).sum())
 
-    def normal(self, state: State) -> Normal:
-        """Gauss-Newton's normal equations; a point's Huber weight follows from its distance, not per coordinate
-        (T11)."""
-        return self.adding(state, np.diag(self.shared_precision), self.shared_precision * state.shared)
-
     def own(self, state: State) -> Normal:
         """Normal equations of what every frame has for itself, at a fraction of the cost; H, the gradient (F, 1, 75)
         and G."""
-        return self.adding(state, np.zeros((0, 0)), np.zeros(0))
+        return self.normal(state, np.zeros((0, 0)), np.zeros(0))
 
-    def adding(self, state: State, shared: Num[np.ndarray, "S S"], shared_side: Num[np.ndarray, " S"]) -> Normal:
-        """Normal equations of the points and of every frame's own prior; ``shared`` and ``shared_side`` are added to in
-        place."""
+    def normal(self, state: State, shared: Num[np.ndarray, "S S"], shared_side: Num[np.ndarray, " S"]) -> Normal:
+        """Gauss-Newton's normal equations of the points and of every frame's own prior; ``shared`` and ``shared_side``
+        are added to in place.
+
+        A point's Huber weight follows from its distance, not per coordinate (T11).
+        """
         # Loaded here: most that reads about bodies fits none.
         from studiorecon.body.fitting.normal_equations import add_points
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations, permutations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,38 +45,33 @@ _ALIKE, _CLEARLY, _LEAST_PLACES = 10.0, 0.5, 4
 
 @dataclass(frozen=True)
 class Return:
-    """``later`` may be ``earlier``, who was last seen in frame ``left`` and seen again in ``back``; ``apart`` is how
-    much their clothes differ (ΔE)."""
+    """``later`` may be ``earlier``, who was last seen in frame ``left`` and seen again in ``back``."""
 
     earlier: str
     later: str
     left: int
     back: int
-    apart: float
 
 
 def returns(given: Sequence[Detections], whose: Mapping[tuple[str, int], str], videos: Sequence[Path]) -> list[Return]:
     """Who may have come back, in order of their return; ``whose``: (camera, track) → person. Reads pictures only where
     somebody comes after somebody else has gone."""
     seen = _seen(given, whose)
-    spans = {
-        person: (min(int(g.frame[d].min()) for g, d in views), max(int(g.frame[d].max()) for g, d in views))
-        for person, views in ((p, [(given[v], d) for v, d in own.items()]) for p, own in seen.items())
-    }
+    spans = {person: _span([given[v].frame[rows] for v, rows in own.items()]) for person, own in seen.items()}
     after = [(a, b) for a, b in permutations(spans, 2) if spans[a][1] < spans[b][0]]
     if not after:
         return []
     looks = {person: _look(given, videos, own) for person, own in seen.items()}
-    apart = {(a, b): _apart(looks[a], looks[b]) for a, b in permutations(spans, 2)}
     # Who is there together is not the same person.
-    two = [apart[a, b] for a, b in apart if spans[a][0] <= spans[b][1] and spans[b][0] <= spans[a][1]]
+    together = [pair for pair in combinations(spans, 2) if pair not in after and pair[::-1] not in after]
+    two = [_apart(looks[a], looks[b]) for a, b in together]
     limit = min([_ALIKE, *(_CLEARLY * value for value in two if np.isfinite(value))])
     # Everybody comes back as one, and from where they last were.
     found: list[Return] = []
     for a, b in sorted(after, key=lambda pair: (spans[pair[1]][0], -spans[pair[0]][1])):
         taken = any(one.later == b or one.earlier == a for one in found)
-        if not taken and apart[a, b] < limit:
-            found.append(Return(a, b, spans[a][1], spans[b][0], apart[a, b]))
+        if not taken and _apart(looks[a], looks[b]) < limit:
+            found.append(Return(a, b, spans[a][1], spans[b][0]))
     return found
 
 
@@ -98,6 +93,12 @@ def _seen(given: Sequence[Detections], whose: Mapping[tuple[str, int], str]) -> 
         for person in sorted({name for name in names if name}):
             seen.setdefault(person, {})[v] = np.flatnonzero(names == person)
     return seen
+
+
+def _span(frames: Sequence[np.ndarray]) -> tuple[int, int]:
+    """First and last of some cameras' frames."""
+    every = np.concatenate(frames)
+    return int(every.min()), int(every.max())
 
 
 def _look(
