@@ -122,8 +122,8 @@ def thorough(network: BlazePose, picture: Integer[np.ndarray, "H W 3"]) -> list[
             looks.append(seen)
             region = seen.next_region
         if looks:
-            best = max(looks, key=_trust)
-            rated.append((score * _trust(best), best))
+            best = max(looks, key=trust)
+            rated.append((score * trust(best), best))
     ordered = sorted(rated, key=lambda one: -one[0])
     return first_of_each(seen for surety, seen in ordered if surety >= _SURE)
 
@@ -135,7 +135,7 @@ def _one_candidate(first: Region, second: Region) -> bool:
     return bool(near and factor < _FACTOR and turned < _TURN_RAD)
 
 
-def _trust(seen: Landmarks) -> float:
+def trust(seen: Landmarks) -> float:
     """How sure the landmark network is: presence, visibility, and the share of visible landmarks under its mask."""
     visible = seen.keypoints[seen.keypoints[:, 2] > _VISIBLE, :2]
     if not len(visible):
