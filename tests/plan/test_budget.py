@@ -134,6 +134,7 @@ def test_the_best_score_that_fits_is_chosen_not_the_dearest() -> None:
     whole_night = bought_for(600, three)
     assert whole_night.chosen.name == "the defaults"
     assert "nothing that was measured scores higher, not even standard" in whole_night.sentence()
+    assert "with 2 people" in whole_night.sentence()
     between = bought_for((minutes_of("look") + minutes_of("")) / 2, three)
     assert between.chosen.name == "look"
     assert "the defaults would take" in between.sentence()

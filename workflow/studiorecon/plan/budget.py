@@ -63,9 +63,11 @@ class Offer:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a budget buys: the chosen offer, all of them, cheapest first, and whether the chosen one fits."""
+    """What a budget buys: the chosen offer, all of them, cheapest first, for how many people, and whether the chosen
+    one fits."""
 
     minutes: float
+    people: int
     chosen: Offer
     offers: tuple[Offer, ...]
 
@@ -78,7 +80,7 @@ class Choice:
         p = self.chosen.predicted
         return (
             f"budget of {self.minutes:g} min: {self.chosen.name}, about {_minutes(p.seconds)} "
-            f"({_minutes(p.low_s)} to {_minutes(p.high_s)}); {self.more()}"
+            f"({_minutes(p.low_s)} to {_minutes(p.high_s)}) with {_people(self.people)}; {self.more()}"
         )
 
     def more(self) -> str:
@@ -158,7 +160,7 @@ def choose(
     defaults = next(offer.point for offer in offers if not offer.point.preset)
     # Of equal scores the quicker.
     ranked = [(gain_db(offer.point, defaults), -offer.predicted.seconds, k) for k, offer in enumerate(fitting)]
-    return Choice(minutes, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
+    return Choice(minutes, footage.people, fitting[max(ranked)[2]] if ranked else offers[0], tuple(offers))
 
 
 def gain_db(point: Point, over: Point) -> float:
@@ -182,6 +184,10 @@ def laid_over(config: Mapping[str, Any], stated: Stated, over: Mapping[str, Any]
         elif not stated.keeps(full, own):
             made[name] = copy.deepcopy(value)
     return made
+
+
+def _people(count: int) -> str:
+    return "one person" if count == 1 else f"{count or 'no'} people"
 
 
 def _minutes(seconds: float) -> str:
