@@ -18,6 +18,7 @@ from studiorecon.people.association.affinity import affinities, window_distances
 from studiorecon.people.association.grouping import Group, group_tracks, track_margins
 from studiorecon.people.association.postures import joint_differences_rad, parameter_differences_rad
 from studiorecon.people.association.track_pairs import TrackPairs, margins, postures_apart, sights
+from studiorecon.rig.correspondences import observe
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 
@@ -67,7 +68,7 @@ def pair_recall(groups, planted: dict[tuple[int, int], int]) -> float:
 @pytest.mark.parametrize("shape", [(0, 3), (3, 0), (0, 0)], ids=lambda s: f"A01-{s[0]}x{s[1]}")
 def test_nobody_matches_nobody(shape):  # A01 naive: max over empty raises
     assert match(np.zeros(shape), 1.0) == []
-    assert margins(TrackPairs(*np.zeros((3, 0), int), *np.zeros((3, 0, 0))), []).shape == (0,)
+    assert margins(TrackPairs(*np.zeros((3, 0), int), *np.zeros((4, 0, 0))), []).shape == (0,)
     assert window_distances([]).shape == (0, 0)
 
 
@@ -326,7 +327,8 @@ def test_a12_close_people_are_undecided_in_one_frame_and_told_apart_in_many(
             full = np.zeros((4, 4))
             full[:2, 2:], full[2:, :2] = found, found.T
             preferred = margins(
-                TrackPairs(view, track, np.full(4, frames), ~alone, full, alone), [[a, 2 + b] for a, b in pairs]
+                TrackPairs(view, track, np.full(4, frames), ~alone, full, alone, np.full((4, 4), frames)),
+                [[a, 2 + b] for a, b in pairs],
             )
             mistaken, doubtful = any(a != b for a, b in pairs), bool((preferred < position.undecided_margin).any())
             if frames == 1:
@@ -449,3 +451,26 @@ def test_cameras_that_agree_with_one_other_by_turns_make_no_person_unless_they_d
     # Three at once for a while, or one after the other for long, are somebody.
     assert "a bystander" not in why({0: (0.0, 1.7), 1: (0.3, 0.7), 3: (0.3, 0.7)})
     assert "a bystander" not in why({0: (0.0, 1.7), 1: (0.0, 0.8), 3: (0.9, 1.7)})
+
+
+@pytest.mark.parametrize("stretch", [1, 6])
+def test_who_is_there_all_the_time_is_not_outvoted_by_false_people_of_short_stretches(stretch, options):
+    """A detector that takes a chair beside somebody for a person, for a moment out of ten frames, each time anew."""
+    frames = 60
+    found = detect(ring(3), [walk([-0.2, 0, 0], [0.4 / frames, 0, 0], frames)], 1.0, np.random.default_rng(0))
+    false = found[0].only(found[0].frame % 10 < stretch)
+    beside = false.keypoints + np.array([20.0, 12.0, 0.0])
+    tracks = 100 + false.frame // 10
+    found[0] = replace(
+        found[0],
+        frame=np.concatenate([found[0].frame, false.frame]),
+        track=np.concatenate([found[0].track, tracks]),
+        keypoints=np.concatenate([found[0].keypoints, beside]),
+    )
+    seen, graph = observe(found, ring(3), np.arange(frames), 0.25)
+    best = seen.of(seen.group == 0)
+    assert np.isfinite(best.pixels[..., 0]).all(0).sum() >= 0.9 * 12 * frames, "all three cameras see the one person"
+    naive = groups_of(graph.distance_m, graph.view, graph.together, 0.25)[0]
+    assert {int(graph.track[n]) for n in naive if graph.view[n] == 0} <= set(tracks.tolist())
+    groups = group_tracks(found, ring(3), frames, 30.0, options.association, options.triangulation)
+    assert [view for view, track in groups[0].members if track < 100] == [0, 1, 2]

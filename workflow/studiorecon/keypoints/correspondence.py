@@ -43,6 +43,7 @@ class TrackGraph:
         detections: (M,) number of detections.
         distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
         together: (M, M) bool: both are seen in some common frame.
+        moments: (M, M) in how many frames both are seen.
     """
 
     view: Num[np.ndarray, " M"]
@@ -50,6 +51,7 @@ class TrackGraph:
     detections: Num[np.ndarray, " M"]
     distance_m: Num[np.ndarray, "M M"]
     together: Bool[np.ndarray, "M M"]
+    moments: Integer[np.ndarray, "M M"]
 
 
 def stable_indices(layout: str) -> list[int]:
@@ -112,6 +114,7 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
     node_of = {node: i for i, node in enumerate(nodes)}
     count = len(nodes)
     distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
+    moments = np.zeros((count, count), dtype=int)
     rays = [ray_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
     for a in range(len(cameras)):
         for b in range(a, len(cameras)):
@@ -119,6 +122,9 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
             rows = np.array([node_of[a, int(t)] for t in detections[a].track[first]], dtype=int)
             columns = np.array([node_of[b, int(t)] for t in detections[b].track[second]], dtype=int)
             together[rows, columns] = together[columns, rows] = True
+            np.add.at(moments, (rows, columns), 1)
+            if a != b:
+                np.add.at(moments, (columns, rows), 1)
             if a == b or not len(rows):
                 continue
             apart = ray_distances(cameras[a].centre_m, rays[a][0][first], cameras[b].centre_m, rays[b][0][second])
@@ -137,13 +143,20 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
         sizes,
         distance,
         together,
+        moments,
     )
 
 
 def groups_of(
-    distance_m: Num[np.ndarray, "M M"], view: Num[np.ndarray, " M"], together: Bool[np.ndarray, "M M"], gate_m: float
+    distance_m: Num[np.ndarray, "M M"],
+    view: Num[np.ndarray, " M"],
+    together: Bool[np.ndarray, "M M"],
+    gate_m: float,
+    moments: Num[np.ndarray, "M M"] | None = None,
 ) -> list[list[int]]:
-    """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate.
+    """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate, which
+    counts as often as both are seen (``moments``; without, once): who is there all the time is not outvoted by
+    what a detector took for somebody in single frames.
 
     The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that
     are seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes
@@ -152,6 +165,8 @@ def groups_of(
     sizes = require("distance_m", distance_m, ("M", "M"))
     require("view", view, ("M",), sizes)
     require("together", together, ("M", "M"), sizes)
+    if moments is not None:
+        require("moments", moments, ("M", "M"), sizes)
     finite = np.isfinite(distance_m)
     affinity = np.where(
         finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m),
@@ -160,7 +175,7 @@ def groups_of(
     )
     forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
     forbidden |= (view[:, None] == view[None]) & together
-    return groups_by_affinity(affinity, forbidden)
+    return groups_by_affinity(affinity if moments is None else affinity * moments, forbidden)
 
 
 def group_affinity(group: Sequence[int], distance_m: Num[np.ndarray, "M M"], gate_m: float) -> float:

@@ -82,7 +82,10 @@ def group_tracks(
     pairs = track_pairs(seen, stable, cameras, limits)
     groups = []
     long = np.flatnonzero(pairs.detections >= min(max(2.0, _LONG_S * fps), pairs.detections.max(initial=0)))
-    for nodes in groups_by_affinity(pairs.affinity[np.ix_(long, long)], pairs.forbidden[np.ix_(long, long)]):
+    between = np.ix_(long, long)
+    # Who is there all the time is not outvoted by what a detector took for somebody in short stretches.
+    affinity = pairs.affinity[between] * pairs.moments[between]
+    for nodes in groups_by_affinity(affinity, pairs.forbidden[between]):
         members = [(int(pairs.view[n]), int(pairs.track[n])) for n in long[nodes]]
         group = _without_strangers(
             _group(members, stable, cameras, frames, agree), stable, cameras, frames, limits, agree

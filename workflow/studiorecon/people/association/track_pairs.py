@@ -172,7 +172,7 @@ class TrackPairs:
     Attributes:
         view, track: (M,) camera number and track id; detections: (M,) how many it has.
         affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
-        forbidden: (M, M) bool: these two are not one person.
+        forbidden: (M, M) bool: these two are not one person. moments: (M, M) in how many frames both are seen.
     """
 
     view: Integer[np.ndarray, " M"]
@@ -181,6 +181,7 @@ class TrackPairs:
     measured: Bool[np.ndarray, "M M"]
     affinity: Float[np.ndarray, "M M"]
     forbidden: Bool[np.ndarray, "M M"]
+    moments: Integer[np.ndarray, "M M"]
 
 
 def track_pairs(
@@ -210,6 +211,7 @@ def track_pairs(
         ~np.isnan(judged) & ~same_view,
         np.where(same_view, 0.0, affinity),
         forbidden | (same_view & graph.together),
+        graph.moments,
     )
 
 
