@@ -141,7 +141,7 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 
 def workflow(folder: Path, targets: list[str], **config: str) -> None:
     """Run the workflow in ``folder`` up to ``targets``."""
-    given = [f"{key}={value}" for key, value in config.items()]
+    given = ["--config", *(f"{key}={value}" for key, value in config.items())] if config else []
     command = [
         sys.executable,
         "-m",
@@ -153,7 +153,7 @@ def workflow(folder: Path, targets: list[str], **config: str) -> None:
         "--directory",
         str(folder),
     ]
-    subprocess.run([*command, *targets, "--config", *given], check=True, capture_output=True)
+    subprocess.run([*command, *targets, *given], check=True, capture_output=True)
 
 
 def rigid_mm(first: np.ndarray, second: np.ndarray) -> float:

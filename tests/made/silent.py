@@ -10,16 +10,19 @@ joint of ten is missing, and tracks break off after some seconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from studiorecon.geometry.bundle import moved
+from studiorecon.geometry.rotations import exp
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
-from studiorecon.scene.camera import Camera
+from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import Clock
 from studiorecon.scene.people import Detections
 
-from tests.made.cameras import STANDING
+from tests.made.cameras import STANDING, ring
 
 _LASTING, _WANDERING, _FROM_FRAME_TO_FRAME = 0.01, 0.01, 0.003
 _WANDERS_S = 0.3
@@ -111,3 +114,41 @@ def sighted(film: Silent, people: Sequence[int], rng: np.random.Generator) -> De
         np.array(tracks, dtype=int)[order],
         np.array(keypoints).reshape(-1, 17, 3)[order],
     )
+
+
+@dataclass(frozen=True)
+class Rough:
+    """Cameras whose calibration is off, started one after the other: what they see of people, their clocks as filmed,
+    the calibrated lenses with the sizes of the footage, and when each was started (seconds)."""
+
+    seen: list[Detections]
+    clocks: list[Clock]
+    lenses: dict[str, tuple[Lens, tuple[int, int]]]
+    start_s: np.ndarray
+
+
+def rough(
+    seed: int,
+    cameras: int = 4,
+    fps: float = 30.0,
+    seconds: float = 4.0,
+    spread_s: float = 0.15,
+    off_deg: float = 1.0,
+    off_m: float = 0.05,
+    people: int = 2,
+) -> Rough:
+    """A ring of cameras of 640 × 360 pixels, ``off_deg`` about every axis and ``off_m`` along every axis (1 σ) from
+    where they are calibrated, started up to ``spread_s`` before or after the others."""
+    rng = np.random.default_rng(seed)
+    intrinsics = np.array([[500.0, 0, 320], [0, 500, 180], [0, 0, 1]])
+    stand = [replace(c, intrinsics=intrinsics) for c in ring(cameras, 4.0, 1.6, (640, 360))]
+    start_s = 5 + rng.uniform(-spread_s, spread_s, cameras)
+    own_s = np.arange(round(seconds * fps)) / fps
+    films = [Silent(camera, start, own_s) for camera, start in zip(stand, start_s, strict=True)]
+    seen = [sighted(film, [10 * seed + person for person in range(people)], rng) for film in films]
+    lenses = {}
+    for c in stand:
+        turned = exp(np.radians(rng.normal(0, off_deg, 3))) @ c.camera_from_world[:3, :3]
+        pose = moved(c, turned, c.centre_m + rng.normal(0, off_m, 3)).camera_from_world
+        lenses[c.name] = Lens(c.name, c.wh, intrinsics, "opencv", np.zeros(5), pose, np.eye(2, 3)), c.wh
+    return Rough(seen, [Clock(c.name, fps, len(own_s)) for c in stand], lenses, start_s)

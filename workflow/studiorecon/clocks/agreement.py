@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 # Half of a 95 % interval in standard deviations.
-_HALF = 1.96
+HALF = 1.96
 # A pair that contradicts the others by this many standard deviations is left out, where there are others.
 _CONTRADICTS = 4.0
 # Less than this is not worth resampling anything for, frames; and what drifts by less over the whole clip does not
@@ -107,7 +107,7 @@ def solved(
         drift_sigma = float(np.sqrt(drift_covariance[c, c]))
         clear = abs(drifts[c]) > _DRIFT_SIGMAS * drift_sigma
         found[c] = Proposal(
-            method, float(offsets[c]), _HALF * sigma, float(drifts[c]) if clear else 0.0, _HALF * drift_sigma
+            method, float(offsets[c]), HALF * sigma, float(drifts[c]) if clear else 0.0, HALF * drift_sigma
         )
     return found
 

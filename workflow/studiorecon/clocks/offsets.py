@@ -19,8 +19,9 @@ import numpy as np
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.clocks import motion_clock as sync
 from studiorecon.clocks import sound
-from studiorecon.clocks.agreement import ClockVerdict, Pair, Proposal, contradicted, judged, reference_of, solved
-from studiorecon.clocks.people_clock import people_pair
+from studiorecon.clocks.agreement import HALF, ClockVerdict, Pair, Proposal, contradicted, judged, reference_of, solved
+from studiorecon.clocks.all_cameras import late_against_others
+from studiorecon.clocks.people_clock import Lenses, people_pair
 from studiorecon.clocks.timeline import Timeline, clock_of, common_moments, timeline_of
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
@@ -30,7 +31,7 @@ from studiorecon.progress import progress, say, warn
 from studiorecon.scene.camera import Lens
 from studiorecon.scene.clocks import Clock, write_clocks
 from studiorecon.scene.files import write_json
-from studiorecon.scene.people import read_detections
+from studiorecon.scene.people import Detections, read_detections
 from studiorecon.signature import Written
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 _TRAVEL_S = 1.5 / 343
 # Every sound track is compared with those of so many cameras; more only cost time.
 _HUBS = 3
+# Clocks that are known to this are not asked about again, seconds (half of the 95 % interval).
+_SHARP_S = 0.02
 # Cameras in which motion must be proved wrong before it is not believed of the others.
 _PROOFS = 2
 
@@ -161,7 +164,8 @@ def found_clocks(
     sounds = [sound.sound_of(path) if source else None for path, source in zip(paths, sources)]
     pairs["sound"], why["sound"] = sound_pairs(sounds, lines)
     sized = {c: (lenses[c], source.wh) for c, source in zip(cameras, sources) if source and c in lenses}
-    pairs["people"], why["people"] = people_pair([read_detections(p) for p in sightings], clocks, rate, sized)
+    seen = [read_detections(p) for p in sightings]
+    pairs["people"], why["people"] = people_pair(seen, clocks, rate, sized)
     told = [sum(any(c in (p.first, p.second) for p in pairs[m]) for m in pairs) for c in range(count)]
     if min(told) < 2:
         energies = [sync.energy_of(s) if s else np.zeros(0) for s in progress(sources, "motion")]
@@ -181,6 +185,7 @@ def found_clocks(
         [p for p in (proposed[m][c] for m in pairs) if p is not None] or [p for p in (together[c],) if p is not None]
         for c in range(count)
     ]
+    owns = once_all_are_asked(owns, reference, clocks, seen, sized)
     # One that was clearly not started with the others: nothing triggered them all.
     triggered = not any(
         judged(own, rate, clocks[c].own_s[-1]).kind == "found" for c, own in enumerate(owns) if c != reference
@@ -209,6 +214,31 @@ def found_clocks(
             }
         )
     return verdicts, findings, reference
+
+
+def once_all_are_asked(
+    owns: Sequence[list[Proposal]], reference: int, clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Lenses
+) -> list[list[Proposal]]:
+    """The proposals of every camera; where all cameras of ``lenses`` together tell more, that in place of what people
+    and motion told of two at a time. ``clocks`` as filmed."""
+    best = [min(own, key=lambda p: p.half_s, default=None) for own in owns]
+    unsure = [c for c, p in enumerate(best) if c != reference and clocks[c].camera in lenses]
+    if all((p := best[c]) is not None and p.half_s <= _SHARP_S for c in unsure):
+        return list(owns)
+    set_so = [replace(c, offset_s=p.offset_s, drift_ppm=p.drift_ppm) if p else c for c, p in zip(clocks, best)]
+    late = late_against_others(set_so, seen, lenses)
+    if late is None or not np.isfinite(late.seconds[reference]):
+        return list(owns)
+    asked = []
+    for c, own in enumerate(owns):
+        half_s = HALF * float(np.hypot(late.sigma_s[c], late.sigma_s[reference]))
+        # NaN where they do not tell.
+        if c != reference and half_s < (p.half_s if (p := best[c]) else np.inf):
+            offset_s = set_so[c].offset_s + float(late.seconds[c] - late.seconds[reference])
+            together = Proposal("all cameras", offset_s, half_s, set_so[c].drift_ppm, np.inf)
+            own = [p for p in own if p.method == "sound"] + [together]
+        asked.append(own)
+    return asked
 
 
 def _proposed(pairs: Mapping[str, Sequence[Pair]], count: int) -> tuple[int, dict[str, list[Proposal | None]]]:

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks from all calibrated cameras at once: a camera that is late sees everybody where they were.
+
+Two cameras cannot tell a calibration that is off by centimetres from a lag of somebody who walks on; together, cameras
+first put each other right by the people, and what then still runs ahead or behind along the way people go is time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.arrays import evenly_spread
+from studiorecon.clocks.calibrated_lag import straightened
+from studiorecon.clocks.timeline import common_moments
+from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.keypoints.retiming import on_common_clock
+from studiorecon.rig.bundle import Agreement, Trust, fitted
+from studiorecon.rig.correspondences import Observations, observe
+from studiorecon.scene.camera import Camera, Lens
+from studiorecon.scene.clocks import Clock
+from studiorecon.scene.people import Detections
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Num
+
+# Moments that are looked at, and how far to either side speeds are measured.
+_MOMENTS, _BESIDE_S = 64, 0.1
+_ROUNDS, _SETTLED_S, _NEARLY_SETTLED_S, _LOOKED_BACK = 10, 0.001, 0.005, 4
+# A detector puts joints before or behind where they are, by as much along the way somebody goes (1 σ), which a camera
+# takes for time. In four scenes lags were off by 7 ms (rms) and at most 16 ms, at about a metre a second.
+_BESIDE_M = 0.01
+# So many standard deviations must one camera's lag be, and by this share joints must fit better with all of them.
+_SIGMAS, _GAIN = 2.0, 0.1
+# What fewer points tell is nothing, nor what stretches of time differ in by more than the first on the way (1 σ) or the
+# second in the end: such a camera sees others than the rest. Who hardly moves tells nothing either.
+_LEAST_POINTS, _MOST_SPREAD_S, _MOST_SPREAD_LEFT_S, _MOST_SIGMA_S = 100, 0.04, 0.015, 0.04
+# Stretches of time that are left out in turn to see how sure a lag is.
+_STRETCH_S = 0.5
+_LOOSE = 3.0
+_STEPS = 10
+
+
+@dataclass(frozen=True)
+class Late:
+    """By how many seconds the cameras' clocks are to be set later (V,), and one standard deviation; NaN: not known."""
+
+    seconds: Float[np.ndarray, " V"]
+    sigma_s: Float[np.ndarray, " V"]
+
+
+def late_against_others(
+    clocks: Sequence[Clock], seen: Sequence[Detections], lenses: Mapping[str, tuple[Lens, tuple[int, int]]]
+) -> Late | None:
+    """How late cameras are by the clocks as they are set, of those with a calibrated lens (and the size of their
+    footage) and detections (by source frames).
+
+    None where fewer than three cameras can be asked, clocks do not settle, or some are clearly late and joints fit
+    hardly better for it.
+    """
+    told = {d.camera: d for d in seen if len(d.frame)}
+    index = [i for i, c in enumerate(clocks) if c.camera in told and c.camera in lenses]
+    if len(index) < 3:
+        return None
+    mine = [clocks[i] for i in index]
+    asked, given = [told[c.camera] for c in mine], [_pinhole(*lenses[c.camera]) for c in mine]
+    added, cameras = np.zeros(len(mine)), given
+    looked: list[_Looked] = []
+    for _ in range(_ROUNDS):
+        set_so = [replace(c, offset_s=c.offset_s + a) for c, a in zip(mine, added)]
+        placed = _placed(set_so, asked, given, cameras, lenses)
+        if placed is None:
+            return None
+        cameras = placed.cameras
+        looked.append(_Looked(added, *_lateness(placed), placed.misfit))
+        if not np.isfinite(looked[-1].late_s).any():
+            return None
+        if looked[-1].left_s < _SETTLED_S:
+            break
+        added = _next(looked[-_LOOKED_BACK:])
+    last = min(looked, key=lambda one: one.left_s)
+    sure = (last.spread_s <= _MOST_SPREAD_LEFT_S) & (last.sigma_s <= _MOST_SIGMA_S)
+    clearly = (np.abs(last.added_s[sure]) > _SIGMAS * last.sigma_s[sure]).any()
+    if last.left_s > _NEARLY_SETTLED_S or (clearly and not last.misfit < (1 - _GAIN) * looked[0].misfit):
+        return None
+    seconds, sigma = np.full((2, len(clocks)), np.nan)
+    seconds[index], sigma[index] = np.where(sure, last.added_s, np.nan), np.where(sure, last.sigma_s, np.nan)
+    return Late(seconds, sigma)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Cameras put right by the people at some clocks, what they see of them at ``fps``, and how badly it fits."""
+
+    cameras: list[Camera]
+    seen: Observations
+    fps: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class _Looked:
+    """What was seen with ``added_s`` on the clocks: how late cameras still are, by how much stretches of time leave
+    that open, one standard deviation with what is wrong all the time, and how badly everything fits."""
+
+    added_s: np.ndarray
+    late_s: np.ndarray
+    spread_s: np.ndarray
+    sigma_s: np.ndarray
+    misfit: float
+
+    @property
+    def left_s(self) -> float:
+        return float(np.nanmax(np.abs(self.late_s)))
+
+
+def _next(looked: Sequence[_Looked]) -> np.ndarray:
+    """(V,) what to add next: cameras that are turned to fit wrong clocks take most of a lag for theirs, so plain steps
+    creep (Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965)."""
+    added, late = np.array([one.added_s for one in looked]), np.nan_to_num([one.late_s for one in looked])
+    if len(looked) < 2:
+        return added[-1] + late[-1]
+    steps, changes = np.diff(added, axis=0).T, np.diff(late, axis=0).T
+    shares = np.linalg.lstsq(changes, late[-1], rcond=1e-3)[0]
+    return added[-1] + late[-1] - (steps + changes) @ shares
+
+
+def _pinhole(lens: Lens, wh: tuple[int, int]) -> Camera:
+    """The camera whose pictures are the footage's, undistorted."""
+    focal = float(lens.intrinsics[0, 0]) * wh[0] / lens.wh[0]
+    intrinsics = np.array([[focal, 0.0, wh[0] / 2], [0.0, focal, wh[1] / 2], [0.0, 0.0, 1.0]])
+    return Camera(lens.name, wh, intrinsics, lens.camera_from_world)
+
+
+def _placed(
+    clocks: Sequence[Clock],
+    asked: Sequence[Detections],
+    given: Sequence[Camera],
+    start: Sequence[Camera],
+    lenses: Mapping[str, tuple[Lens, tuple[int, int]]],
+) -> _Placed | None:
+    moments = common_moments(clocks, 0, 0)
+    beside = max(1, round(_BESIDE_S * moments.fps))
+    if moments.frames <= 2 * beside + 1:
+        return None
+    on = []
+    for camera, d in zip(given, asked):
+        lens, wh = lenses[d.camera]
+        rays = straightened(on_common_clock(d, moments, wh[1]), lens, wh)
+        pixels = rays.keypoints[..., :2] * camera.focal_px + camera.intrinsics[:2, 2]
+        on.append(replace(rays, keypoints=np.concatenate([pixels, rays.keypoints[..., 2:]], -1)))
+    middle = evenly_spread(moments.frames - 2 * beside, _MOMENTS) + beside
+    frames = np.unique(np.concatenate([middle - beside, middle, middle + beside]))
+    agreement = Agreement()
+    observations, _ = observe(on, start, frames, agreement.gate_m)
+    if not len(observations.frame):
+        return None
+    adjusted = fitted(given, observations, agreement.limits, Trust().bundle)
+    # Where people show too little of them, cameras stay where they were.
+    cameras = adjusted.cameras if adjusted else list(start)
+    observations, _ = observe(on, cameras, frames, agreement.gate_m)
+    return _Placed(cameras, observations, moments.fps, _misfit(cameras, observations, agreement.limits))
+
+
+def _misfit(cameras: Sequence[Camera], seen: Observations, limits: Limits) -> float:
+    """Mean error of everything that is seen, in error units of which what does not agree has as many as an outlier."""
+    found = triangulate(seen.pixels, seen.confidence, cameras, limits)
+    counted = found.verified if len(cameras) > 2 else found.valid
+    units = np.where(counted, found.error_px, np.nan) / unit_px(cameras, limits)[:, None]
+    error = np.minimum(np.nan_to_num(units, nan=limits.outlier_units), limits.outlier_units)
+    return float(error[np.isfinite(seen.pixels[..., 0])].mean())
+
+
+def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(V,) seconds by which each camera sees joints ahead of where the others see them, the median 0, by how much
+    stretches of time leave that open, and one standard deviation with what is wrong all the time; NaN where too little
+    tells."""
+    cameras, seen, fps = placed.cameras, placed.seen, placed.fps
+    limits = Agreement().limits
+    wide = replace(limits, outlier_units=limits.outlier_units * _LOOSE)
+    beside = max(1, round(_BESIDE_S * fps))
+    names = list(zip(seen.group.tolist(), seen.keypoint.tolist(), seen.frame.tolist()))
+    place = {name: i for i, name in enumerate(names)}
+    before, after = (np.array([place.get((g, k, f + way), -1) for g, k, f in names]) for way in (-beside, beside))
+    both = (before >= 0) & (after >= 0)
+    late, spread, sigma = np.full((3, len(cameras)), np.nan)
+    for v, camera in enumerate(cameras):
+        rest = [k for k in range(len(cameras)) if k != v]
+        found = triangulate(seen.pixels[rest], seen.confidence[rest], [cameras[k] for k in rest], wide)
+        points_m = np.where((found.verified if len(rest) > 2 else found.valid)[:, None], found.points_m, np.nan)
+        step_m = np.where(both[:, None], (points_m[after] - points_m[before]) / 2, np.nan)
+        here, ahead, behind = (camera.project(points_m + way * step_m)[0] for way in (0, 1, -1))
+        per_s = (ahead - behind) * fps / (2 * beside)
+        off = seen.pixels[v] - here
+        known = np.isfinite(off).all(-1) & np.isfinite(per_s).all(-1)
+        if known.sum() < _LEAST_POINTS:
+            continue
+        stretch = seen.frame[known] // max(1, round(_STRETCH_S * fps))
+        seconds, spread_s = _slope(off[known], per_s[known], stretch, float(unit_px([camera], limits)[0]))
+        speed_m = np.linalg.norm(step_m[known], axis=-1) * fps / beside
+        if spread_s <= _MOST_SPREAD_S:
+            lasting_s = _BESIDE_M / max(float(np.sqrt(np.mean(speed_m**2))), 1e-9)
+            late[v], spread[v], sigma[v] = seconds, spread_s, np.hypot(spread_s, lasting_s)
+    return late - np.nanmedian(late) if np.isfinite(late).any() else late, spread, sigma
+
+
+def _slope(
+    off: Num[np.ndarray, "N 2"], per_s: Num[np.ndarray, "N 2"], stretch: Num[np.ndarray, " N"], unit: float
+) -> tuple[float, float]:
+    """The seconds that pixels ``off`` are at speeds ``per_s``, by least absolute distances beyond ``unit``, and their
+    jackknife standard deviation over the stretches of time; inf where there is one only."""
+    seconds = 0.0
+    for _ in range(_STEPS):
+        weight = 1 / np.maximum(np.linalg.norm(off - seconds * per_s, axis=-1), unit)
+        along, square = weight * (off * per_s).sum(-1), weight * (per_s**2).sum(-1)
+        seconds = float(along.sum() / max(square.sum(), 1e-12))
+    names, of = np.unique(stretch, return_inverse=True)
+    count = len(names)
+    if count < 2:
+        return seconds, float("inf")
+    left = (along.sum() - np.bincount(of, along)) / np.maximum(square.sum() - np.bincount(of, square), 1e-12)
+    return seconds, float(np.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum()))
