@@ -158,7 +158,8 @@ def _placed(
     observations, _ = observe(on, start, frames, agreement.gate_m)
     if not len(observations.frame):
         return None
-    adjusted = fitted(given, observations, agreement.limits, Trust().bundle)
+    # The moments beside those in the middle only tell speeds.
+    adjusted = fitted(given, observations.of(np.isin(observations.frame, middle)), agreement.limits, Trust().bundle)
     # Where people show too little of them, cameras stay where they were.
     cameras = adjusted.cameras if adjusted else list(start)
     observations, _ = observe(on, cameras, frames, agreement.gate_m)
