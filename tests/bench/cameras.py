@@ -38,6 +38,7 @@ from studiorecon.geometry.lens import calibration_from_video_pixels, normalised_
 from studiorecon.geometry.triangulation import Limits, triangulate
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.keypoints.layouts import LAYOUTS
+from studiorecon.keypoints.reading import undistorted
 from studiorecon.people import fit
 from studiorecon.people.fitting.points import Points, lift, observations
 from studiorecon.plan.discovery import open_dataset
@@ -196,7 +197,7 @@ def real_doctor(data: Path, take: str, out: Path) -> tuple[dict[str, Any], list[
     report = read_json(out / "doctor.json")
     lenses = [Lens.from_json(v) for v in read_json(out / "calibration.json")["lenses"]]
     sizes = [tuple(read_json(out / f"{c}.json")["wh"]) for c in MAN]
-    both = [doctor.undistorted(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
+    both = [undistorted(read_detections(out / f"{c}.npz"), lens, wh) for c, lens, wh in zip(MAN, lenses, sizes)]
     told = {
         "verdict": report["verdict"],
         "advice": report["advice"],

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from studiorecon.calibration import files as calibration
-from studiorecon.calibration.doctor import nobody, undistorted
+from studiorecon.calibration.doctor import nobody
 from studiorecon.calibration.room_pictures import rooms_of, without_distortion
 from studiorecon.detect import keypoints as sightings
 from studiorecon.detect import people as detect
 from studiorecon.footage.source import open_source
+from studiorecon.keypoints.reading import undistorted
 from studiorecon.plan.discovery import open_dataset
 from studiorecon.rig.room_picture import RoomPicture
 from studiorecon.scene.camera import Camera, Lens

@@ -5,12 +5,17 @@ ahead or behind is time."""
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from studiorecon.clocks import offsets
 from studiorecon.clocks.agreement import Proposal
 from studiorecon.clocks.all_cameras import late_against_others
 from studiorecon.clocks.offsets import once_all_are_asked
+from studiorecon.clocks.timeline import Timeline
+from studiorecon.footage.source import FootageSource
+from studiorecon.scene.people import write_detections
 
 from tests.made.silent import Rough, rough
 
@@ -88,3 +93,23 @@ def test_clocks_that_are_known_are_not_asked_about_again(monkeypatch: pytest.Mon
     sharp = [[]] + [[Proposal("sound", 0.1, 0.004, 0.0, np.inf)]] * 3
     monkeypatch.setattr("studiorecon.clocks.offsets.late_against_others", lambda *_: pytest.fail("asked"))
     assert once_all_are_asked(sharp, 0, take.clocks, take.seen, take.lenses) == sharp
+
+
+def test_the_step_asks_all_cameras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    take = rough(2)
+    monkeypatch.setattr(offsets.sound, "sound_of", lambda _: None)
+    monkeypatch.setattr(offsets.sync, "energy_of", lambda _: np.zeros(0))
+    # What two by two cannot tell.
+    monkeypatch.setattr(offsets, "people_pair", lambda *_: ([], {}))
+    names = [clock.camera for clock in take.clocks]
+    paths = [tmp_path / f"{name}.npz" for name in names]
+    for seen, path in zip(take.seen, paths, strict=True):
+        write_detections(path, seen)
+    sources = [FootageSource(path, (640, 360), 30.0, 120, 0, (), ()) for path in paths]
+    lines = [Timeline(30.0, 120, 0.0)] * 4
+    lenses = {name: lens for name, (lens, _) in take.lenses.items()}
+    verdicts, told, reference = offsets.found_clocks(names, sources, lines, paths, paths, lenses)
+    assert reference == 0
+    assert [v.method for v in verdicts[1:]] == ["all cameras"] * 3
+    assert np.abs(errors_s(np.array([v.offset_s for v in verdicts]), take)).max() < 0.02
+    assert all("all cameras" in f["sentence"] for f in told[1:])

@@ -92,12 +92,12 @@ def test_groups_do_not_depend_on_the_order_of_the_nodes():
     distance = np.where(person[:, None] == person[None], 0.03, 0.6) + rng.uniform(0, 0.02, (12, 12))
     distance = (distance + distance.T) / 2
     distance[view[:, None] == view[None]] = np.nan
-    together = np.ones((12, 12), bool)
+    moments = np.ones((12, 12))
     order = rng.permutation(12)
-    plain = {frozenset(g) for g in groups_of(distance, view, together, 0.15)}
+    plain = {frozenset(g) for g in groups_of(distance, view, moments, 0.15)}
     shuffled = {
         frozenset(int(order[n]) for n in g)
-        for g in groups_of(distance[np.ix_(order, order)], view[order], together, 0.15)
+        for g in groups_of(distance[np.ix_(order, order)], view[order], moments, 0.15)
     }
     assert plain == shuffled == {frozenset(np.flatnonzero(person == p).tolist()) for p in range(3)}
 
@@ -144,5 +144,5 @@ def test_a_person_in_hundreds_of_short_tracks_is_grouped_in_a_moment():
     view, start = np.repeat(np.arange(4), 60), np.tile(np.arange(60), 4)
     meets = np.abs(start[:, None] - start[None]) <= 1
     distance = np.where(meets & (view[:, None] != view[None]), 0.05, np.nan)
-    groups = groups_of(distance, view, start[:, None] == start[None], 0.25)
+    groups = groups_of(distance, view, meets & ((view[:, None] != view) | (start[:, None] == start)), 0.25)
     assert [len(g) for g in groups] == [240]

@@ -22,6 +22,8 @@ from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict,
 from studiorecon.plan.workload import Footage, Work, footage_of, workload
 from studiorecon.scene.decisions import Decision, write_decisions
 
+from tests.made.footage import smooth_pictures, write_video
+
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = yaml.safe_load((ROOT / "config/config.yaml").read_text(encoding="utf-8"))
 SCHEMA = yaml.safe_load((ROOT / "workflow/schemas/config.schema.yaml").read_text(encoding="utf-8"))
@@ -258,6 +260,27 @@ def test_the_probe_takes_a_moment_of_real_work() -> None:
 def test_a_studio_is_planned_from_its_description(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml")
     assert footage_of(make_plan(config, home), 30.0) == DEMO
+
+
+@pytest.mark.parametrize(("seen", "people", "between"), [(0, 1, (1, 2)), (1, 1, (1, 2)), (3, 3, (2, 4))])
+def test_people_of_films_are_counted_and_the_count_may_be_one_off(
+    seen: int,
+    people: int,
+    between: tuple[int, int],
+    configured: Callable[..., dict],
+    capture: Path,
+    home: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for seed, film in enumerate((capture / "videos").glob("*.mp4")):
+        write_video(film, smooth_pictures(6, seed=seed))
+    asked: list[tuple] = []
+    monkeypatch.setattr("studiorecon.plan.workload.people_seen", lambda *about: asked.append(about) or seen)
+    footage = footage_of(make_plan(configured(), home), 30.0)
+    assert (footage.people, footage.people_between) == (people, between)
+    ((films, keypoints, first_frame, frames),) = asked
+    assert list(films) == list(keypoints) == ["back", "left", "right"]
+    assert (first_frame, frames) == (0, 6)
 
 
 def test_footage_that_cannot_be_read_is_named(configured: Callable[..., dict], home: Path) -> None:

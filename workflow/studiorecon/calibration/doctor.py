@@ -27,9 +27,10 @@ from studiorecon.calibration.room_pictures import rooms_of, without_distortion
 from studiorecon.camera_files.calibration import read_lenses
 from studiorecon.errors import UserError
 from studiorecon.footage.source import glimpses, open_source
-from studiorecon.geometry.lens import calibration_from_video_pixels, video_from_working, working_from_video
+from studiorecon.geometry.lens import video_from_working
 from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.encoded import png
+from studiorecon.keypoints.reading import undistorted
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.progress import say
 from studiorecon.rig.bundle import Agreement, Trust, error_medians
@@ -184,26 +185,6 @@ def _volume(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, 
         return middle, float(np.quantile(np.linalg.norm(points[:, :2] - middle, axis=-1), 0.95)) + 0.5
     looked_at = sanity.common_point(cameras)
     return (looked_at if looked_at is not None else np.mean([c.centre_m for c in cameras], axis=0))[:2], _NOBODY_REACH_M
-
-
-def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
-    """The pinhole camera of the video's size, and the sightings in its pixels; points that the lens cannot have seen
-    are dropped."""
-    affine = calibration_from_video_pixels(lens, wh)
-    intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
-    intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)
-    present = seen.keypoints[..., 2] > 0
-    pixels, valid = working_from_video(np.where(present[..., None], seen.keypoints[..., :2], 1.0), lens, wh, intrinsics)
-    points = np.concatenate(
-        [
-            np.where((present & valid)[..., None], pixels, np.nan),
-            np.where(present & valid, seen.keypoints[..., 2], 0.0)[..., None],
-        ],
-        -1,
-    )
-    return Camera(lens.name, wh, intrinsics, lens.camera_from_world), Detections(
-        lens.name, seen.layout, seen.frame, seen.track, points
-    )
 
 
 def straightened(picture: Integer[np.ndarray, "H W 3"], lens: Lens, camera: Camera) -> Integer[np.ndarray, "H W 3"]:

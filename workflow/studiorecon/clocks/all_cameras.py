@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
-from studiorecon.clocks.calibrated_lag import straightened
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.geometry.triangulation import Limits, triangulate, unit_px
+from studiorecon.keypoints.reading import undistorted
 from studiorecon.keypoints.retiming import on_common_clock
 from studiorecon.rig.bundle import Agreement, Trust, fitted
 from studiorecon.rig.correspondences import Observations, observe
@@ -66,12 +66,12 @@ def late_against_others(
     if len(index) < 3:
         return None
     mine = [clocks[i] for i in index]
-    asked, given = [told[c.camera] for c in mine], [_pinhole(*lenses[c.camera]) for c in mine]
-    added, cameras = np.zeros(len(mine)), given
-    looked: list[_Looked] = []
+    asked = [told[c.camera] for c in mine]
+    added, looked = np.zeros(len(mine)), list[_Looked]()
+    cameras: list[Camera] = []
     for _ in range(_ROUNDS):
         set_so = [replace(c, offset_s=c.offset_s + a) for c, a in zip(mine, added)]
-        placed = _placed(set_so, asked, given, cameras, lenses)
+        placed = _placed(set_so, asked, cameras, lenses)
         if placed is None:
             return None
         cameras = placed.cameras
@@ -128,40 +128,29 @@ def _next(looked: Sequence[_Looked]) -> np.ndarray:
     return added[-1] + late[-1] - (steps + changes) @ shares
 
 
-def _pinhole(lens: Lens, wh: tuple[int, int]) -> Camera:
-    """The camera whose pictures are the footage's, undistorted."""
-    focal = float(lens.intrinsics[0, 0]) * wh[0] / lens.wh[0]
-    intrinsics = np.array([[focal, 0.0, wh[0] / 2], [0.0, focal, wh[1] / 2], [0.0, 0.0, 1.0]])
-    return Camera(lens.name, wh, intrinsics, lens.camera_from_world)
-
-
 def _placed(
     clocks: Sequence[Clock],
     asked: Sequence[Detections],
-    given: Sequence[Camera],
     start: Sequence[Camera],
     lenses: Mapping[str, tuple[Lens, tuple[int, int]]],
 ) -> _Placed | None:
+    """``start``: cameras near those that are asked, to see who is who; none: as they are calibrated."""
     moments = common_moments(clocks, 0, 0)
     beside = max(1, round(_BESIDE_S * moments.fps))
     if moments.frames <= 2 * beside + 1:
         return None
-    on = []
-    for camera, d in zip(given, asked):
-        lens, wh = lenses[d.camera]
-        rays = straightened(on_common_clock(d, moments, wh[1]), lens, wh)
-        pixels = rays.keypoints[..., :2] * camera.focal_px + camera.intrinsics[:2, 2]
-        on.append(replace(rays, keypoints=np.concatenate([pixels, rays.keypoints[..., 2:]], -1)))
+    timed = [on_common_clock(d, moments, lenses[d.camera][1][1]) for d in asked]
+    given, on = zip(*(undistorted(d, *lenses[d.camera]) for d in timed))
     middle = evenly_spread(moments.frames - 2 * beside, _MOMENTS) + beside
     frames = np.unique(np.concatenate([middle - beside, middle, middle + beside]))
     agreement = Agreement()
-    observations, _ = observe(on, start, frames, agreement.gate_m)
+    observations, _ = observe(on, start or given, frames, agreement.gate_m)
     if not len(observations.frame):
         return None
     # The moments beside those in the middle only tell speeds.
     adjusted = fitted(given, observations.of(np.isin(observations.frame, middle)), agreement.limits, Trust().bundle)
     # Where people show too little of them, cameras stay where they were.
-    cameras = adjusted.cameras if adjusted else list(start)
+    cameras = adjusted.cameras if adjusted else list(start or given)
     observations, _ = observe(on, cameras, frames, agreement.gate_m)
     return _Placed(cameras, observations, moments.fps, _misfit(cameras, observations, agreement.limits))
 
@@ -205,7 +194,9 @@ def _lateness(placed: _Placed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if spread_s <= _MOST_SPREAD_S:
             lasting_s = _BESIDE_M / max(float(np.sqrt(np.mean(speed_m**2))), 1e-9)
             late[v], spread[v], sigma[v] = seconds, spread_s, np.hypot(spread_s, lasting_s)
-    return late - np.nanmedian(late) if np.isfinite(late).any() else late, spread, sigma
+    if np.isfinite(late).any():
+        late -= np.nanmedian(late)
+    return late, spread, sigma
 
 
 def _slope(

@@ -227,7 +227,7 @@ def once_all_are_asked(
         return list(owns)
     set_so = [replace(c, offset_s=p.offset_s, drift_ppm=p.drift_ppm) if p else c for c, p in zip(clocks, best)]
     late = late_against_others(set_so, seen, lenses)
-    if late is None or not np.isfinite(late.seconds[reference]):
+    if late is None:
         return list(owns)
     asked = []
     for c, own in enumerate(owns):

@@ -40,17 +40,13 @@ class TrackGraph:
     Attributes:
         view: (M,) index of the camera.
         track: (M,) track id in that camera.
-        detections: (M,) number of detections.
         distance_m: (M, M) symmetric, NaN where the two share too little (also within one camera).
-        together: (M, M) bool: both are seen in some common frame.
-        moments: (M, M) in how many frames both are seen.
+        moments: (M, M) in how many frames both are seen; of one, in how many it is.
     """
 
     view: Num[np.ndarray, " M"]
     track: Num[np.ndarray, " M"]
-    detections: Num[np.ndarray, " M"]
     distance_m: Num[np.ndarray, "M M"]
-    together: Bool[np.ndarray, "M M"]
     moments: Integer[np.ndarray, "M M"]
 
 
@@ -113,15 +109,13 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
     nodes = [(v, int(t)) for v, d in enumerate(detections) for t in np.unique(d.track)]
     node_of = {node: i for i, node in enumerate(nodes)}
     count = len(nodes)
-    distance, together = np.full((count, count), np.nan), np.zeros((count, count), dtype=bool)
-    moments = np.zeros((count, count), dtype=int)
+    distance, moments = np.full((count, count), np.nan), np.zeros((count, count), dtype=int)
     rays = [ray_directions(d.keypoints, c) for d, c in zip(detections, cameras)]
     for a in range(len(cameras)):
         for b in range(a, len(cameras)):
             first, second = _same_frame(detections[a].frame, detections[b].frame)
             rows = np.array([node_of[a, int(t)] for t in detections[a].track[first]], dtype=int)
             columns = np.array([node_of[b, int(t)] for t in detections[b].track[second]], dtype=int)
-            together[rows, columns] = together[columns, rows] = True
             np.add.at(moments, (rows, columns), 1)
             if a != b:
                 np.add.at(moments, (columns, rows), 1)
@@ -135,28 +129,17 @@ def track_graph(detections: Sequence[Detections], cameras: Sequence[Camera]) -> 
                 seen = seen[~np.isnan(seen)]
                 if len(seen):
                     distance[row, column] = distance[column, row] = np.median(seen)
-    np.fill_diagonal(together, True)
-    sizes = np.array([int((detections[v].track == t).sum()) for v, t in nodes], dtype=int)
     return TrackGraph(
-        np.array([v for v, _ in nodes], dtype=int),
-        np.array([t for _, t in nodes], dtype=int),
-        sizes,
-        distance,
-        together,
-        moments,
+        np.array([v for v, _ in nodes], dtype=int), np.array([t for _, t in nodes], dtype=int), distance, moments
     )
 
 
 def groups_of(
-    distance_m: Num[np.ndarray, "M M"],
-    view: Num[np.ndarray, " M"],
-    together: Bool[np.ndarray, "M M"],
-    gate_m: float,
-    moments: Num[np.ndarray, "M M"] | None = None,
+    distance_m: Num[np.ndarray, "M M"], view: Num[np.ndarray, " M"], moments: Num[np.ndarray, "M M"], gate_m: float
 ) -> list[list[int]]:
     """Groups of nodes, best first, by greedy choice of the group with the largest summed affinity 1 - d / gate, which
-    counts as often as both are seen (``moments``; without, once): who is there all the time is not outvoted by
-    what a detector took for somebody in single frames.
+    counts as often as both are seen (``moments``): who is there all the time is not outvoted by what a detector took
+    for somebody in single frames.
 
     The gate comes before the choice (A03): a group holds no two nodes further apart than it, no two of one camera that
     are seen together, and every member has a measured neighbour. Nodes without one are left out. Permuting the nodes
@@ -164,9 +147,7 @@ def groups_of(
     """
     sizes = require("distance_m", distance_m, ("M", "M"))
     require("view", view, ("M",), sizes)
-    require("together", together, ("M", "M"), sizes)
-    if moments is not None:
-        require("moments", moments, ("M", "M"), sizes)
+    require("moments", moments, ("M", "M"), sizes)
     finite = np.isfinite(distance_m)
     affinity = np.where(
         finite & (np.nan_to_num(distance_m, nan=np.inf) < gate_m),
@@ -174,8 +155,8 @@ def groups_of(
         0.0,
     )
     forbidden = (finite | np.isinf(distance_m)) & ~(np.nan_to_num(distance_m, nan=0.0) < gate_m)
-    forbidden |= (view[:, None] == view[None]) & together
-    return groups_by_affinity(affinity if moments is None else affinity * moments, forbidden)
+    forbidden |= (view[:, None] == view[None]) & (moments > 0)
+    return groups_by_affinity(affinity * moments, forbidden)
 
 
 def group_affinity(group: Sequence[int], distance_m: Num[np.ndarray, "M M"], gate_m: float) -> float:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.geometry.lens import working_from_calibration, working_from_video
+from studiorecon.geometry.lens import calibration_from_video_pixels, working_from_calibration, working_from_video
 from studiorecon.keypoints.readers import KeypointEntry
 from studiorecon.keypoints.steadying import steadied
 from studiorecon.keypoints.tracking import TrackingLimits, tracks, without_duplicates
 from studiorecon.progress import say
-from studiorecon.scene.camera import Lens
+from studiorecon.scene.camera import Camera, Lens
 from studiorecon.scene.capture import Footage
 from studiorecon.scene.people import Detections
 from studiorecon.scene.raw_detections import RawDetections
@@ -126,3 +126,23 @@ def followed(given: Detections, settings: Settings, fps: float) -> Detections:
     kept = given.only((given.keypoints[..., 2] > 0).sum(-1) >= settings.min_keypoints)
     kept = kept.only(without_duplicates(kept.frame, kept.keypoints, settings.tracking))
     return replace(kept, track=tracks(kept.frame, kept.keypoints, settings.tracking, fps))
+
+
+def undistorted(seen: Detections, lens: Lens, wh: tuple[int, int]) -> tuple[Camera, Detections]:
+    """The pinhole camera of the video's size, and the sightings in its pixels; points that the lens cannot have seen
+    are dropped."""
+    affine = calibration_from_video_pixels(lens, wh)
+    intrinsics = np.diag([lens.intrinsics[0, 0] / affine[0, 0], lens.intrinsics[1, 1] / affine[1, 1], 1.0])
+    intrinsics[:2, 2] = (lens.intrinsics[:2, 2] - affine[:, 2]) / np.diag(affine)
+    present = seen.keypoints[..., 2] > 0
+    pixels, valid = working_from_video(np.where(present[..., None], seen.keypoints[..., :2], 1.0), lens, wh, intrinsics)
+    points = np.concatenate(
+        [
+            np.where((present & valid)[..., None], pixels, np.nan),
+            np.where(present & valid, seen.keypoints[..., 2], 0.0)[..., None],
+        ],
+        -1,
+    )
+    return Camera(lens.name, wh, intrinsics, lens.camera_from_world), Detections(
+        lens.name, seen.layout, seen.frame, seen.track, points
+    )

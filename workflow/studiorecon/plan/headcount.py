@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from studiorecon.arrays import evenly_spread
 from studiorecon.detector.blazepose import BlazePose
 from studiorecon.detector.looking import newcomers, trust
 from studiorecon.detector.windows import grid
@@ -33,7 +34,7 @@ def people_seen(
     Raises UserError naming a file that cannot be read.
     """
     cameras, network, counts = list(sources), None, []
-    for k in np.unique(np.linspace(0, len(cameras) - 1, _CAMERAS).round().astype(int)):
+    for k in evenly_spread(len(cameras), _CAMERAS):
         source, recorded = sources[cameras[k]], keypoints.get(cameras[k])
         if recorded is not None:
             counts.append(_recorded(recorded, source.wh))

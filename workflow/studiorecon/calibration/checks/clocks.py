@@ -85,7 +85,7 @@ def _has(groups: _Groups, view: int) -> bool:
 def _groups(stable: Sequence[Detections], cameras: Sequence[Camera], gate_m: float) -> tuple[_Groups, float]:
     """(view, track) of everybody whom several cameras see, and their summed affinity."""
     graph = track_graph(stable, cameras)
-    groups = groups_of(graph.distance_m, graph.view, graph.together, gate_m, graph.moments)
+    groups = groups_of(graph.distance_m, graph.view, graph.moments, gate_m)
     affinity = sum(group_affinity(g, graph.distance_m, gate_m) * len(g) for g in groups)
     return [[(int(graph.view[i]), int(graph.track[i])) for i in g] for g in groups], affinity
 

@@ -170,18 +170,22 @@ class TrackPairs:
     """What is known about every two of M tracks.
 
     Attributes:
-        view, track: (M,) camera number and track id; detections: (M,) how many it has.
+        view, track: (M,) camera number and track id.
         affinity: (M, M) 0..1, 0 = no link; measured: (M, M) bool, False where the two share nothing to compare.
         forbidden: (M, M) bool: these two are not one person. moments: (M, M) in how many frames both are seen.
     """
 
     view: Integer[np.ndarray, " M"]
     track: Integer[np.ndarray, " M"]
-    detections: Integer[np.ndarray, " M"]
     measured: Bool[np.ndarray, "M M"]
     affinity: Float[np.ndarray, "M M"]
     forbidden: Bool[np.ndarray, "M M"]
     moments: Integer[np.ndarray, "M M"]
+
+    @property
+    def detections(self) -> Integer[np.ndarray, " M"]:
+        """(M,) how many detections a track has."""
+        return np.diagonal(self.moments)
 
 
 def track_pairs(
@@ -207,10 +211,9 @@ def track_pairs(
     return TrackPairs(
         graph.view,
         graph.track,
-        graph.detections,
         ~np.isnan(judged) & ~same_view,
         np.where(same_view, 0.0, affinity),
-        forbidden | (same_view & graph.together),
+        forbidden | (same_view & (graph.moments > 0)),
         graph.moments,
     )
 
