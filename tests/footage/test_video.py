@@ -8,9 +8,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from studiorecon.errors import UserError
+from studiorecon.footage.container import opened
 from studiorecon.footage.streams import writing
 from studiorecon.footage.video import (
     read_frame,
@@ -64,6 +66,24 @@ def test_watchable_videos_keep_colours(tmp_path: Path) -> None:
     back = read_frame(tmp_path / "a.mp4", 1)
     for row, column in ((16, 16), (16, 48), (48, 16), (48, 48)):
         np.testing.assert_allclose(back[row, column].astype(int), frame[row, column].astype(int), atol=4)
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4"])
+def test_a_film_whose_title_is_not_utf_8_is_read(tmp_path: Path, suffix: str) -> None:
+    # PyAV's own way with such a title changed with its version, and the argument that says so went with it.
+    path = tmp_path / f"a{suffix}"
+    with av.open(str(path), "w") as container:
+        container.metadata["title"] = "Turnhalle Mxyller"
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))))
+        container.mux(stream.encode(None))
+    written = path.read_bytes()
+    assert written.count(b"Mxyller") == 1
+    path.write_bytes(written.replace(b"Mxyller", b"M\xff\xfeller"))
+    with opened(path) as container:
+        assert container.metadata["title"].startswith("Turnhalle M")
+    assert read_stack(path).shape == (1, 48, 64, 3)
 
 
 def test_missing_truncated_and_short_videos_are_named(tmp_path: Path) -> None:

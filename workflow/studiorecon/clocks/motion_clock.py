@@ -19,6 +19,7 @@ from scipy import signal
 from scipy.ndimage import gaussian_filter1d
 
 from studiorecon.errors import UserError
+from studiorecon.footage.container import opened
 from studiorecon.footage.source import FootageSource
 from studiorecon.footage.stills import decoded
 
@@ -80,7 +81,7 @@ def grey_frames(source: FootageSource) -> Iterator[Integer[np.ndarray, "h w"]]:
             yield cv2.resize(decoded(path, _HALVED[halved]), small, interpolation=cv2.INTER_AREA)
         return
     try:
-        with av.open(str(source.path), metadata_errors="replace") as container:
+        with opened(source.path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):

@@ -19,6 +19,8 @@ import av
 import numpy as np
 from scipy import signal
 
+from studiorecon.footage.container import opened
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -74,7 +76,7 @@ def sound_of(path: Path) -> Float[np.ndarray, " N"] | None:
     if path.is_dir():
         return None
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             if not container.streams.audio:
                 return None
             stream = container.streams.audio[0]

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.container import opened
 from studiorecon.footage.source import FootageSource
 from studiorecon.machine.refusals import without_thread
 
@@ -23,7 +24,7 @@ def shown_s(path: Path) -> Num[np.ndarray, " T"]:
     Raises UserError naming the file when its packets cannot be read.
     """
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             stream = container.streams.video[0]
             base_s = stream.time_base
             times = [

@@ -17,6 +17,7 @@ import numpy as np
 
 from studiorecon.configuration.setting import setting
 from studiorecon.errors import UserError
+from studiorecon.footage.container import opened
 from studiorecon.footage.stills import decoded
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.dataset import PICTURE_SUFFIXES
@@ -75,7 +76,7 @@ def open_source(path: Path, picture_fps: float) -> FootageSource:
             f"footage {path} is missing; put the video back, or leave its camera out with train: [...] in capture.yaml"
         )
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             if not container.streams.video:
                 raise UserError(f"{path} holds no video; put the camera's video there")
             stream = container.streams.video[0]
@@ -188,7 +189,7 @@ def glimpses(source: FootageSource, wanted: Sequence[int]) -> list[Integer[np.nd
         shown = tuple(source.pictures[min(number, last)] for number in wanted)
         return list(_decode_folder(replace(source, pictures=shown)))
     try:
-        with av.open(str(source.path), metadata_errors="replace") as container:
+        with opened(source.path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             found = list(_frames_at(container, stream, wanted, source.fps))
@@ -245,7 +246,7 @@ def _upright(frame: av.VideoFrame, source: FootageSource) -> np.ndarray:
 def _video_frames(source: FootageSource) -> Iterator[av.VideoFrame]:
     number = -1
     try:
-        with av.open(str(source.path), metadata_errors="replace") as container:
+        with opened(source.path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):

@@ -17,6 +17,8 @@ import av
 import cv2
 import numpy as np
 
+from studiorecon.footage.container import opened
+
 _KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _FILM_DIAGONAL_MM = float(np.hypot(36.0, 24.0))
 # Shorter and longer than any lens that films people: a tag that somebody left at 0, or in another unit.
@@ -43,7 +45,7 @@ def told_focal_px(path: Path, wh: tuple[int, int]) -> float | None:
 
 def _of_film(path: Path) -> float | None:
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             tags = dict(container.metadata)
             for stream in container.streams.video:
                 tags |= dict(stream.metadata)

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from studiorecon.errors import UserError
+from studiorecon.footage.container import opened
 from studiorecon.machine.refusals import without_thread
 from studiorecon.scene.files import complete
 
@@ -137,7 +138,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
         raise UserError(f"{path} is missing")
     number = -1
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for number, frame in enumerate(container.decode(stream)):
@@ -166,7 +167,7 @@ def read_frames_from(path: Path, start: int, stop: int) -> Iterator[Integer[np.n
         raise UserError(f"{path} is missing")
     expected = start
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with opened(path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             seconds_per_tick, rate = stream.time_base, stream.average_rate
