@@ -39,7 +39,7 @@ fi
 missing=$("$python" - << 'END'
 from importlib.util import find_spec
 
-needed = ["torch", "gsplat", "numba", "numpy", "scipy", "cv2", "av", "yaml", "tqdm", "jaxtyping", "rich", "ninja", "pytest", "pytest_timeout"]
+needed = ["torch", "gsplat", "numba", "numpy", "scipy", "cv2", "av", "yaml", "tqdm", "jaxtyping", "rich", "ninja", "kornia", "pytest", "pytest_timeout"]
 print(" ".join(name for name in needed if find_spec(name) is None))
 END
 )
