@@ -106,6 +106,7 @@ def main() -> int:
     parser.add_argument(
         "--film", metavar="STUDIO", help="a made studio: filmed and drawn from start to end, and no more"
     )
+    parser.add_argument("--directory", help="where such a run leaves its results; a temporary folder when not given")
     options = parser.parse_args()
     try:
         resolve("cuda")
@@ -116,17 +117,17 @@ def main() -> int:
 
     name = torch.cuda.get_device_name().replace(" ", "-")
     written = RESULTS / f"{name}.json"
+    known = json.loads(written.read_text()) if written.is_file() else {}
     if options.film:
-        with tempfile.TemporaryDirectory() as folder:
-            dataset = str(Path(options.film).resolve())
-            films = {device: film(dataset, device, Path(folder) / device) for device in ("cpu", "cuda")}
-        told = {f"film_{Path(options.film).stem}": {"cores": os.cpu_count(), **films}}
-        known = json.loads(written.read_text()) if written.is_file() else {"gpu": name}
-        written.write_text(json.dumps(known | told, indent=1) + "\n")
-        print(json.dumps(told, indent=1))
+        dataset, told = str(Path(options.film).resolve()), {"cores": os.cpu_count()}
+        for device in ("cuda", "cpu"):
+            told |= {device: film(dataset, device, Path(options.directory or tempfile.mkdtemp()) / device)}
+            print(json.dumps(told, indent=1), flush=True)
+        written.write_text(json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": told}, indent=1) + "\n")
         return 0
     # Its plugin warns of xdist wherever it is installed, and warnings are errors here.
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "-m", "gpu", "tests/gpu"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "--dist", "load", "-m", "gpu"]
+    command += ["tests/gpu"]
     passed = subprocess.run(command, check=False).returncode == 0
     width, height = options.wh
     figures = measure(options.count, width, height, options.iterations)
@@ -148,7 +149,7 @@ def main() -> int:
         "bar_holds": figures["seconds_for_7000"] <= BAR_S,
     }
     RESULTS.mkdir(exist_ok=True)
-    written.write_text(json.dumps(result, indent=1) + "\n")
+    written.write_text(json.dumps(known | result, indent=1) + "\n")
     print(json.dumps(result, indent=1))
     return 0 if passed else 1
 

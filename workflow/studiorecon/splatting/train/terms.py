@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -157,12 +158,33 @@ class L1AndSsim:
 
 
 def _windowed(planes: torch.Tensor) -> torch.Tensor:
-    """(3, H, W) under the 11×11 Gaussian window, zeros outside."""
+    """(3, H, W) under the 11×11 Gaussian window, zeros outside, differentiable."""
+    return _window_on_device().apply(planes)
+
+
+@cache
+def _window_on_device() -> type[torch.autograd.Function]:
+    """The window as torch differentiates it: it is symmetric, so its adjoint is the window again, where a
+    convolution's own derivative takes a GPU three times as long."""
     import torch
     from kornia.filters import filter2d_separable
 
-    taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)[None]
-    return filter2d_separable(planes[:, None], taps, taps, border_type="constant")[:, 0]
+    def filtered(planes: torch.Tensor) -> torch.Tensor:
+        taps = torch.as_tensor(window(), device=planes.device, dtype=planes.dtype)[None]
+        # Variances are differences of what comes out: TF32's ten bits, which cuDNN may take, are noise in flat places.
+        with torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=False, allow_tf32=False):
+            return filter2d_separable(planes[:, None], taps, taps, border_type="constant")[:, 0]
+
+    class Windowed(torch.autograd.Function):
+        @staticmethod
+        def forward(context: Any, planes: torch.Tensor) -> torch.Tensor:
+            return filtered(planes)
+
+        @staticmethod
+        def backward(context: Any, gradient: torch.Tensor) -> torch.Tensor:
+            return filtered(gradient)
+
+    return Windowed
 
 
 @dataclass(frozen=True)
