@@ -78,7 +78,8 @@ def test_poisoned_and_degenerate_gaussians_do_no_harm(case: str) -> None:
         concatenate([room(300, 2), one(**changes)]), camera(97, 53), GsplatRasteriser(near_m=NEAR_M)
     )
     assert_finite(rendering, gradients)
-    assert rasteriser.refused == (case in POISON)
+    # A blob of a thousand kilometres reaches more pixels than gsplat's tiles can count; the CPU's kernels draw it.
+    assert rasteriser.refused == (case in POISON or case == "scale 1e6")
 
 
 def lesson() -> tuple[Gaussians, list[Target]]:
