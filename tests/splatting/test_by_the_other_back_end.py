@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What films and people are drawn and learned with, through gsplat's back end with float64 autograd in gsplat's place,
+against the CPU's kernels."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.body.avatar.avatar_files import read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.configuration import settings as settings_module
+from studiorecon.humans import train, training
+from studiorecon.render import canvas as render_canvas
+from studiorecon.render.canvas import Canvas
+from studiorecon.render.composite import Composite
+from studiorecon.splatting.cuda.rasterise import GsplatRasteriser
+
+from tests.made.gsplat_stand_in import rasterization
+from tests.made.humans import WH, Made, body, made, score
+from tests.made.scene import avatar, ring, room
+
+__all__ = ["body", "made"]
+
+
+def gsplat(device: str, near_m: float, threads: int = 1) -> GsplatRasteriser:
+    """In the place of ``splatting.device.rasteriser``."""
+    return GsplatRasteriser(near_m=near_m, place="cpu", function=rasterization)
+
+
+def test_a_film_s_pictures_and_layers(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    static = room(rng, 0.2).take(np.arange(203))  # not a whole number of blocks
+    scene = Composite(static, rng.integers(0, 3, static.count).astype(np.uint8), [avatar(body, rng, "p0")])
+    by_cpu, camera = Canvas(scene, 0.2), ring([30], "cam", wh=(56, 48))[0]
+    monkeypatch.setattr(render_canvas, "rasteriser", gsplat)
+    by_gsplat = Canvas(scene, 0.2, "cuda")
+    for frame in (0.0, 1.5):
+        (wanted, wanted_shares), (found, found_shares) = (
+            c.draw(camera, frame, (0.1, 0.2, 0.3)) for c in (by_cpu, by_gsplat)
+        )
+        assert wanted.alpha.max() > 0.9
+        for name in ("rgb", "alpha"):
+            assert np.abs(getattr(found, name) - getattr(wanted, name)).mean() < 1e-5, name
+        assert np.abs(found_shares - wanted_shares).mean() < 1e-5
+        seen = wanted.alpha > 0.1
+        np.testing.assert_allclose(found.depth_m[seen], wanted.depth_m[seen], rtol=1e-3)
+    wanted_layers, found_layers = (c.layers(camera, 1.0) for c in (by_cpu, by_gsplat))
+    assert wanted_layers.mattes[..., 1].max() > 0.5, "the person is seen"
+    assert np.abs(found_layers.mattes - wanted_layers.mattes).mean() < 1e-5
+    normals = [layers.rendering.normals for layers in (found_layers, wanted_layers)]
+    assert np.abs(normals[0] - normals[1])[wanted_layers.rendering.alpha > 0.5].mean() < 1e-3
+
+
+def test_a_person_learns_the_same(
+    made: Made, body: BodyModel, default_settings: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = copy.deepcopy(default_settings("humans", iterations=30, gaussians=120))
+    section["temporal"]["use"] = "never"
+    settings = settings_module.load(train.Settings, section, "humans")
+    for name, rasteriser in (("cpu", training.rasteriser_on), ("gsplat", gsplat)):
+        folder = tmp_path / name
+        folder.mkdir()
+        monkeypatch.setattr(training, "rasteriser_on", rasteriser)
+        written = {"gaussians": folder / "p3.ply", "avatar": folder / "p3.npz", "working": folder / "working"}
+        train.run(settings, **made.options, **written)
+    by_cpu, by_gsplat = (
+        read_avatar(tmp_path / name / "p3.ply", tmp_path / name / "p3.npz", body) for name in ("cpu", "gsplat")
+    )
+    apart_m = np.linalg.norm(by_cpu.gaussians.means_m - by_gsplat.gaussians.means_m, axis=1)
+    assert np.median(apart_m) < 1e-4
+    between = ring([45, 200], "view", wh=WH)
+    assert score(made, body, tmp_path / "gsplat", between) == pytest.approx(
+        score(made, body, tmp_path / "cpu", between), abs=0.05
+    )
