@@ -17,7 +17,8 @@ import pytest
 from studiorecon.clocks import offsets as clocks_step
 from studiorecon.clocks.agreement import Pair, Proposal, judged, solved
 from studiorecon.clocks.motion_clock import compare
-from studiorecon.clocks.people_lag import lag_of
+from studiorecon.clocks.people_clock import _JOINTS, _LEAST_BODY_S, _agreed
+from studiorecon.clocks.people_lag import PeopleLag, lag_of
 from studiorecon.clocks.timeline import common_moments
 from studiorecon.configuration.settings import load
 from studiorecon.keypoints.retiming import on_common_clock
@@ -315,6 +316,46 @@ def test_two_walkers_gaits_are_not_taken_for_a_late_start() -> None:
         assert not compare(one, other, FPS).valid
 
 
+# Motion energies (thousandths) in two cameras of a made gym through which three people walk; they ran as one, to half a
+# frame.
+_GYM = (
+    """
+    2255 2174 2197 2456 3028 2227 2519 2653 2703 2512 2268 2176 2230 2048 1956 1781 1995 2070 1988 1612 1627 1819
+    1584 1455 1262 1284 1442 1614 1682 1722 1692 1839 1691 1813 1748 1873 1878 1875 1553 1071 1363 1621 2048 2003
+    1984 2023 2282 1302 1159 1069 1404 1606 1500 1882 2472 1812 1257 1278 1632 2368 3190 3670 3545 3450 2675 2542
+    2514 3158 3084 3361 3495 3147 2411 2490
+    """,
+    """
+    2785 2550 2514 2643 2578 2415 1976 1636 1785 1544 1432 1828 1919 1670 1440 1133 1505 1401 1638 1600 1895 1468
+    1197 1402 1501 1852 1884 1954 2034 2133 1407 1586 1367 1660 1881 2107 2429 2440 1452 1731 1912 2258 2795 3314
+    3464 3552 3474 3047 3015 3082 3222 3164 3078 3382 3241 2637 2608 3031 3546 3750 3412 3117 2506 3004 2793 2611
+    2852 2974 2501 1964 1820 1190 1534 1376
+    """,
+)
+
+
+def test_three_people_who_walk_about_are_not_taken_for_a_late_start() -> None:
+    one, other = (np.array(energy.split(), float) / 1000 for energy in _GYM)
+    assert not compare(one, other, 15.0).valid, "two steps off they are most alike"
+
+
+@pytest.mark.parametrize("width_s", [0.6, 1.0])
+def test_who_passes_one_camera_after_the_other_tells_no_lag(width_s: float) -> None:
+    """Even steps, nearest to the second camera two steps later: there the two are most alike, by far."""
+    t = np.arange(75) / 15
+    steps = 0.3 + np.abs(np.sin(np.pi * t / 0.567))
+    for trial in range(10):
+        rng = np.random.default_rng(trial)
+        one, other = (
+            np.maximum(np.exp(-0.5 * ((t - at) / width_s) ** 2) * steps + rng.normal(0, 0.03, 75), 0)
+            for at in (1.9, 3.034)
+        )
+        lag = compare(one, other, 15.0)
+        assert lag.correlation > 0.8
+        assert not lag.valid
+        assert "repeats itself" in lag.reason
+
+
 @pytest.mark.real
 def test_a_real_take_whose_frames_were_cut_off_is_put_together_again(real_data: Path) -> None:
     """One man for 1.7 s before four cameras that nobody calibrated: every pair finds the seven frames that one of them
@@ -326,3 +367,12 @@ def test_a_real_take_whose_frames_were_cut_off_is_put_together_again(real_data: 
         assert late is not None
         assert abs(as_filmed.rows) < 1, "the take is synchronous to a frame"
         assert abs(late.rows - as_filmed.rows + 7) < 0.2
+
+
+def test_a_second_of_two_who_walk_alike_is_no_evidence_without_a_calibration() -> None:
+    """A lag of 18 frames with three people and none: two tracks of somebody else, 0.8 s of them, and a ratio of 11."""
+    found = [(-18.3, PeopleLag(-18.3, 0.44, 11.0, 139)), (33.0, PeopleLag(33.0, 0.35, 2.2, 60))]
+    assert _agreed(found) is not None
+    assert _agreed(found, _LEAST_BODY_S * _JOINTS * 15.0) is None
+    longer = [(-18.3, PeopleLag(-18.3, 0.44, 11.0, 250)), found[1]]
+    assert _agreed(longer, _LEAST_BODY_S * _JOINTS * 15.0) is not None

@@ -40,8 +40,12 @@ _DETREND_S = 0.5
 # standard deviation.
 _VIEWS_S = 0.04
 # The best lag must lie so many standard errors above no correlation: the best of all wrong lags of two gaits lies three
-# above it. And it must beat every other one further off than this by so many.
-_LEAST_HEIGHT = 5.0
+# above it, and of three people who walk about five, two steps off. And it must beat every other one
+# further off than this by so many.
+_LEAST_HEIGHT = 6.0
+# Motion that is this much like itself some time later may as well have happened then: who passes one camera after the
+# other at an even walk looks most alike whole steps off.
+_MOST_EVEN = 0.5
 _ALIKE = 0.95
 _APART_S, _LEAST_Z = 0.3, 2.0
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
@@ -134,6 +138,10 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
         return _unknown(f"{len(own) / rate:.1f} s show {moments:.0f} independent moments of motion, too few", top)
     if top < _LEAST_CORRELATION:
         return _unknown(f"motion over time correlates at {top:.2f} only", top)
+    for energy in (a, b):
+        period_s, evenness = _rhythm(energy, least, rate)
+        if evenness > _MOST_EVEN:
+            return _unknown(f"what moves repeats itself every {period_s:.2f} s", top)
     # Two views of one motion are never more alike than this: what lies above says nothing about which lag is right.
     height = np.arctanh(np.clip(scores, -_ALIKE, _ALIKE)) * np.sqrt(max(moments - 3, 1.0))
     if height[best] < _LEAST_HEIGHT:
@@ -146,6 +154,13 @@ def compare(first: Float[np.ndarray, " T"], second: Float[np.ndarray, " t"], rat
     # Lags that fit within one standard error, and half a frame, which no difference of frames resolves.
     alike = np.abs(lags - lags[best])[height > height[best] - 1]
     return Lag(float(lags[best]), float(max(0.5, _VIEWS_S * rate, alike.max())), top, True)
+
+
+def _rhythm(a: np.ndarray, least: float, rate: float) -> tuple[float, float]:
+    """After how many seconds a series is most like itself, more than ``_APART_S``, and how much (its correlation)."""
+    lags, scores, overlap = _correlations(a, a)
+    scores = np.where((overlap >= least) & (lags > max(2, _APART_S * rate)), scores, -1.0)
+    return float(lags[np.argmax(scores)]) / rate, float(scores.max())
 
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

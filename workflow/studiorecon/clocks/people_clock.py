@@ -29,6 +29,9 @@ _LEAST_WEIGHT = 1.5
 # move, and two different people, reached 2 to 6 on a made take and a real one with a detector's keypoints, at lags of
 # up to 25 frames where there were none; who turns and swings their arms had 20 to 110.
 _LEAST_RATIO = 10.0
+# Without a calibration, tracks that agree must show bodies for so many seconds together, of so many joints: two people
+# who walk alike for less fit some epipolar geometry a second and more off (0.8 s of them reached a ratio of 11).
+_LEAST_BODY_S, _JOINTS = 1.2, 12
 # No detector's keypoints are better than this from two sides, frames.
 _FLOOR_FRAMES = 0.05
 
@@ -67,7 +70,7 @@ def people_pair(
         ]
         lags = [lag_of(first, second, rate) for first, second, _ in met]
         found = [(lag.rows + later, lag) for lag, (*_, later) in zip(lags, met) if lag is not None]
-        agreed = _together(_agreed(found), lags, met)
+        agreed = _together(_agreed(found, _LEAST_BODY_S * _JOINTS * rate), lags, met)
         if lenses and a in rays and b in rays:
             pair = CalibratedPair.of(lenses[clocks[a].camera][0], lenses[clocks[b].camera][0])
             agreed = _sharper(agreed, _agreed(_by_calibration(rays[a], rays[b], rate, pair)))
@@ -120,8 +123,9 @@ def _sharper(free: tuple[float, float] | None, calibrated: tuple[float, float] |
     return free if contradict or free[1] <= calibrated[1] else calibrated
 
 
-def _agreed(found: Sequence[tuple[float, PeopleLag]]) -> tuple[float, float] | None:
-    """Rows and standard deviation of the lag that most of the evidence is for; None where two lags have much of it."""
+def _agreed(found: Sequence[tuple[float, PeopleLag]], least_points: float = 0.0) -> tuple[float, float] | None:
+    """Rows and standard deviation of the lag that most of the evidence is for; None where two lags have much of it, or
+    it has fewer keypoints than ``least_points``."""
     if not found:
         return None
     rows = np.array([r for r, _ in found])
@@ -133,6 +137,8 @@ def _agreed(found: Sequence[tuple[float, PeopleLag]]) -> tuple[float, float] | N
     if others.any() and (near[others] @ weight).max() * _LEAST_WEIGHT > near[best] @ weight:
         return None
     mine = near[best]
+    if sum(lag.points for (_, lag), agrees in zip(found, mine) if agrees) < least_points:
+        return None
     if np.prod([lag.ratio for (_, lag), agrees in zip(found, mine) if agrees]) < _LEAST_RATIO:
         return None
     share = 1 / sigma[mine] ** 2
