@@ -76,7 +76,7 @@ def agreement(count: int, width: int, height: int) -> float:
 
 def film(dataset: str, device: str, folder: Path) -> dict[str, float]:
     """``dataset`` from its films to the report below ``folder``: seconds from start to end and of the steps that draw,
-    and what its held-out cameras score; raises with the end of the log when that fails."""
+    and what its held-out cameras score; raises RuntimeError with the end of the log when that fails."""
     scene = Path(dataset).stem
     command = [sys.executable, "-m", "snakemake", "-s", str(ROOT / "Snakefile"), "--directory", str(folder)]
     command += ["--cores", str(os.cpu_count()), "--config", f"dataset={dataset}", f"device={device}", f"scene={scene}"]
@@ -126,8 +126,7 @@ def main() -> int:
         written.write_text(json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": told}, indent=1) + "\n")
         return 0
     # Its plugin warns of xdist wherever it is installed, and warnings are errors here.
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "--dist", "load", "-m", "gpu"]
-    command += ["tests/gpu"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "-m", "gpu", "tests/gpu"]
     passed = subprocess.run(command, check=False).returncode == 0
     width, height = options.wh
     figures = measure(options.count, width, height, options.iterations)
