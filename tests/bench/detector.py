@@ -139,7 +139,7 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
     return float(shared / (np.prod(first[2:] - first[:2]) + np.prod(second[2:] - second[:2]) - shared + 1e-9))
 
 
-def workflow(folder: Path, targets: list[str], **config: str) -> None:
+def workflow(folder: Path, targets: list[str], cores: int = 2, **config: str) -> None:
     """Run the workflow in ``folder`` up to ``targets``."""
     given = ["--config", *(f"{key}={value}" for key, value in config.items())] if config else []
     command = [
@@ -149,7 +149,7 @@ def workflow(folder: Path, targets: list[str], **config: str) -> None:
         "-s",
         str(ROOT / "Snakefile"),
         "--cores",
-        "2",
+        str(cores),
         "--directory",
         str(folder),
     ]

@@ -39,15 +39,15 @@ _DETREND_S = 0.5
 # One moment looks differently from two sides: peaks of motion are this far apart between cameras that run as one, as
 # standard deviation.
 _VIEWS_S = 0.04
-# The best lag must lie so many standard errors above no correlation: the best of all wrong lags of two gaits lies three
-# above it, and of three people who walk about five, two steps off. And it must beat every other one
-# further off than this by so many.
+# The best lag must lie so many standard errors above no correlation. The best of all wrong lags lies three above it
+# where two people walk, and five (two steps off) where three walk about.
 _LEAST_HEIGHT = 6.0
-# Motion that is this much like itself some time later may as well have happened then: who passes one camera after the
-# other at an even walk looks most alike whole steps off.
-_MOST_EVEN = 0.5
 _ALIKE = 0.95
+# It must beat every other lag further off than this by so many standard errors.
 _APART_S, _LEAST_Z = 0.3, 2.0
+# Motion that is this much like itself some time later may as well have happened then: who walks evenly past one camera
+# after the other looks most alike whole steps off.
+_MOST_EVEN = 0.5
 _LEAST_OVERLAP_S, _LEAST_SHARE = 1.0, 0.5
 # Seconds of a long clip that are decoded for this.
 _SEEN_S = 90.0
