@@ -11,11 +11,18 @@ from typing import Any
 
 import pytest
 
-# As every step of the workflow (__main__): threads of linear algebra that wait in busy loops make workers side by side
-# several times slower. Said before numpy is imported, and inherited by the workers.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The workers fill the cores: more threads in each, which wait in busy loops, would make them several times slower. Said
+# before what reads it is imported, and inherited by the workers.
+ALONE = {
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+    "NUMBA_THREADING_LAYER": "workqueue",  # as every step of the workflow (__main__)
+}
+os.environ.update({name: os.environ.get(name, chosen) for name, chosen in ALONE.items()})
 
-from studiorecon.__main__ import KERNELS  # after that, and before numba is imported
+from studiorecon.__main__ import KERNELS  # noqa: E402 after that, and before numba is imported
 
 os.environ.update({name: os.environ.get(name, chosen) for name, chosen in KERNELS.items()})
 

@@ -191,26 +191,35 @@ def scene(seed: int, **planted: object) -> Material:
     views, films = [], []
     for view, camera in enumerate(cameras):
         points, depth = surface(camera)
-        gain = plan.gain if view == 1 else 1.0
-        plate = paint(points, seed, plan.texture, plan.edges)
-        plate = (plate + plan.specularity * highlight(points, camera.centre_m)[..., None]) * gain
-        plate = out_of_focus(plate, plan, view)
+        plate = _empty(plan, seed, camera, view, points)
         noisy = np.clip(plate + rng.normal(0, NOISE_LEVELS / 255 / 4, plate.shape), 0, 1).astype(np.float32)
         known = np.ones(camera.hw, bool)
         depth = depth if plan.known_depth else 0 * depth
         views.append(ExposureView(camera, noisy, known, depth.astype(np.float32)))
-        films.append(_film(plan, seed, camera, view, rng))
+        films.append(_film(plan, seed, camera, view, rng, (points, plate) if camera.wh == WH else None))
     people = [f"p{i}" for i in range(plan.people)]
     return Material(cameras, people, views, films, tracks, 0.0, FPS)
 
 
-def _film(plan: Plan, seed: int, camera: Camera, view: int, rng: np.random.Generator) -> Film:
-    small = camera.resized(WH)
-    points, _ = surface(small)
+def _empty(plan: Plan, seed: int, camera: Camera, view: int, points: np.ndarray) -> np.ndarray:
+    """(h, w, 3) the room without anybody, whose ``points`` (h, w, 3) a camera sees."""
     gain = plan.gain if view == 1 else 1.0
-    empty = paint(points, seed, plan.texture, plan.edges)
-    empty = (empty + plan.specularity * highlight(points, camera.centre_m)[..., None]) * gain
-    empty = out_of_focus(empty, plan, view)
+    plate = paint(points, seed, plan.texture, plan.edges)
+    return out_of_focus((plate + plan.specularity * highlight(points, camera.centre_m)[..., None]) * gain, plan, view)
+
+
+def _film(
+    plan: Plan,
+    seed: int,
+    camera: Camera,
+    view: int,
+    rng: np.random.Generator,
+    seen: tuple[np.ndarray, np.ndarray] | None,
+) -> Film:
+    """What a camera films; ``seen`` are the points of the room and the empty picture, where it has that size."""
+    small = camera.resized(WH)
+    points = surface(small)[0] if seen is None else seen[0]
+    empty = _empty(plan, seed, small, view, points) if seen is None else seen[1]
     pictures, free = [], []
     floor = points[..., 2] < 1e-6
     for t in PICTURES:
@@ -226,7 +235,7 @@ def _film(plan: Plan, seed: int, camera: Camera, view: int, rng: np.random.Gener
             if np.isfinite(there).all() and (z > 0.3).all():
                 hull = cv2.convexHull(np.rint(there).astype(np.int32))
                 body = cv2.fillConvexPoly(np.zeros_like(covered), hull, 1)
-                picture = np.where(body[..., None] > 0, [0.6, 0.3, 0.2], picture)
+                picture[body > 0] = 0.6, 0.3, 0.2
                 covered |= cv2.dilate(body, np.ones((9, 9), np.uint8))
         if plan.ball_px and view == 0:
             ball = cv2.circle(
@@ -236,7 +245,7 @@ def _film(plan: Plan, seed: int, camera: Camera, view: int, rng: np.random.Gener
                 1,
                 -1,
             )
-            picture = np.where(ball[..., None] > 0, [0.9, 0.2, 0.1], picture)
+            picture[ball > 0] = 0.9, 0.2, 0.1
         if plan.shift_px and view == 2 and t > 20:
             move = np.array([[1, 0, plan.shift_px], [0, 1, 0]], float)
             picture = cv2.warpAffine(picture, move, WH, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

@@ -12,6 +12,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -83,11 +84,12 @@ class House:
 
     def environment(self, path: Path | None = None) -> dict[str, str]:
         binaries = [*([str(path)] if path else []), str(Path(sys.executable).parent), os.environ["PATH"]]
-        # Some machines forbid byte code beside the sources; snakemake would compile itself at every call.
-        byte_code = {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": str(self.folder.parent / "bytecode")}
+        # What keeps the workers of a test run to one thread (tests/conftest.py) is not a user's.
+        own = {"OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"}
+        users = {name: value for name, value in os.environ.items() if name not in own}
         watched = {"STUDIORECON_WITNESS": str(self.witness)} if self.witness else {}
         path = os.pathsep.join([str(self.folder / "workflow"), *([str(WITNESS)] if watched else [])])
-        return {**os.environ, **byte_code, **watched, "PYTHONPATH": path, "PATH": os.pathsep.join(binaries)}
+        return {**users, **watched, "PYTHONPATH": path, "PATH": os.pathsep.join(binaries)}
 
     def plan(self, *arguments: str) -> dict[str, int]:
         """Jobs per rule of a dry run; empty when there is nothing to do."""
@@ -139,6 +141,14 @@ def make_house(folder: Path, dataset: str) -> House:
         else:
             shutil.copy(source, folder / part)
     return House(folder, dataset)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def byte_code(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Where byte code does not lie beside the sources, that of the houses goes with them."""
+    yield
+    if sys.pycache_prefix:
+        shutil.rmtree(Path(sys.pycache_prefix, *tmp_path_factory.getbasetemp().parts[1:]), ignore_errors=True)
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import av
 import cv2
 import numpy as np
+from av.video.reformatter import VideoReformatter
 from scipy import signal
 from scipy.ndimage import gaussian_filter1d
 
@@ -88,11 +89,14 @@ def grey_frames(source: FootageSource) -> Iterator[Integer[np.ndarray, "h w"]]:
         with opened(source.path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            # One for all frames: what it makes ready takes several times as long as a frame.
+            shrinking = VideoReformatter()
             for number, frame in enumerate(container.decode(stream)):
                 if number >= most:
                     return
                 width, height = _small(frame.width, frame.height)
-                yield frame.reformat(width=width, height=height, format="gray", interpolation="AREA").to_ndarray()
+                grey = shrinking.reformat(frame, width=width, height=height, format="gray", interpolation="AREA")
+                yield grey.to_ndarray()
     except av.FFmpegError:
         # A damaged place ends what can be compared; decoding for good names it.
         return

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from studiorecon.detector.crops import Region
+from studiorecon.images.channels import channel_max
 
 if TYPE_CHECKING:
     from jaxtyping import Integer, Num
@@ -70,7 +71,7 @@ def changed(
     (``usual``)."""
     glance = small(picture)
     scale = picture.shape[1] / glance.shape[1]
-    differs = (np.abs(glance.astype(np.int16) - background).max(-1) > _DIFFERENCE).astype(np.uint8)
+    differs = (channel_max(np.abs(glance.astype(np.int16) - background)) > _DIFFERENCE).astype(np.uint8)
     closed = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     _, _, boxes, _ = cv2.connectedComponentsWithStats(closed)
     large = [box for box in boxes[1:] if box[cv2.CC_STAT_AREA] >= _LEAST_SHARE * closed.size]

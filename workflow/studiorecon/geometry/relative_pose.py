@@ -25,14 +25,17 @@ def relative_pose(
     """Rotation, unit translation and inliers with x_second = R x_first + t, or None.
 
     ``first`` and ``second`` are undistorted normalised coordinates of the same points, ``unit`` the Sampson distance
-    that still counts as agreement, in the same coordinates. Five-point RANSAC (Nister 2004), then robust least squares
-    of the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is
-    no answer. Raises ValueError for other shapes and coordinates that are not finite.
+    that still counts as agreement, in the same coordinates. Samples of five points propose (Nister 2004; OpenCV's
+    USAC, which takes an eighth of the time of its RANSAC and ends in the same cameras), then robust least squares of
+    the Sampson distance over the five numbers; only points in front of both cameras are inliers. None when there is no
+    answer. Raises ValueError for other shapes and coordinates that are not finite.
     """
     require("second", second, ("N", 2), require("first", first, ("N", 2), finite=True), finite=True)
     if len(first) < _LEAST_PAIRS:
         return None
-    essential, _ = cv2.findEssentialMat(first, second, np.eye(3), method=cv2.RANSAC, prob=_CONFIDENCE, threshold=unit)
+    essential, _ = cv2.findEssentialMat(
+        first, second, np.eye(3), method=cv2.USAC_DEFAULT, prob=_CONFIDENCE, threshold=unit
+    )
     if essential is None:
         return None
     best = None

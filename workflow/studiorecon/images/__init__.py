@@ -4,7 +4,7 @@
 In come (H, W[, 3]) arrays; out come arrays and figures. No files but plates and PNG.
 
 * ``warp``, ``sizes``, ``blur``, ``regions``, ``silhouette``: fractional pixels, other sizes, binary pictures, meshes;
-* ``encoded``: pictures as PNG and JPEG;
+* ``encoded``: pictures as PNG and JPEG; ``channels``: over the channels of every pixel;
 * ``plate``, ``steady_light``, ``difference``, ``exposure``, ``colours``: what stays put, in one light, what differs
   from it, and how cameras agree;
 * ``self_similar``: holes closed with what a surface shows elsewhere;

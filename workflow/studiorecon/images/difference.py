@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.images.channels import channel_sum
+
 if TYPE_CHECKING:
     from jaxtyping import Float
 
@@ -20,6 +22,6 @@ def plate_difference(
     Both pictures are float32 in [0, 1]. A shadow darkens all channels by one factor: the best such factor, between
     ``shadow`` and 1, is taken out first. Colour differences count ``chroma_weight`` times as much as lightness.
     """
-    left = np.clip((rgb * plate_rgb).sum(axis=2) / np.maximum((plate_rgb * plate_rgb).sum(axis=2), 1e-4), shadow, 1.0)
+    left = np.clip(channel_sum(rgb * plate_rgb) / np.maximum(channel_sum(plate_rgb * plate_rgb), 1e-4), shadow, 1.0)
     lab = cv2.cvtColor(rgb, cv2.COLOR_RGB2Lab) - cv2.cvtColor(plate_rgb * left[..., None], cv2.COLOR_RGB2Lab)
-    return np.square(lab[..., 0]) + chroma_weight**2 * np.square(lab[..., 1:]).sum(axis=2), left
+    return np.square(lab[..., 0]) + chroma_weight**2 * channel_sum(np.square(lab[..., 1:])), left

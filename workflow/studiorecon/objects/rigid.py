@@ -18,6 +18,7 @@ import numpy as np
 
 from studiorecon.arrays import evenly_spread
 from studiorecon.footage.video import to_float
+from studiorecon.images.channels import channel_sum
 from studiorecon.images.warp import sample
 from studiorecon.objects.object_tracks import ObjectTrack
 from studiorecon.objects.residual import LOOSE, ROOM, UNKNOWN, ResidualRegion, outline_of
@@ -205,7 +206,7 @@ def misfit(gaussians: Gaussians, looks: Sequence[ObjectCrop], threads: int) -> t
     for look in looks:
         target = _target(look, 0)
         drawn = rasteriser.forward(gaussians, look.camera, target.background_rgb).rgb.clip(0, 1)
-        errors = np.square(drawn - target.rgb).mean(axis=-1)
+        errors = channel_sum(np.square(drawn - target.rgb)) / 3
         for k, chosen in enumerate((target.used & (look.state == LOOSE), look.state != UNKNOWN)):
             squares[k] += float(errors[chosen].sum())
             counts[k] += int(chosen.sum())

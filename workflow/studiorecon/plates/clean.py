@@ -27,6 +27,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import WorkingView, video_from_working
+from studiorecon.images.channels import channel_max, channel_sum
 from studiorecon.images.plate import noise_levels, temporal_modes, write_plate
 from studiorecon.images.steady_light import STEADY, in_one_light, light_factors
 from studiorecon.progress import say, warn
@@ -157,7 +158,7 @@ def showing(
     never free."""
     shown = np.zeros(colour.shape[:2], np.float32)
     for frame, unoccupied in zip(frames, free):
-        shown += unoccupied & (np.abs(frame - colour).max(axis=-1) <= _SAME_LEVELS)
+        shown += unoccupied & (channel_max(np.abs(frame - colour)) <= _SAME_LEVELS)
     return shown / np.maximum(free.sum(axis=0), 1).astype(np.float32)
 
 
@@ -177,7 +178,7 @@ def matched_exposure(
     usable = common & (toned > 8).all(axis=-1) & (colour > 8).all(axis=-1)
     ratio = np.where(usable[..., None], np.log(np.maximum(colour, 1) / np.maximum(toned, 1)), 0).astype(np.float32)
     # Things that differ between plate and footage (people, moved props) are not exposure.
-    alike = usable & (np.abs(ratio).max(axis=-1) < 0.2)
+    alike = usable & (channel_max(np.abs(ratio)) < 0.2)
     sigma = max(colour.shape[:2]) / 16
     weight = cv2.GaussianBlur(alike.astype(np.float32), (0, 0), sigma)
     local = cv2.GaussianBlur(np.where(alike[..., None], ratio, 0).astype(np.float32), (0, 0), sigma)
@@ -226,7 +227,7 @@ def merge(
     counts there. Else somebody or something stood in the given plate, or was put into the room later; what of that
     reaches into unmeasured pixels cannot be told from the room, so a border stays unknown.
     """
-    differs = (seen & known & (np.abs(matched - colour).max(axis=-1) > _OTHER_LEVELS)).astype(np.uint8)
+    differs = (seen & known & (channel_max(np.abs(matched - colour)) > _OTHER_LEVELS)).astype(np.uint8)
     differs = cv2.morphologyEx(differs, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     longer = max(colour.shape[:2])
     joined = cv2.morphologyEx(differs, cv2.MORPH_CLOSE, _disc(longer * _JOIN_SHARE))
@@ -246,7 +247,7 @@ def _edges(picture: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     """(count,) mean strength of the edges of ``picture`` (H, W, 3) along the border of every part of ``labels`` (H,
     W)."""
     smooth = picture.astype(np.float32)
-    strength = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)).sum(axis=-1)
+    strength = channel_sum(np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)))
     parts = labels.astype(np.float32)
     border = (cv2.dilate(parts, np.ones((3, 3))) != cv2.erode(parts, np.ones((3, 3)))) & (labels > 0)
     at = labels[border]

@@ -12,6 +12,7 @@ from scipy.special import chdtri
 
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, Estimate, share
+from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import BRIGHTEST, DARKEST
 from studiorecon.images.warp import sample
 from studiorecon.survey.exposures import ExposureView
@@ -85,6 +86,6 @@ def covisible(
 
 def _slope(rgb: np.ndarray) -> np.ndarray:
     """(H, W) float32 largest change of brightness per pixel nearby."""
-    grey = cv2.GaussianBlur(rgb.astype(np.float32).mean(axis=-1), (0, 0), 0.7)
+    grey = cv2.GaussianBlur(channel_sum(rgb.astype(np.float32)) / 3, (0, 0), 0.7)
     slope = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(grey, cv2.CV_32F, 0, 1, scale=1 / 8))
     return cv2.dilate(slope, np.ones((3, 3), np.uint8))

@@ -18,6 +18,7 @@ import numpy as np
 
 from studiorecon.depth.stereo.kernels import UNSEEN
 from studiorecon.depth.stereo.photo_cost import Explained
+from studiorecon.images.channels import channel_sum
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -70,16 +71,14 @@ def advantage(
         agreed.append(1 - cv2.remap(cost[v], columns, rows, cv2.INTER_LINEAR))
     best = np.zeros(points_m.shape[:2], np.float32)
     mean = [cv2.blur(c, (_WINDOW, _WINDOW)) for c in colours]
-    variance = [
-        np.maximum((cv2.blur(c * c, (_WINDOW, _WINDOW)) - m * m).sum(axis=-1), 0) for c, m in zip(colours, mean)
-    ]
+    variance = [np.maximum(channel_sum(cv2.blur(c * c, (_WINDOW, _WINDOW)) - m * m), 0) for c, m in zip(colours, mean)]
     for i in range(len(colours)):
         for j in range(i):
-            covariance = (cv2.blur(colours[i] * colours[j], (_WINDOW, _WINDOW)) - mean[i] * mean[j]).sum(axis=-1)
+            covariance = channel_sum(cv2.blur(colours[i] * colours[j], (_WINDOW, _WINDOW)) - mean[i] * mean[j])
             score = (covariance + _FLAT_VARIANCE) / np.sqrt(
                 (variance[i] + _FLAT_VARIANCE) * (variance[j] + _FLAT_VARIANCE)
             )
-            score -= room.mean_weight * np.minimum(np.abs(mean[i] - mean[j]).sum(axis=-1), 0.6)
+            score -= room.mean_weight * np.minimum(channel_sum(np.abs(mean[i] - mean[j])), 0.6)
             more = np.maximum(score, -0.2) - (agreed[i] + agreed[j]) / 2
             best = np.where(inside[i] & inside[j], np.where(best == 0, more, np.maximum(best, more)), best)
     return best

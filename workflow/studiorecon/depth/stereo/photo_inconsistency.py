@@ -12,6 +12,7 @@ import numpy as np
 
 from studiorecon.depth.stereo.patches import UNSEEN
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.images.channels import channel_sum
 from studiorecon.images.warp import sample
 
 if TYPE_CHECKING:
@@ -60,13 +61,13 @@ def _correlation(a: np.ndarray, b: np.ndarray, usable: np.ndarray, window: int, 
     share = cv2.blur(mask, (window, window), borderType=cv2.BORDER_CONSTANT)
     scale = 1 / np.maximum(share, 1e-6)
     ma, mb = (cv2.blur(x, (window, window), borderType=cv2.BORDER_CONSTANT) * scale[..., None] for x in (a, b))
-    products = np.stack([(a * a).sum(-1), (b * b).sum(-1), (a * b).sum(-1)], axis=-1)
+    products = np.stack([channel_sum(a * a), channel_sum(b * b), channel_sum(a * b)], axis=-1)
     aa, bb, ab = np.moveaxis(
         cv2.blur(products, (window, window), borderType=cv2.BORDER_CONSTANT) * scale[..., None], -1, 0
     )
-    va, vb = np.maximum(aa - (ma * ma).sum(-1), 0), np.maximum(bb - (mb * mb).sum(-1), 0)
-    apart = np.minimum(np.abs(ma - mb).sum(-1), _MOST_DIFFERENCE)
-    score = (ab - (ma * mb).sum(-1) + _FLAT_VARIANCE) / np.sqrt(
+    va, vb = np.maximum(aa - channel_sum(ma * ma), 0), np.maximum(bb - channel_sum(mb * mb), 0)
+    apart = np.minimum(channel_sum(np.abs(ma - mb)), _MOST_DIFFERENCE)
+    score = (ab - channel_sum(ma * mb) + _FLAT_VARIANCE) / np.sqrt(
         (va + _FLAT_VARIANCE) * (vb + _FLAT_VARIANCE)
     ) - mean_weight * apart
     return np.where(usable & (share >= _LEAST_SHARE), score, -np.inf)

@@ -15,6 +15,7 @@ import numpy as np
 from studiorecon.depth.stereo.matching import UNKNOWN, correlation, plane_depth
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import read_plate, shrink
+from studiorecon.images.channels import channel_sum
 from studiorecon.images.exposure import compare, solve_gains
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
@@ -56,7 +57,7 @@ class Picture:
     def textured(self, window: int) -> Bool[np.ndarray, "H W"]:
         """(H, W) bool: the window around a pixel is not flat. A flat one matches every plane, so it speaks for none."""
         mean, square = (cv2.blur(image, (window, window)) for image in (self.rgb, self.rgb * self.rgb))
-        return (square - mean * mean).sum(axis=-1) > _LEAST_VARIANCE
+        return channel_sum(square - mean * mean) > _LEAST_VARIANCE
 
     def score(
         self,

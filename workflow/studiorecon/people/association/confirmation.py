@@ -19,6 +19,7 @@ from studiorecon.arrays import evenly_spread
 from studiorecon.footage.stills import read_plate
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
+from studiorecon.images.channels import channel_max
 from studiorecon.people.association.grouping import Group
 from studiorecon.people.association.picture_change import (
     EvidenceLimits,
@@ -119,7 +120,7 @@ def _by_plate(group: Group, camera: Camera, video: Path, witness: Witness, limit
     counts = np.zeros(2, dtype=int)
     for t, picture in enumerate(read_frames(video, 0, max(chosen, default=-1) + 1)):
         if t in chosen:
-            apart = np.where(measured, np.abs(even(picture) - empty).max(-1), np.nan)
+            apart = np.where(measured, channel_max(np.abs(even(picture) - empty)), np.nan)
             counts += places_changed(apart, group.points_m[t], camera, limits).sum(0)
     return float(view_shares(counts))
 

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from studiorecon.arrays import evenly_spread
+from studiorecon.images.channels import channel_max
 from studiorecon.keypoints.correspondence import STABLE_KEYPOINTS
 from studiorecon.scene.camera import Camera
 
@@ -145,7 +146,7 @@ def motion_support(
         moved = np.linalg.norm(own[a] - own[b], axis=-1) > step_m
         if not moved.any():
             continue
-        apart = np.abs(smooth[a] - smooth[b]).max(-1)
+        apart = channel_max(np.abs(smooth[a] - smooth[b]))
         threshold = threshold_of(apart, limits)
         for here, other in ((a, b), (b, a)):
             places = pixels[who, here, moved]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from studiorecon.images.channels import channel_sum
 from studiorecon.images.palette import NOBODY, person_colour
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def difference(
     picture: Integer[np.ndarray, "H W 3"], photo: Integer[np.ndarray, "H W 3"], gain: float = 3.0
 ) -> Integer[np.ndarray, "H W 3"]:
     """(H, W, 3) uint8: absolute difference, mean over channels, amplified, dark = equal."""
-    error = np.abs(picture.astype(np.float32) - photo.astype(np.float32)).mean(axis=-1)
+    error = channel_sum(np.abs(picture.astype(np.float32) - photo.astype(np.float32))) / 3
     return cv2.applyColorMap(np.clip(error * gain, 0, 255).astype(np.uint8), cv2.COLORMAP_INFERNO)[..., ::-1]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from studiorecon.arrays import require
 from studiorecon.geometry.statistics import NOTHING, Estimate, median
+from studiorecon.images.channels import channel_sum
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
 from studiorecon.survey.speed import AT_WIDTH
@@ -83,7 +84,7 @@ def edge_blur_px(rgb: Float[np.ndarray, "H W 3"], measured: Bool[np.ndarray, "H 
     """
     require("rgb", rgb, ("H", "W", 3))
     require("measured", measured, rgb.shape[:2])
-    grey = rgb.astype(np.float32).mean(axis=-1)
+    grey = channel_sum(rgb.astype(np.float32)) / 3
     again = cv2.GaussianBlur(grey, (0, 0), _AGAIN_PX)
     dx, dy = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
     slope = np.hypot(dx, dy)
