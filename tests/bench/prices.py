@@ -2,16 +2,17 @@
 """Prices of work, from finished runs: ``python -m tests.bench.prices --run FOLDER SCENE PRESET DATASET [--run ...]``
 
 FOLDER is where Snakemake was started, SCENE the name of its results, PRESET a preset's name or ``default``, DATASET
-what was reconstructed. Prints predicted beside spent processor seconds of every run, and its time from start to end
-where FOLDER's Snakemake log tells it; ``--write`` writes ``resources/prices.json``. A point of the list is a preset,
-with the scores that it reached on every DATASET (called by its name) where it was run; ``--check`` prints how far the
-list as it is bundled is off on runs that it was not made from, and writes tests/bench/results/budget.json.
+what was reconstructed. Runs ``--run`` make the prices, runs ``--against`` do not; of every one it prints predicted
+beside spent processor seconds, and its time from start to end where FOLDER's Snakemake log tells it. ``--write`` writes
+``resources/prices.json``, and of the runs ``--against`` tests/bench/results/budget.json. A point of the list is a
+preset, with the scores that it reached on every DATASET (called by its name) where it was run.
 """
 
 from __future__ import annotations
 
 import argparse
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,14 +24,16 @@ from scipy.optimize import nnls
 from studiorecon.configuration.schema import typed
 from studiorecon.home import HOME, SCHEMA
 from studiorecon.plan.budget import Stated, laid_over, preset
-from studiorecon.plan.foreseen import foreseen
+from studiorecon.plan.foreseen import called_for, foreseen
 from studiorecon.plan.make import make_plan
-from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, read_prices, spent
+from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
 from studiorecon.plan.workload import Work, footage_of, workload
 from studiorecon.report.sections.cost import cost
 from studiorecon.scene.files import read_json, write_json
 
 CORES = 2
+# What other work on the machine does to a run.
+SPREAD = (0.8, 1.25)
 CHECKED = Path(__file__).parent / "results" / "budget.json"
 
 
@@ -45,6 +48,7 @@ class Run:
     work: dict[str, Work]
     ends: tuple[dict[str, Work], dict[str, Work]]
     jobs_s: dict[str, list[float]]
+    stretch: float
     wall_s: float | None
     psnr_db: float | None
 
@@ -56,20 +60,34 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
     plan = make_plan(config, HOME)
     # What it has decided is known now.
-    gaps = foreseen(plan, config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}})
+    decided = config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}}
+    gaps, called = foreseen(plan, decided), called_for(plan, decided)[1]
+    log, wall_s = _log(folder, scene)
     footage = footage_of(plan, config["capture"]["picture_fps"])
-    least, work, most = (workload(replace(footage, people=people), config, gaps.likely) for people in footage.counts)
+    footage = replace(footage, made="(Rule: studio_capture)" in log)
+    least, work, most = (
+        workload(replace(footage, people=people), config, gaps.likely, called) for people in footage.counts
+    )
+    for told in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):
+        if "the result stands as it is" in told.read_text(encoding="utf-8"):
+            raise SystemExit(f"{told}: this person was trained before; take logs/{scene} away too before the run")
     jobs: dict[str, list[float]] = {}
-    for stage, steps in cost(folder / "benchmarks" / scene)["stages"].items():
+    stretched = np.zeros(2)
+    stages = dict(cost(folder / "benchmarks" / scene)["stages"])
+    if footage.made:
+        stages["studio"] = {
+            "rules": {"capture": cost(folder / "benchmarks/studio" / plan.studio)["stages"]["run"]["rules"]["capture"]}
+        }
+    for stage, steps in stages.items():
         for step, entry in steps["rules"].items():
-            taken = [job["cpu_seconds"] for job in entry["jobs"].values() if job["cpu_seconds"] is not None]
-            jobs.setdefault(_rule(stage, step), []).extend(taken)
+            taken = [job for job in entry["jobs"].values() if job["cpu_seconds"] is not None]
+            jobs.setdefault(_rule(stage, step), []).extend(job["cpu_seconds"] for job in taken)
+            stretched += np.sum([(job["seconds"], job["cpu_seconds"]) for job in taken], axis=0)
     metrics = folder / "results" / scene / "report" / "metrics.json"
     pictures: Any = read_json(metrics)["pictures"] if metrics.is_file() else {}
     score = pictures.get("enhanced", {}).get("psnr", {}).get("value")
-    return Run(
-        scene, "" if name == "default" else name, dataset, work, (least, most), jobs, _wall_s(folder, scene), score
-    )
+    stretch = float(stretched[0] / stretched[1])
+    return Run(scene, "" if name == "default" else name, dataset, work, (least, most), jobs, stretch, wall_s, score)
 
 
 def fit(runs: Sequence[Run]) -> dict[str, Price]:
@@ -94,52 +112,48 @@ def fit(runs: Sequence[Run]) -> dict[str, Price]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", nargs="+", action="append", required=True, metavar="WORD")
+    parser.add_argument("--against", nargs="+", action="append", default=[], metavar="WORD")
     parser.add_argument("--start-s", type=float, default=10.0, help="seconds the workflow takes by itself")
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    runs = [run_of(Path(words[0]), *words[1:]) for words in options.run]
+    own, others = ([run_of(Path(words[0]), *words[1:]) for words in given] for given in (options.run, options.against))
     scored: dict[str, dict[str, float]] = {}
-    for run in runs:
+    for run in own:
         if run.psnr_db:
             scored.setdefault(run.preset, {})[Path(run.dataset).stem] = round(run.psnr_db, 2)
-    made = PriceList(
-        probe_s(), options.start_s, (1.0, 1.0), fit(runs), tuple(Point(name, own) for name, own in scored.items())
-    )
-    held = read_prices() if options.check else made
-    pace = held.probe_s / made.probe_s if options.check else 1.0
+    stretch = float(np.median([run.stretch for run in own]))
+    # A scene that was run with one preset compares nothing.
+    often = Counter(scene for scores in scored.values() for scene in scores)
+    points = tuple(Point(name, {s: db for s, db in scores.items() if often[s] > 1}) for name, scores in scored.items())
+    made = PriceList(probe_s(), options.start_s, stretch, SPREAD, fit(own), points)
     print(f"{'run':10} {'predicted':>10} {'spent':>8} ratio   {'predicted':>10} {'took':>8}  PSNR")
     ratios, rows = [], []
-    for run in runs:
-        guessed = sum(spent(run.work, held).values()) / pace
+    for run in (*own, *others):
+        told, guessed = predict(run.work, made, CORES, 1.0, *run.ends), sum(spent(run.work, made).values())
         real = sum(sum(run.jobs_s.get(rule, [])) for rule in run.work)
-        ratios.append(real / guessed)
-        told = predict(run.work, held, CORES, pace, *run.ends)
-        whole = told.seconds
+        ratios.append(run.wall_s / told.seconds if run.wall_s else real / guessed)
         rows.append(
             {"run": run.name, "preset": run.preset, "predicted_cpu_s": round(guessed), "spent_cpu_s": round(real)}
-            | {"predicted_s": round(whole), "between_s": [round(told.low_s), round(told.high_s)]}
+            | {"predicted_s": round(told.seconds), "between_s": [round(told.low_s), round(told.high_s)]}
             | {"took_s": round(run.wall_s) if run.wall_s else None}
         )
         took = f"{run.wall_s:8.0f}" if run.wall_s else "        "
         score = f"{run.psnr_db:.2f} dB" if run.psnr_db else ""
-        print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {real / guessed:5.2f} {whole:8.0f} s {took} s  {score}")
-    if options.check:
-        write_json(CHECKED, {"pace": round(pace, 3), "runs": rows})
+        ratio = f"{real / guessed:5.2f}"
+        print(f"{run.name:10} {guessed:8.0f} s {real:6.0f} s {ratio} {told.seconds:8.0f} s {took} s  {score}")
     if options.write:
-        # Never narrower than what other work on the machine does to a run.
-        spread = [round(min(0.8, *ratios), 2), round(max(1.25, *ratios), 2)]
-        points = sorted(
-            held.points, key=lambda p: next(sum(spent(r.work, held).values()) for r in runs if r.preset == p.preset)
-        )
+        write_json(CHECKED, {"runs": rows[len(own) :]})
+        spread = [round(min(SPREAD[0], *ratios), 2), round(max(SPREAD[1], *ratios), 2)]
+        cost_of = {run.preset: sum(spent(run.work, made).values()) for run in reversed(own)}
         write_json(
             PRICES,
             {
-                "probe_s": round(held.probe_s, 3),
-                "start_s": held.start_s,
+                "probe_s": round(made.probe_s, 3),
+                "start_s": made.start_s,
+                "stretch": round(made.stretch, 2),
                 "spread": spread,
-                "rules": {rule: asdict(price) for rule, price in held.rules.items()},
-                "points": [asdict(point) for point in points],
+                "rules": {rule: asdict(price) for rule, price in made.rules.items()},
+                "points": [asdict(point) for point in sorted(points, key=lambda point: cost_of[point.preset])],
             },
         )
         print(f"wrote {PRICES.relative_to(HOME)}")
@@ -152,14 +166,15 @@ def _rule(stage: str, step: str) -> str:
     )
 
 
-def _wall_s(folder: Path, scene: str) -> float | None:
+def _log(folder: Path, scene: str) -> tuple[str, float | None]:
+    """What Snakemake said of the last whole run of a scene, and its seconds from start to end."""
     for log in sorted((folder / ".snakemake" / "log").glob("*.log"), reverse=True):
         text = log.read_text(encoding="utf-8", errors="replace")
         elapsed = re.search(r"Elapsed time: (\d+):(\d+):([\d.]+)", text)
         if elapsed and f"results/{scene}/report/index.html" in text:
             hours, minutes, seconds = elapsed.groups()
-            return int(hours) * 3600 + int(minutes) * 60 + float(seconds)
-    return None
+            return text, int(hours) * 3600 + int(minutes) * 60 + float(seconds)
+    return "", None
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import yaml
 from studiorecon.errors import UserError
 from studiorecon.plan import prices as price_list
 from studiorecon.plan.budget import Stated, bought, choose, laid_over, preset
-from studiorecon.plan.foreseen import Gaps, foreseen
+from studiorecon.plan.foreseen import JOBS, Gaps, called_for, foreseen
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
 from studiorecon.plan.workload import Footage, Work, footage_of, workload
@@ -40,7 +40,7 @@ def minutes_of(name: str, footage: Footage = DEMO, cores: int = 2) -> float:
 def test_every_rule_with_work_is_a_rule_and_has_a_price() -> None:
     text = "\n".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     rules = set(re.findall(r"(?:rule|checkpoint) (\w+):", text)) | set(re.findall(r"use rule \w+ as (\w+) with", text))
-    work = workload(DEMO, DEFAULTS, USUAL)
+    work = workload(replace(DEMO, made=True), DEFAULTS, USUAL, [rule for rules in JOBS.values() for rule in rules])
     assert set(work) <= rules
     assert set(work) == set(read_prices().rules)
     assert all(price.job_s + price.unit_s > 0 for price in read_prices().rules.values())
@@ -82,16 +82,15 @@ def test_presets_stand_in_the_order_of_their_cost_from_a_first_look_on() -> None
     assert took[-1] > 3 * took[0]
 
 
-def test_a_prediction_is_work_over_cores_and_the_chain_that_cannot_be_shared() -> None:
-    held = PriceList(1.0, 5.0, (0.8, 1.5), {"plates_clean": Price(1.0, 2.0), "depth_room": Price(0.0, 1.0)}, ())
-    work = {"plates_clean": Work(4, 3.0), "depth_room": Work(1, 10.0)}
-    # 4 × 7 s and 10 s: 38 s of work; the chain is one plate and the room.
-    assert predict(work, held, 1, 1.0).seconds == pytest.approx(5 + 38)
-    assert predict(work, held, 2, 1.0).seconds == pytest.approx(5 + 38 / 2 + 17 / 2)
-    assert predict(work, held, 10**6, 1.0).seconds == pytest.approx(5 + 17, abs=0.01)
+def test_a_prediction_is_the_schedule_of_the_jobs_on_this_machine() -> None:
+    held = PriceList(1.0, 5.0, 1.2, (0.8, 1.5), {"plates_clean": Price(1.0, 2.0), "depth_room": Price(0.0, 1.0)}, ())
+    work = {"plates_clean": Work(3, 3.0), "depth_room": Work(1, 10.0)}
+    # Three of 7 s, and 10 s that wait for them; each takes 1.2 times as long beside others.
+    for cores, jobs_s in ((1, 31), (2, 24), (3, 17), (64, 17)):
+        assert predict(work, held, cores, 1.0).seconds == pytest.approx(5 + 1.2 * jobs_s)
     twice = predict(work, held, 2, 2.0)
-    assert twice.seconds == pytest.approx(5 + 13.75)
-    assert (twice.low_s, twice.high_s) == pytest.approx((0.8 * 18.75, 1.5 * 18.75))
+    assert twice.seconds == pytest.approx(5 + 1.2 * 12)
+    assert (twice.low_s, twice.high_s) == pytest.approx((0.8 * 19.4, 1.5 * 19.4))
 
 
 class Planned:
@@ -219,6 +218,22 @@ class TestForeseen:
         write_decisions(tmp_path / "survey/decisions.json", [replace(measured, forced=True)])
         assert foreseen(Planned(), config) == Gaps(0, 4, 4), "what was forced there is open here"
 
+    def test_loose_things_and_shadows_may_be_called_for_unless_it_is_known(self, tmp_path: Path) -> None:
+        every, shadows = frozenset(sum(JOBS.values(), ())), frozenset(JOBS["moving_shadows"])
+        assert called_for(Planned(), DEFAULTS) == (frozenset(), frozenset(), every)
+        forced = Planned({"moving_shadows": "on", "dynamic_objects": "off"})
+        assert called_for(forced, DEFAULTS) == (shadows, shadows, shadows)
+        decided = [
+            Decision(effect, "s", 0.3, (0.2, 0.4), 0.1, verdict, "r")
+            for effect, verdict in (("moving_shadows", "on"), ("dynamic_objects", "off"))
+        ]
+        write_decisions(tmp_path / "survey/decisions.json", decided)
+        earlier = DEFAULTS | {"survey": DEFAULTS["survey"] | {"earlier": str(tmp_path)}}
+        assert called_for(Planned(), earlier) == (shadows, shadows, shadows)
+        assert called_for(Planned({"moving_shadows": "off"}), earlier) == (frozenset(),) * 3
+        assert set(workload(DEMO, DEFAULTS, USUAL, shadows)) - set(workload(DEMO, DEFAULTS, USUAL)) == shadows
+        assert not every & set(workload(replace(DEMO, people=0), DEFAULTS, USUAL, every))
+
     def test_fewer_gaps_are_less_work_and_open_ones_a_wider_interval(self) -> None:
         prices, usual = read_prices(), workload(DEMO, DEFAULTS, USUAL)
         none = workload(DEMO, DEFAULTS, 0)
@@ -257,9 +272,12 @@ def test_the_probe_takes_a_moment_of_real_work() -> None:
     assert 0.005 < price_list.probe_s() < 10
 
 
-def test_a_studio_is_planned_from_its_description(configured: Callable[..., dict], home: Path) -> None:
+def test_a_studio_is_planned_from_its_description_and_made_first(configured: Callable[..., dict], home: Path) -> None:
     config = configured(dataset="resources/studio/demo.yaml")
-    assert footage_of(make_plan(config, home), 30.0) == DEMO
+    footage = footage_of(make_plan(config, home), 30.0)
+    assert footage == replace(DEMO, made=True)
+    assert workload(footage, DEFAULTS, USUAL)["studio_capture"].jobs == 1
+    assert "studio_capture" not in workload(DEMO, DEFAULTS, USUAL)
 
 
 @pytest.mark.parametrize(("seen", "people", "between"), [(0, 1, (1, 2)), (1, 1, (1, 2)), (3, 3, (2, 4))])

@@ -13,11 +13,11 @@ from tests.splatting.several_threads import checksums
 
 
 def test_threads_at_once_give_the_bytes_of_one_that_does_all_shares(root: Path) -> None:
-    # The workers of this run have one thread each (tests/conftest.py).
+    # Workers of this run have one thread each (tests/conftest.py); these are those that every step takes (__main__).
     done = subprocess.run(
         [sys.executable, "-m", "tests.splatting.several_threads"],
         cwd=root,
-        env=os.environ | {"NUMBA_NUM_THREADS": "3"},
+        env=os.environ | {"NUMBA_NUM_THREADS": "3", "NUMBA_THREADING_LAYER": "workqueue"},
         text=True,
         stdout=subprocess.PIPE,
         check=True,

@@ -20,7 +20,7 @@ from studiorecon.configuration.schema import part_of
 from studiorecon.errors import UserError
 from studiorecon.home import PRESETS
 from studiorecon.plan.decisions import Plan
-from studiorecon.plan.foreseen import foreseen
+from studiorecon.plan.foreseen import called_for, foreseen
 from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
 from studiorecon.plan.workload import Footage, footage_of, workload
 
@@ -147,8 +147,8 @@ def choose(
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
         gaps = foreseen(plan, made)
-        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most))
-        least, likely, most = (workload(replace(footage, people=people), made, n) for people, n in ends)
+        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most), called_for(plan, made))
+        least, likely, most = (workload(replace(footage, people=people), made, n, rules) for people, n, rules in ends)
         listed_s: dict[str, float] = {}
         for rule, seconds in spent(likely, prices).items():
             stage = rule.partition("_")[0]

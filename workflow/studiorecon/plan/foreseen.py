@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many gaps between cameras will get new views, before anything has looked at the scene: what is forced, what an
-earlier run decided, and what is open, for which the fewest and the most are told beside the likeliest.
+"""What the survey will call for, before anything has looked at the scene: what is forced, what an earlier run decided,
+and what is open, for which the least and the most are told beside the likeliest.
 
-What other open verdicts ask for has no price: they are off in most scenes.
+Of gaps between cameras that get new views it is how many; loose things and the shadows of people either cost their jobs
+or not. Other verdicts cost little.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.effects import COVERED_DEG
 
 _EFFECT = "view_synthesis"
+JOBS = {"dynamic_objects": ("objects_find",), "moving_shadows": ("render_light", "render_shade")}
+"""Effect that somebody there must make → the rules that it calls for."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
     if _EFFECT in plan.forced:
         known = every if plan.forced[_EFFECT] == "on" else 0
         return Gaps(known, known, known)
-    if (told := _told(config["survey"]["earlier"])) is not None:
+    if (told := _told(config["survey"]["earlier"], _EFFECT)) is not None:
         parts = told.detail.get("parts", {})
         known = sum(part["verdict"] == "on" for part in parts.values()) if parts else every * told.called_for
         return Gaps(known, known, known)
@@ -48,10 +51,23 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
     return Gaps(0, every if apart else 0, every)
 
 
-def _told(earlier: str) -> Decision | None:
+def called_for(plan: Plan, config: Mapping[str, Any]) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
+    """The fewest, the likeliest and the most rules of ``JOBS`` that run: what is forced or known from the run that
+    ``survey.earlier`` names, and what is open, which is likely not called for."""
+    known, open_ = set[str](), set[str]()
+    for effect, rules in JOBS.items():
+        told = _told(config["survey"]["earlier"], effect)
+        if plan.forced.get(effect) == "on" or (effect not in plan.forced and told is not None and told.called_for):
+            known.update(rules)
+        elif effect not in plan.forced and told is None:
+            open_.update(rules)
+    return frozenset(known), frozenset(known), frozenset(known | open_)
+
+
+def _told(earlier: str, effect: str) -> Decision | None:
     """What that run measured; what was forced there is open here."""
     path = Path(earlier) / "survey" / "decisions.json"
     if not earlier or not path.is_file():
         return None
-    found = read_decisions(path).get(_EFFECT)
+    found = read_decisions(path).get(effect)
     return None if found is None or found.forced or found.value is None else found

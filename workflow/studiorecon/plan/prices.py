@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from studiorecon.home import RESOURCES
+from studiorecon.plan.schedule import finished_s
 from studiorecon.plan.workload import Work
 from studiorecon.scene.files import read_json, write_json
 
 PRICES = RESOURCES / "prices.json"
-ASIDE = ("cameras_held_out", "people_second_look", "enhance_comparison", "deliver_player", "deliver_scene_glb")
-"""Rules that nothing waits for while the rest goes on, or that others outlast."""
 _ROUNDS, _SIZE = 5, 400_000
 
 
@@ -49,12 +48,14 @@ class PriceList:
     Attributes:
         probe_s: what ``probe_s()`` said on that machine.
         start_s: seconds that the workflow takes by itself, before, between and after jobs.
+        stretch: seconds that a job takes beside others for each of its processor seconds.
         spread: (low, high) measured over predicted time on the runs it was made from, at the ends.
         rules: rule → price. points: the presets, cheapest first.
     """
 
     probe_s: float
     start_s: float
+    stretch: float
     spread: tuple[float, float]
     rules: Mapping[str, Price]
     points: tuple[Point, ...]
@@ -75,6 +76,7 @@ def read_prices(path: Path = PRICES) -> PriceList:
     return PriceList(
         held["probe_s"],
         held["start_s"],
+        held["stretch"],
         tuple(held["spread"]),
         {rule: Price(**price) for rule, price in held["rules"].items()},
         tuple(Point(**point) for point in held["points"]),
@@ -98,22 +100,16 @@ def predict(
     least: Mapping[str, Work] | None = None,
     most: Mapping[str, Work] | None = None,
 ) -> Predicted:
-    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list; from ``least`` to ``most`` work
-    where it is not known how much there will be.
-
-    Graham's bound for any schedule that never idles: total work over the cores, and of the longest chain of jobs the
-    rest (SIAM J. Appl. Math. 17, 1969).
-    """
+    """How long it takes on ``cores``, each ``pace`` times as fast as those of the list, where every job waits for what
+    it needs (``schedule``); from ``least`` to ``most`` work where it is not known how much there will be."""
     shortest, likeliest, longest = (_seconds(one, prices, cores, pace) for one in (least or work, work, most or work))
     low, high = prices.spread
     return Predicted(likeliest, min(shortest, likeliest) * low, max(longest, likeliest) * high)
 
 
 def _seconds(work: Mapping[str, Work], prices: PriceList, cores: int, pace: float) -> float:
-    seconds = spent(work, prices)
-    chain = sum(s / work[rule].jobs for rule, s in seconds.items() if rule not in ASIDE)
-    jobs_s = sum(seconds.values()) / cores + chain * (1 - 1 / cores)
-    return prices.start_s + jobs_s / pace
+    jobs_s = {rule: [took_s / work[rule].jobs] * work[rule].jobs for rule, took_s in spent(work, prices).items()}
+    return prices.start_s + prices.stretch * finished_s(jobs_s, cores) / pace
 
 
 def probe_s() -> float:

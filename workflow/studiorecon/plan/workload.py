@@ -7,7 +7,7 @@ what a unit costs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from studiorecon.footage.packets import frame_count
 from studiorecon.footage.source import open_source
 from studiorecon.plan.decisions import Plan
+from studiorecon.plan.foreseen import JOBS
 from studiorecon.plan.headcount import people_seen
 from studiorecon.render.kinds import film
 from studiorecon.studio.description import read_description
@@ -33,7 +34,7 @@ _PLANE_STEPS_M = (0.04, 0.06)
 @dataclass(frozen=True)
 class Footage:
     """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
-    are used, picture size in pixels, people, and between how many that is."""
+    are used, picture size in pixels, people, between how many that is, and whether it has to be made first."""
 
     training: int
     held_out: int
@@ -42,6 +43,7 @@ class Footage:
     wh: tuple[int, int]
     people: int
     people_between: tuple[int, int]
+    made: bool = False
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -64,7 +66,7 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     cameras = (len(plan.training), len(plan.held_out), len(set(plan.sight.detected) & set(plan.training)))
     if plan.studio:
         described = read_description(Path(plan.description))
-        return Footage(*cameras, described.frames, described.size, described.people, (described.people,) * 2)
+        return Footage(*cameras, described.frames, described.size, described.people, (described.people,) * 2, True)
     first = plan.dataset.first_frame
     sources = {camera: open_source(path, picture_fps) for camera, path in plan.dataset.footage.items()}
     lengths = [frame_count(source) - first for source in sources.values()]
@@ -77,9 +79,12 @@ def footage_of(plan: Plan, picture_fps: float) -> Footage:
     return Footage(*cameras, frames, widest, people, (max(people - _MISCOUNTED, 1), people + _MISCOUNTED))
 
 
-def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str, Work]:
-    """Rule → its work where ``gaps`` between cameras get new views, in jobs and in units of its own; megapixels are of
-    all pictures that a job goes through."""
+def workload(
+    footage: Footage, config: Mapping[str, Any], gaps: int, called_for: Collection[str] = ()
+) -> dict[str, Work]:
+    """Rule → its work where ``gaps`` between cameras get new views and of the rules that the survey may call for
+    (``foreseen.JOBS``) those of ``called_for`` run, in jobs and in units of its own; megapixels are of all pictures
+    that a job goes through."""
     width, height = _working(footage.wh, config["capture"]["width"])
     training, frames, people = footage.training, footage.frames, footage.people
     everyone = training + footage.held_out
@@ -96,6 +101,7 @@ def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str
     mean_drawn, mean_film = drawn / (len(films) + 1), sum(films.values()) / max(len(films), 1)
     heavy = 1.0 if config["detect"]["detector"] == "blazepose_heavy" else 1 / 3
     work = {
+        "studio_capture": Work(int(footage.made), everyone * frames * filmed_mpx),
         "detect_people": Work(footage.detected, frames * max(people, 1) * heavy),
         "detect_keypoints": Work(training, frames),
         "clocks_offsets": Work(1, training * frames),
@@ -113,11 +119,15 @@ def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str
         "people_second_look": Work(footage.detected, frames * people),
         "people_associate": Work(1, training * frames * people),
         "people_fit": Work(people, frames),
+        "people_overlay": Work(training if people else 0, frames * picture_mpx),
         "survey_decide": Work(1, training * frames * picture_mpx),
+        "objects_find": Work(int(people > 0), training * frames * picture_mpx),
         "masks_segment": Work(training if people else 0, frames * picture_mpx),
         "views_synthesize": Work(gaps, views["views_per_segment"] * picture_mpx),
         "background_train": Work(1, room["training"]["iterations"] * (gaussians + picture_mpx / 10)),
         "humans_train": Work(people, human["iterations"] * picture_mpx * (1 + human["gaussians"] / 1e4)),
+        "render_light": Work(int(people > 0), training * frames * picture_mpx),
+        "render_shade": Work(int(people > 0), gaussians),
         "render_shot": Work(len(films) + 1, mean_drawn * picture_mpx),
         "enhance_shot": Work(len(films), mean_film * picture_mpx),
         "enhance_comparison": Work(len(films), mean_film * picture_mpx),
@@ -128,7 +138,8 @@ def workload(footage: Footage, config: Mapping[str, Any], gaps: int) -> dict[str
         "deliver_export": Work(1, seeds),
         "report_page": Work(1, drawn * picture_mpx),
     }
-    return {rule: asked for rule, asked in work.items() if asked.jobs}
+    open_ = {rule for rules in JOBS.values() for rule in rules}.difference(called_for)
+    return {rule: asked for rule, asked in work.items() if asked.jobs and rule not in open_}
 
 
 def _working(wh: tuple[int, int], longer_side: int) -> tuple[int, int]:
