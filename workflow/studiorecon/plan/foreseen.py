@@ -3,7 +3,7 @@
 and what is open, for which the least and the most are told beside the likeliest.
 
 Of gaps between cameras that get new views it is how many; loose things and the shadows of people either cost their jobs
-or not. Other verdicts cost little.
+or not. What enhancement costs where it gains has no price; other verdicts cost little.
 """
 
 from __future__ import annotations
