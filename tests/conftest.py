@@ -27,8 +27,8 @@ from studiorecon.__main__ import KERNELS  # noqa: E402 after that, and before nu
 os.environ.update({name: os.environ.get(name, chosen) for name, chosen in KERNELS.items()})
 
 ROOT = Path(__file__).resolve().parents[1]
-# Also as every step: where byte code is not written beside the sources, every worker and every process of a test would
-# compile all that it imports.
+# As every step does (__main__): where byte code is not written beside the sources, every worker and every process of a
+# test would compile all that it imports.
 if sys.dont_write_bytecode:
     sys.pycache_prefix, sys.dont_write_bytecode = str(ROOT / ".snakemake/bytecode"), False
     os.environ |= {"PYTHONPYCACHEPREFIX": sys.pycache_prefix, "PYTHONDONTWRITEBYTECODE": ""}

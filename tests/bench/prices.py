@@ -23,6 +23,7 @@ import yaml
 from scipy.optimize import nnls
 from studiorecon.configuration.schema import typed
 from studiorecon.home import HOME, SCHEMA
+from studiorecon.humans.result_cache import STANDS
 from studiorecon.plan.budget import Stated, laid_over, preset
 from studiorecon.plan.foreseen import called_for, foreseen
 from studiorecon.plan.make import make_plan
@@ -34,6 +35,7 @@ from studiorecon.scene.files import read_json, write_json
 CORES = 2
 # What other work on the machine does to a run.
 SPREAD = (0.8, 1.25)
+_TELLING = 2.0
 CHECKED = Path(__file__).parent / "results" / "budget.json"
 
 
@@ -61,7 +63,7 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     plan = make_plan(config, HOME)
     # What it has decided is known now.
     decided = config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}}
-    gaps, called = foreseen(plan, decided), called_for(plan, decided)[1]
+    gaps, (called, _) = foreseen(plan, decided), called_for(plan, decided)
     log, wall_s = _log(folder, scene)
     footage = footage_of(plan, config["capture"]["picture_fps"])
     footage = replace(footage, made="(Rule: studio_capture)" in log)
@@ -69,7 +71,7 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
         workload(replace(footage, people=people), config, gaps.likely, called) for people in footage.counts
     )
     for told in sorted((folder / "logs" / scene / "humans/train").glob("*.log")):
-        if "the result stands as it is" in told.read_text(encoding="utf-8"):
+        if STANDS in told.read_text(encoding="utf-8"):
             raise SystemExit(f"{told}: this person was trained before; take logs/{scene} away too before the run")
     jobs: dict[str, list[float]] = {}
     stretched = np.zeros(2)
@@ -102,7 +104,9 @@ def fit(runs: Sequence[Run]) -> dict[str, Price]:
         if not took:
             continue
         seconds = np.array(took)
-        rows = np.stack([np.ones(len(units)), np.array(units)], axis=1) / np.maximum(seconds, 0.5)[:, None]
+        # Jobs of about one size do not tell what a larger one would take beside what every job takes.
+        every = float(max(units) > _TELLING * min(units))
+        rows = np.stack([np.full(len(units), every), np.array(units)], axis=1) / np.maximum(seconds, 0.5)[:, None]
         scale = np.abs(rows).max(axis=0) + 1e-12
         found = nnls(rows / scale, seconds / np.maximum(seconds, 0.5))[0] / scale
         prices[rule] = Price(float(f"{found[0]:.3g}"), float(f"{found[1]:.3g}"))

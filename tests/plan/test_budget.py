@@ -46,6 +46,14 @@ def test_every_rule_with_work_is_a_rule_and_has_a_price() -> None:
     assert all(price.job_s + price.unit_s > 0 for price in read_prices().rules.values())
 
 
+def test_a_longer_film_costs_more_at_every_rule_that_looks_at_all_of_it() -> None:
+    every = [rule for rules in JOBS.values() for rule in rules]
+    short, long = (workload(replace(DEMO, made=True, frames=n), DEFAULTS, USUAL, every) for n in (60, 600))
+    grown = {rule for rule in short if long[rule].units > 5 * short[rule].units}
+    assert {"people_fit", "cameras_held_out", "render_light"} <= grown
+    assert not {rule for rule in grown if read_prices().rules[rule].unit_s == 0}
+
+
 @pytest.mark.parametrize(
     ("more", "rule"),
     [
@@ -220,17 +228,17 @@ class TestForeseen:
 
     def test_loose_things_and_shadows_may_be_called_for_unless_it_is_known(self, tmp_path: Path) -> None:
         every, shadows = frozenset(sum(JOBS.values(), ())), frozenset(JOBS["moving_shadows"])
-        assert called_for(Planned(), DEFAULTS) == (frozenset(), frozenset(), every)
+        assert called_for(Planned(), DEFAULTS) == (frozenset(), every)
         forced = Planned({"moving_shadows": "on", "dynamic_objects": "off"})
-        assert called_for(forced, DEFAULTS) == (shadows, shadows, shadows)
+        assert called_for(forced, DEFAULTS) == (shadows, shadows)
         decided = [
             Decision(effect, "s", 0.3, (0.2, 0.4), 0.1, verdict, "r")
             for effect, verdict in (("moving_shadows", "on"), ("dynamic_objects", "off"))
         ]
         write_decisions(tmp_path / "survey/decisions.json", decided)
         earlier = DEFAULTS | {"survey": DEFAULTS["survey"] | {"earlier": str(tmp_path)}}
-        assert called_for(Planned(), earlier) == (shadows, shadows, shadows)
-        assert called_for(Planned({"moving_shadows": "off"}), earlier) == (frozenset(),) * 3
+        assert called_for(Planned(), earlier) == (shadows, shadows)
+        assert called_for(Planned({"moving_shadows": "off"}), earlier) == (frozenset(), frozenset())
         assert set(workload(DEMO, DEFAULTS, USUAL, shadows)) - set(workload(DEMO, DEFAULTS, USUAL)) == shadows
         assert not every & set(workload(replace(DEMO, people=0), DEFAULTS, USUAL, every))
 

@@ -23,8 +23,8 @@ def test_jobs_of_a_rule_share_the_cores_and_the_next_waits_for_all_of_them() -> 
 
 def test_what_most_waits_for_goes_first() -> None:
     # Films of what was held out can wait; the room cannot.
-    jobs = {"cameras_refine": [1.0], "cameras_held_out": [5.0], "depth_sweep": [5.0], "depth_box": [5.0]}
-    assert finished_s(jobs, 1) == 16.0
+    jobs = {"cameras_refine": [1.0], "cameras_held_out": [5.0, 5.0], "depth_sweep": [5.0], "depth_box": [5.0]}
+    assert finished_s(jobs, 1) == 21.0
     assert finished_s(jobs, 2) == 11.0
 
 

@@ -148,6 +148,7 @@ def test_a_budget_knows_what_waits_for_what(finished: House) -> None:
     needs: dict[str, set[str]] = {rule: set() for rule in names.values()}
     for needed, by in re.findall(r"(\d+) -> (\d+)", graph):
         needs[names[by]].add(names[needed])
+    assert len(set(WAITS_FOR) & set(needs)) > 20
     for rule in set(WAITS_FOR) & set(needs):
         real, said = (everything(rule, of) & set(WAITS_FOR) & set(needs) for of in (needs, WAITS_FOR))
         assert real <= said, f"{rule} waits for more"

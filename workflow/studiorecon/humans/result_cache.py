@@ -23,6 +23,9 @@ from studiorecon.humans.crops import Crop
 from studiorecon.scene.files import complete
 from studiorecon.splatting.train.checkpoint import fingerprint
 
+STANDS = "the result stands as it is"
+"""How a log says that nothing was trained."""
+
 
 def mark_of(settings: Any, crops: Sequence[Crop], inputs: Sequence[Path], code: str, *more: object) -> str:
     """Hex digest of all that a person's training depends on: as ``splatting.train.checkpoint.fingerprint``, and every

@@ -32,7 +32,7 @@ from studiorecon.humans.crops import Crop
 from studiorecon.humans.drift import decide_appearance, drifting_share, followed, was_drifting
 from studiorecon.humans.filmed import read_crops
 from studiorecon.humans.refined_motion import HELD, RefinedMotion
-from studiorecon.humans.result_cache import keep, mark_of, still_stands
+from studiorecon.humans.result_cache import STANDS, keep, mark_of, still_stands
 from studiorecon.humans.surface_samples import (
     SurfaceSamples,
     fill_unseen,
@@ -209,7 +209,7 @@ def run(
     if still_stands(trained_from, gaussians, avatar, working):
         say(
             f"{person}: nothing has changed in the {len(crops)} crops around {person}, the fit "
-            "and the settings; the result stands as it is"
+            f"and the settings; {STANDS}"
         )
         return
     rng = np.random.default_rng(settings.seed)

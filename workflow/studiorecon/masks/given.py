@@ -16,6 +16,7 @@ from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
 from studiorecon.geometry.lens import video_from_working
+from studiorecon.images.channels import channel_max
 from studiorecon.images.regions import signed_distance_px
 from studiorecon.images.silhouette import front_person
 from studiorecon.masks.tracks import overlaps
@@ -150,10 +151,10 @@ def pictures_of(path: Path) -> Iterable[Integer[np.ndarray, "H W ..."]]:
                     f"{wh[0]}×{wh[1]}; bring masks of one size"
                 )
             wh = picture.shape[1::-1]
-            yield picture if picture.ndim == 2 else picture[..., :3].max(axis=2)
+            yield picture if picture.ndim == 2 else channel_max(picture[..., :3])
         return
     for frame in read_frames(path):
-        yield frame if frame.ndim == 2 else frame.max(axis=2)
+        yield frame if frame.ndim == 2 else channel_max(frame)
 
 
 def _source_pixels(about: Footage, lens: Lens, wh: tuple[int, int], path: Path) -> tuple[np.ndarray, np.ndarray]:

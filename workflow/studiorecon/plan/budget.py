@@ -146,8 +146,8 @@ def choose(
     offers = []
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
-        gaps = foreseen(plan, made)
-        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most), called_for(plan, made))
+        gaps, (surely, possibly) = foreseen(plan, made), called_for(plan, made)
+        ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most), (surely, surely, possibly))
         least, likely, most = (workload(replace(footage, people=people), made, n, rules) for people, n, rules in ends)
         listed_s: dict[str, float] = {}
         for rule, seconds in spent(likely, prices).items():

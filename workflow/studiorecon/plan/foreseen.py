@@ -51,17 +51,18 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
     return Gaps(0, every if apart else 0, every)
 
 
-def called_for(plan: Plan, config: Mapping[str, Any]) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
-    """The fewest, the likeliest and the most rules of ``JOBS`` that run: what is forced or known from the run that
-    ``survey.earlier`` names, and what is open, which is likely not called for."""
-    known, open_ = set[str](), set[str]()
+def called_for(plan: Plan, config: Mapping[str, Any]) -> tuple[frozenset[str], frozenset[str]]:
+    """The rules of ``JOBS`` that surely run, forced or known as the gaps are, and those that may: with what is open,
+    which is likely not called for."""
+    surely, possibly = set[str](), set[str]()
     for effect, rules in JOBS.items():
         told = _told(config["survey"]["earlier"], effect)
-        if plan.forced.get(effect) == "on" or (effect not in plan.forced and told is not None and told.called_for):
-            known.update(rules)
-        elif effect not in plan.forced and told is None:
-            open_.update(rules)
-    return frozenset(known), frozenset(known), frozenset(known | open_)
+        known = plan.forced[effect] == "on" if effect in plan.forced else told.called_for if told else None
+        if known:
+            surely.update(rules)
+        if known is not False:
+            possibly.update(rules)
+    return frozenset(surely), frozenset(possibly)
 
 
 def _told(earlier: str, effect: str) -> Decision | None:

@@ -49,7 +49,7 @@ WAITS_FOR: Mapping[str, tuple[str, ...]] = {
 
 def finished_s(jobs_s: Mapping[str, Sequence[float]], cores: int) -> float:
     """From the first job's start to the last one's end where every job (rule → seconds of its jobs) takes one of
-    ``cores``, and of those that may begin the one with most behind it goes first, as priorities of the rules have it
+    ``cores``, and of those that may begin the one with most behind it goes first, much as the rules' priorities have it
     (Hu, "Parallel sequencing and assembly line problems", Oper. Res. 9, 1961)."""
     left = {rule: sorted(took) for rule, took in jobs_s.items() if len(took)}
     before = {rule: _before(rule, left) for rule in left}

@@ -34,7 +34,8 @@ _PLANE_STEPS_M = (0.04, 0.06)
 @dataclass(frozen=True)
 class Footage:
     """What was filmed: cameras that train, cameras held out, those in which the detector looks for people, frames that
-    are used, picture size in pixels, people, between how many that is, and whether it has to be made first."""
+    are used, picture size in pixels, people, between how many that is, and whether it is a made studio, which a run
+    films first; that counts where it is done, too: a run planned again is planned alike."""
 
     training: int
     held_out: int
