@@ -15,6 +15,7 @@ from studiorecon.depth.layout.primitives import Primitive, in_front, read_primit
 from studiorecon.depth.layout.primitives_picture import sheet
 from studiorecon.depth.layout.proposals import posts
 from studiorecon.depth.layout.visibility import kept_from, seen_through, walked
+from studiorecon.depth.stereo.kernels import draw, judged_by
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
 from studiorecon.scene.camera import Camera
@@ -45,7 +46,13 @@ def furnished() -> tuple[Room, list[Picture], list[Primitive]]:
     """The room with its cupboard, four looks at it, and what is found in them."""
     room = made_room()
     pictures = looks(room)
-    return room, pictures, furnish(pictures, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3)
+    return (
+        room,
+        pictures,
+        furnish(
+            pictures, pictures.__getitem__, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3
+        ),
+    )
 
 
 @pytest.mark.parametrize("primitive", [BOX, POST], ids=["box", "cylinder"])
@@ -107,6 +114,50 @@ def test_the_true_primitive_is_worth_most_and_gains_are_what_adding_brings() -> 
     assert seen.gains(true[None])[0] == pytest.approx(0.0, abs=1e-6)
 
 
+def test_what_reaches_behind_a_camera_is_drawn_where_rays_meet_it() -> None:
+    """Only what is before a camera bounds where a primitive is looked for in its picture; as each ray says for
+    itself."""
+    cameras = ring(wh=(96, 54))
+    lens = np.array([[*c.focal_px, *c.principal_px] for c in cameras])
+    pose, centre = np.stack([c.camera_from_world[:3] for c in cameras]), np.stack([c.centre_m for c in cameras])
+    rng, cut, known = np.random.default_rng(0), 0, np.ones((4, 54, 96), bool)
+    for k in range(200):
+        camera = cameras[k % 4]
+        beside = camera.centre_m[:2] + rng.normal(0, 0.7, 2)
+        size, low = rng.uniform(0.1, 2.0, 2), rng.uniform(0, 1.5)
+        size[1] = size[0] if k % 3 == 0 else size[1]
+        numbers = np.array([k % 3 == 0, *beside, rng.uniform(0, 3), *size, low, low + rng.uniform(0.1, 1.5)])
+        expected = Primitive.from_numbers(numbers, 0.0).depth(camera)
+        depth_m, surface = np.full(known.shape, 50, np.float32), np.zeros(known.shape, np.int32)
+        draw(lens, pose, centre, known, depth_m, surface, numbers, 10)
+        assert np.array_equal(surface[k % 4] >= 10, expected > 0.1)
+        cut += bool(((expected > 0.1) & (expected < 0.4)).any())
+    assert cut > 5, "some pass right before a camera"
+
+
+def test_every_pixel_knows_which_pixels_it_judges() -> None:
+    room = made_room()
+    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen.add(cupboard(room).numbers)
+    views, height, width = seen.known.shape
+    begin, judged = judged_by(seen.known, seen.depth, seen.pair, seen.at, seen.z)
+    told = {
+        (other, flat, int(place))
+        for other in range(views)
+        for flat in range(height * width)
+        for place in judged[other, begin[other, flat] : begin[other, flat + 1]]
+    }
+    apart = np.take(seen.depth.reshape(views, -1), seen.at.clip(0), axis=1)
+    expected = set()
+    for view, other in np.ndindex(views, views):
+        nearest = apart[other, view, other]
+        hidden = nearest < seen.z[view, other] * 0.97 - 0.03
+        for y, x in np.argwhere(seen.known[view] & (seen.pair[view, other] >= 0) & ~hidden):
+            expected.add((other, int(seen.at[view, other, y, x]), int((view * height + y) * width + x)))
+    assert told == expected
+    assert len(expected) > 1000
+
+
 def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
     """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air that hides it explains the
     photos better."""
@@ -154,7 +205,9 @@ def test_a_table_gets_its_legs() -> None:
             own, own_m = photograph(replace(room, table=one), camera)
             rgb, depth_m = np.where((own_m < depth_m)[..., None], own, rgb), np.minimum(depth_m, own_m)
         pictures.append(Picture(camera, rgb, np.ones(camera.hw, bool)))
-    found = furnish(pictures, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=8)
+    found = furnish(
+        pictures, pictures.__getitem__, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=8
+    )
     top, *rest = sorted(found, key=lambda one: -one.size_m[0] * one.size_m[1])
     assert top.high_m == pytest.approx(0.75, abs=0.04)
     places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]
@@ -187,14 +240,26 @@ def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> 
     room = made_room()
     gates = {"window": 5, "mean_weight": 1.5, "least_gain": 400.0, "most": 3}
     pictures = looks(room, 64)
-    assert len(furnish(pictures, room.room_box, NOBODY, **gates)) == 1
+    assert len(furnish(pictures, pictures.__getitem__, room.room_box, NOBODY, **gates)) == 1
     monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
-    assert furnish(pictures, room.room_box, NOBODY, **gates) == []
+    assert furnish(pictures, pictures.__getitem__, room.room_box, NOBODY, **gates) == []
 
 
 def test_an_empty_room_stays_empty() -> None:
     room = made_room(table=False)
-    assert furnish(looks(room), room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3) == []
+    assert (
+        furnish(
+            looks(room),
+            looks(room).__getitem__,
+            room.room_box,
+            NOBODY,
+            window=5,
+            mean_weight=1.5,
+            least_gain=20.0,
+            most=3,
+        )
+        == []
+    )
 
 
 def test_nothing_is_put_where_somebody_walked_or_a_camera_is(

@@ -110,6 +110,7 @@ def run(
         say(f"{len(free_m)} places of {len(bodies)} people and of what cameras saw of them are kept free of furniture")
         furniture = furnish(
             small,
+            lambda view: read_pictures([cameras[view]], [plates[view]], cameras[view].wh[0])[0],
             fitted,
             free_m,
             window=settings.refine_window,

@@ -99,18 +99,18 @@ def read_primitives(path: Path) -> list[Primitive]:
 @njit(cache=True)
 def _meet(primitive, origin, rays, depth_m):
     normal = np.zeros(3)
+    c, s = np.cos(primitive[3]), np.sin(primitive[3])
     for i in range(len(rays)):
-        depth_m[i] = max(enter(primitive, origin, rays[i], normal), 0.0)
+        depth_m[i] = max(enter(primitive, c, s, origin, rays[i], normal), 0.0)
 
 
 @njit(cache=True)
-def enter(primitive, origin, ray, normal):
+def enter(primitive, c, s, origin, ray, normal):
     """Length along ``ray`` (3,) at which it enters a primitive (8,), -1 when it misses; fills the outward ``normal``
-    (3,) there.
+    (3,) there. ``c`` and ``s`` are the cosine and sine of its yaw.
 
     A ray that starts inside misses: a camera inside a piece of furniture sees the room, not the furniture.
     """
-    c, s = np.cos(primitive[3]), np.sin(primitive[3])
     x, y = origin[0] - primitive[1], origin[1] - primitive[2]
     ou, ov = c * x + s * y, c * y - s * x
     du, dv = c * ray[0] + s * ray[1], c * ray[1] - s * ray[0]

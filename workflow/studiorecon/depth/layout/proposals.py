@@ -91,12 +91,12 @@ def rectangles(
     row 0."""
     total = np.pad(value.cumsum(axis=0, dtype=np.float64).cumsum(axis=1), ((1, 0), (1, 0)))
     found = []
-    for rows, columns in product(sides, sides):
-        if rows >= value.shape[0] or columns >= value.shape[1]:
+    bands = {rows: total[rows:] - total[:-rows] for rows in sides if rows < value.shape[0]}
+    for rows, columns in product(bands, sides):
+        if columns >= value.shape[1]:
             continue
-        sums = total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns] + total[:-rows, :-columns]
-        if standing:
-            sums = sums[:1]
+        band = bands[rows][:1] if standing else bands[rows]
+        sums = band[:, columns:] - band[:, :-columns]
         if sums.max() < _LEAST_SUM:
             continue
         sums = np.ascontiguousarray(sums, np.float32)

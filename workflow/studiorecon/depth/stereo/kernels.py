@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled loops of ``photo_cost``: colours of one camera's surfaces in the others, windowed correlation over a
-surface, one primitive on trial.
+surface, where a primitive is seen (``trial_kernels``: what one more would change).
 
 Arrays are (V, H, W) for V views; a primitive is eight numbers (``primitives.Primitive.numbers``).
 """
@@ -16,26 +16,20 @@ from studiorecon.depth.layout.primitives import enter
 UNSEEN = np.float32(0.5)
 # What stands before a surface hides it when nearer by this share and this many metres (as in passes.py, a little
 # sharper).
-_HIDING_SHARE, _HIDING_M = 0.03, 0.03
+HIDING_SHARE, HIDING_M = 0.03, 0.03
 # As in matching.py: flat windows correlate, so they are told from each other by their means and cost at least this.
 _FLAT_VARIANCE, _FLAT_COST, _LEAST_VARIANCE = 4e-4, 0.3, 1e-3
 _MOST_DIFFERENCE, _MOST_COST = 0.6, 1.2
 _LEAST_PIXELS = 8
-_NEAR_M = 0.1
+NEAR_M = 0.1
 # Depth is stored in single precision: what is nearer by less than this share is the same surface.
-_BEFORE = 1 - 1e-5
-# Worth of a pixel that one camera alone sees and that looks not at all like the wall; of one of a thing that stands
-# before everybody's eyes, which is explained as well then as what two cameras agree on.
-_ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
-# A thing stands before everybody's eyes when so much of its foot has floor before it, seen this many pixels below, and
-# what is this many pixels beside it is wall again; its foot is on the floor within so many metres.
-_CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
-# Surfaces are numbered: the room box's faces 0-5, then ten for every primitive; one on trial has the numbers from here.
-FIRST, _TRIAL = 10, 30_000
+BEFORE = 1 - 1e-5
+# Surfaces are numbered: the room box's faces 0-5, then ten for every primitive.
+FIRST = 10
 
 
 @njit(cache=True)
-def _warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
+def warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
     """Colour of a pixel's surface point in another camera into ``sample``: (flat pixel or -1, depth there)."""
     height, width = known.shape[1:]
     d = depth[v, y, x]
@@ -49,7 +43,7 @@ def _warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
     wy = pose[v, 0, 1] * px + pose[v, 1, 1] * py + pose[v, 2, 1] * pz
     wz = pose[v, 0, 2] * px + pose[v, 1, 2] * py + pose[v, 2, 2] * pz
     z = pose[o, 2, 0] * wx + pose[o, 2, 1] * wy + pose[o, 2, 2] * wz + pose[o, 2, 3]
-    if z < _NEAR_M:
+    if z < NEAR_M:
         return -1, 0.0
     u = (
         lens[o, 0] * (pose[o, 0, 0] * wx + pose[o, 0, 1] * wy + pose[o, 0, 2] * wz + pose[o, 0, 3]) / z
@@ -75,7 +69,7 @@ def _warp(lens, pose, rgb, known, depth, v, o, y, x, sample):
 
 
 @njit(cache=True, fastmath=True)
-def _window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
+def window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_weight):
     """Cost of a pixel in one other camera over its surface's pixels in the window; -1 with too few. ``samples`` starts
     at (top, left)."""
     rows, columns = seen.shape
@@ -110,8 +104,8 @@ def _window_cost(rgb, v, y, x, samples, seen, surface, top, left, half, mean_wei
 
 
 @njit(cache=True)
-def _hidden(depth, o, flat, z):
-    return depth[o].flat[flat] < z * (1 - _HIDING_SHARE) - _HIDING_M
+def hidden(depth, o, flat, z):
+    return depth[o].flat[flat] < z * (1 - HIDING_SHARE) - HIDING_M
 
 
 @njit(cache=True, parallel=True)
@@ -128,34 +122,64 @@ def explain_all(lens, pose, centre, rgb, known, depth, surface, pair, at, z, cos
         for y in range(height):
             for x in range(width):
                 if known[v, y, x]:
-                    at[v, o, y, x], z[v, o, y, x] = _warp(lens, pose, rgb, known, depth, v, o, y, x, samples[y, x])
+                    at[v, o, y, x], z[v, o, y, x] = warp(lens, pose, rgb, known, depth, v, o, y, x, samples[y, x])
                     seen[y, x] = at[v, o, y, x] >= 0
         for y in range(height):
             for x in range(width):
                 pair[v, o, y, x] = -1
                 if seen[y, x]:
-                    pair[v, o, y, x] = _window_cost(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
+                    pair[v, o, y, x] = window_cost(rgb, v, y, x, samples, seen, surface[v], 0, 0, half, mean_weight)
     for v in prange(views):
         for y in range(height):
             for x in range(width):
                 total, count = 0.0, 0
                 for o in range(views):
-                    if (
-                        known[v, y, x]
-                        and pair[v, o, y, x] >= 0
-                        and not _hidden(depth, o, at[v, o, y, x], z[v, o, y, x])
-                    ):
+                    if known[v, y, x] and pair[v, o, y, x] >= 0 and not hidden(depth, o, at[v, o, y, x], z[v, o, y, x]):
                         total += pair[v, o, y, x]
                         count += 1
                 judges[v, y, x] = count
                 cost[v, y, x] = (total / count if count else UNSEEN) if known[v, y, x] else 0
 
 
+@njit(cache=True, parallel=True)
+def judged_by(known, depth, pair, at, z):
+    """Which pixels each pixel judges: (V, H W + 1) where every pixel's begin, and (V, V H W) flat places in (V, H, W)
+    of those that it sees (the inverse of ``at``, of what is compared and not hidden)."""
+    views, height, width = known.shape
+    size = height * width
+    begin, judged = np.zeros((views, size + 1), np.int64), np.empty((views, views * size), np.int32)
+    for o in prange(views):
+        for fill in range(2):
+            for v in range(views):
+                for y in range(height):
+                    for x in range(width):
+                        if not known[v, y, x] or pair[v, o, y, x] < 0:
+                            continue
+                        flat = at[v, o, y, x]
+                        if hidden(depth, o, flat, z[v, o, y, x]):
+                            continue
+                        if fill:
+                            judged[o, begin[o, flat]] = (v * height + y) * width + x
+                            begin[o, flat] += 1
+                        else:
+                            begin[o, flat + 1] += 1
+            if fill:
+                # Every pixel's begin has become the next one's.
+                for flat in range(size, 0, -1):
+                    begin[o, flat] = begin[o, flat - 1]
+                begin[o, 0] = 0
+            else:
+                for flat in range(size):
+                    begin[o, flat + 1] += begin[o, flat]
+    return begin, judged
+
+
 @njit(cache=True)
-def _bounds(lens, pose, primitive, v, height, width):
-    """Rows and columns (top, bottom, left, right) that a primitive can cover in a view."""
+def bounds(lens, pose, primitive, v, height, width):
+    """Rows and columns (top, bottom, left, right) that what of a primitive is before the camera can cover in a view."""
     c, s = np.cos(primitive[3]), np.sin(primitive[3])
     top, bottom, left, right = float(height), 0.0, float(width), 0.0
+    local = np.empty((8, 3))
     for corner in range(8):
         a = primitive[4] / 2 if corner & 1 else -primitive[4] / 2
         b = primitive[5] / 2 if corner & 2 else -primitive[5] / 2
@@ -164,35 +188,50 @@ def _bounds(lens, pose, primitive, v, height, width):
             primitive[2] + s * a + c * b,
             primitive[7] if corner & 4 else primitive[6],
         )
-        z = pose[v, 2, 0] * px + pose[v, 2, 1] * py + pose[v, 2, 2] * pz + pose[v, 2, 3]
-        if z < _NEAR_M:
-            return 0, height, 0, width
-        u = lens[v, 0] * (pose[v, 0, 0] * px + pose[v, 0, 1] * py + pose[v, 0, 2] * pz + pose[v, 0, 3]) / z + lens[v, 2]
-        w = lens[v, 1] * (pose[v, 1, 0] * px + pose[v, 1, 1] * py + pose[v, 1, 2] * pz + pose[v, 1, 3]) / z + lens[v, 3]
-        top, bottom, left, right = min(top, w), max(bottom, w), min(left, u), max(right, u)
+        for i in range(3):
+            local[corner, i] = pose[v, i, 0] * px + pose[v, i, 1] * py + pose[v, i, 2] * pz + pose[v, i, 3]
+    # Corners before the camera, and where edges pass the plane nearer than which nothing is drawn.
+    for first in range(8):
+        for other in range(first, 8):
+            apart = first ^ other
+            if apart & (apart - 1):
+                continue
+            x, y, z = local[first]
+            if first == other:
+                if z < NEAR_M:
+                    continue
+            else:
+                ahead = local[other, 2]
+                if (z < NEAR_M) == (ahead < NEAR_M):
+                    continue
+                share = (NEAR_M - z) / (ahead - z)
+                x, y, z = x + share * (local[other, 0] - x), y + share * (local[other, 1] - y), NEAR_M
+            u, w = lens[v, 0] * x / z + lens[v, 2], lens[v, 1] * y / z + lens[v, 3]
+            top, bottom, left, right = min(top, w), max(bottom, w), min(left, u), max(right, u)
+    # A pixel more than the corners say: what is cut off is not rounded as what is drawn.
     return (
-        int(max(top, 0.0)),
-        int(min(bottom + 1, float(height))),
-        int(max(left, 0.0)),
-        int(min(right + 1, float(width))),
+        int(max(top - 1, 0.0)),
+        int(min(bottom + 2, float(height))),
+        int(max(left - 1, 0.0)),
+        int(min(right + 2, float(width))),
     )
 
 
 @njit(cache=True)
-def _trace(lens, pose, centre, v, y, x, primitive, ray, normal):
-    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive."""
+def trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal):
+    """(depth or -1, face 0..7) at which a pixel's ray enters a primitive; ``c`` and ``s``: its yaw's cosine and
+    sine."""
     rx, ry = (x + 0.5 - lens[v, 2]) / lens[v, 0], (y + 0.5 - lens[v, 3]) / lens[v, 1]
     for i in range(3):
         ray[i] = pose[v, 0, i] * rx + pose[v, 1, i] * ry + pose[v, 2, i]
-    d = enter(primitive, centre[v], ray, normal)
+    d = enter(primitive, c, s, centre[v], ray, normal)
     face = 0
     if normal[2] > 0.5:
         face = 1
     elif normal[2] < -0.5:
         face = 2
     elif primitive[0] == 0:
-        u = np.cos(primitive[3]) * normal[0] + np.sin(primitive[3]) * normal[1]
-        w = np.cos(primitive[3]) * normal[1] - np.sin(primitive[3]) * normal[0]
+        u, w = c * normal[0] + s * normal[1], c * normal[1] - s * normal[0]
         face = (3 if u > 0 else 4) if abs(u) > abs(w) else (5 if w > 0 else 6)
     return d, face
 
@@ -202,173 +241,11 @@ def draw(lens, pose, centre, known, depth, surface, primitive, first):
     """Put a primitive into depth and surface."""
     views, height, width = known.shape
     ray, normal = np.zeros(3), np.zeros(3)
+    c, s = np.cos(primitive[3]), np.sin(primitive[3])
     for v in range(views):
-        top, bottom, left, right = _bounds(lens, pose, primitive, v, height, width)
+        top, bottom, left, right = bounds(lens, pose, primitive, v, height, width)
         for y in range(top, bottom):
             for x in range(left, right):
-                d, face = _trace(lens, pose, centre, v, y, x, primitive, ray, normal)
-                if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
+                d, face = trace(lens, pose, centre, v, y, x, primitive, c, s, ray, normal)
+                if d > NEAR_M and d < depth[v, y, x] * BEFORE:
                     depth[v, y, x], surface[v, y, x] = d, first + face
-
-
-@njit(cache=True, parallel=True)
-def gains(
-    lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, primitives
-):
-    """(N, 3) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; then of the pixels
-    that show it and that another camera judges, by how much theirs falls and what it was; ``floor_m``: height of the
-    floor."""
-    found = np.zeros((len(primitives), 3))
-    for k in prange(len(primitives)):
-        found[k, 0], found[k, 1], found[k, 2] = _gain(
-            lens,
-            pose,
-            centre,
-            rgb,
-            known,
-            depth,
-            surface,
-            pair,
-            at,
-            z,
-            cost,
-            odds,
-            half,
-            mean_weight,
-            floor_m,
-            primitives[k],
-        )
-    return found
-
-
-@njit(cache=True)
-def _stands_clear(number, known, surface, odds, top, bottom, left, right):
-    """Whether a thing on trial, where ``number`` (H, W) is not 0, shows its whole outline to one camera: floor before
-    its foot, and on either side what looks like the wall behind."""
-    height, width = number.shape
-    foot, clear, beside, total = 0, 0, 0, 0.0
-    for x in range(left, right):
-        low = -1
-        for y in range(top, bottom):
-            if number[y, x] > 0:
-                low = y
-        if low < 0:
-            continue
-        foot += 1
-        y = low + _BELOW
-        if y < height and known[y, x] and number[y, x] == 0 and surface[y, x] == 4 and odds[y, x] < 0:
-            clear += 1
-    for y in range(top, bottom):
-        for x in range(left, right):
-            if number[y, x] == 0:
-                continue
-            for step in (-_BESIDE, _BESIDE):
-                i = x + step
-                if 0 <= i < width and number[y, i] == 0 and known[y, i] and 0 <= surface[y, i] < 6:
-                    total += odds[y, i]
-                    beside += 1
-    return clear >= _CLEAR_FOOT * foot and beside > 0 and total < 0
-
-
-@njit(cache=True)
-def _gain(
-    lens, pose, centre, rgb, known, depth, surface, pair, at, z, cost, odds, half, mean_weight, floor_m, primitive
-):
-    views, height, width = known.shape
-    trial = np.zeros((views, height, width), np.float32)
-    number = np.zeros((views, height, width), np.int32)
-    ray, normal = np.zeros(3), np.zeros(3)
-    touched = np.zeros((views, 4), np.int64)
-    for v in range(views):
-        top, bottom, left, right = _bounds(lens, pose, primitive, v, height, width)
-        touched[v, 0], touched[v, 1], touched[v, 2], touched[v, 3] = height, 0, width, 0
-        for y in range(top, bottom):
-            for x in range(left, right):
-                d, face = _trace(lens, pose, centre, v, y, x, primitive, ray, normal)
-                if d > _NEAR_M and d < depth[v, y, x] * _BEFORE:
-                    trial[v, y, x], number[v, y, x] = d, _TRIAL + face
-                    touched[v, 0], touched[v, 1] = min(touched[v, 0], y), max(touched[v, 1], y + 1)
-                    touched[v, 2], touched[v, 3] = min(touched[v, 2], x), max(touched[v, 3], x + 1)
-    gain, shown, before_cost, unlike, clear = 0.0, 0.0, 0.0, 0.0, 0.0
-    for v in range(views):
-        before_view = unlike
-        # Pixels that now show the primitive.
-        top, bottom, left, right = touched[v]
-        rows, columns = max(bottom - top, 0), max(right - left, 0)
-        total, count = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.int32)
-        samples, seen = np.empty((rows, columns, 3), np.float32), np.zeros((rows, columns), np.bool_)
-        flat, there = np.empty((rows, columns), np.int64), np.empty((rows, columns), np.float32)
-        for o in range(views):
-            if o == v or rows == 0:
-                continue
-            for y in range(rows):
-                for x in range(columns):
-                    seen[y, x] = False
-                    if number[v, y + top, x + left] > 0 and known[v, y + top, x + left]:
-                        flat[y, x], there[y, x] = _warp(
-                            lens, pose, rgb, known, trial, v, o, y + top, x + left, samples[y, x]
-                        )
-                        seen[y, x] = flat[y, x] >= 0
-            for y in range(rows):
-                for x in range(columns):
-                    if not seen[y, x] or _hidden(depth, o, flat[y, x], there[y, x]):
-                        continue
-                    before = trial[o].flat[flat[y, x]]
-                    if before > 0 and before < there[y, x] * (1 - _HIDING_SHARE) - _HIDING_M:
-                        continue
-                    value = _window_cost(
-                        rgb,
-                        v,
-                        y + top,
-                        x + left,
-                        samples,
-                        seen,
-                        number[v, top:bottom, left:right],
-                        top,
-                        left,
-                        half,
-                        mean_weight,
-                    )
-                    if value >= 0:
-                        total[y, x] += value
-                        count[y, x] += 1
-        for y in range(rows):
-            for x in range(columns):
-                if number[v, y + top, x + left] == 0 or not known[v, y + top, x + left]:
-                    continue
-                was = cost[v, y + top, x + left]
-                if count[y, x] > 0:
-                    shown += was - total[y, x] / count[y, x]
-                    before_cost += was
-                elif was < UNSEEN:
-                    gain += was - UNSEEN
-                elif surface[v, y + top, x + left] < 6:
-                    unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
-        own = (unlike - before_view) / _ODDS_WEIGHT
-        stands = own > 0 and primitive[6] <= floor_m + _STANDING_M
-        if stands and _stands_clear(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
-            clear += _STANDING_WEIGHT * own
-        # Pixels on other surfaces that another camera no longer sees.
-        for y in range(height):
-            for x in range(width):
-                if number[v, y, x] > 0 or not known[v, y, x]:
-                    continue
-                sum_, n, lost = 0.0, 0, False
-                for o in range(views):
-                    if pair[v, o, y, x] < 0:
-                        continue
-                    before = trial[o].flat[at[v, o, y, x]]
-                    gone = before > 0 and before < z[v, o, y, x] * (1 - _HIDING_SHARE) - _HIDING_M
-                    if _hidden(depth, o, at[v, o, y, x], z[v, o, y, x]):
-                        continue
-                    if gone:
-                        lost = True
-                    else:
-                        sum_ += pair[v, o, y, x]
-                        n += 1
-                if lost:
-                    gain += cost[v, y, x] - (sum_ / n if n else UNSEEN)
-    # Looks extend what cameras agree on, and are never worth more than that: one photo does not tell where a thing
-    # floats. It does tell where a thing stands whose foot it sees.
-    gain += shown
-    return gain + max(min(unlike, max(gain, 0.0)), clear), shown, before_cost

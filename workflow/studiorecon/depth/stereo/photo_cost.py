@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, gains
+from studiorecon.depth.stereo.kernels import FIRST, draw, explain_all, judged_by
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.trial_kernels import gains
 from studiorecon.depth.stereo.unlikeness import surface_odds
 from studiorecon.scene.room import RoomBox
 
@@ -40,6 +41,7 @@ class Explained:
         rgb, known: the photos. depth: z-depth of the explaining surface, metres. surface: its number.
         pair: (V, V, H, W) cost of the surface in another camera, -1 where they cannot be compared.
         at, z: (V, V, H, W) flat pixel in the other camera, and depth there.
+        begin, judged: (V, H W + 1) and (V, V H W): which pixels each pixel judges (``kernels.judged_by``).
         cost: (V, H, W) cost of every pixel; 0 where the photo is not known.
         judges: how many other cameras see its surface.
         half, mean_weight: half a window in pixels, price of a difference of means.
@@ -59,6 +61,8 @@ class Explained:
     pair: Float[np.ndarray, "V V H W"]
     at: Integer[np.ndarray, "V V H W"]
     z: Float[np.ndarray, "V V H W"]
+    begin: Integer[np.ndarray, "V S"]
+    judged: Integer[np.ndarray, "V T"]
     cost: Float[np.ndarray, "V H W"]
     judges: Integer[np.ndarray, "V H W"]
     half: int
@@ -100,6 +104,8 @@ class Explained:
             pair,
             at,
             z,
+            np.zeros((count, 1), np.int64),
+            np.zeros((count, 0), np.int32),
             cost,
             judges,
             window // 2,
@@ -128,6 +134,12 @@ class Explained:
         _, better, was = self._told(np.asarray(primitive)[None], looks=False)[0]
         return bool(better < _LEAST_BETTER * was)
 
+    def shown(self, primitive: Float[np.ndarray, " 8"]) -> Integer[np.ndarray, " V"]:
+        """(V,) pixels of every view that a primitive (8,) would be seen at."""
+        depth_m, surface, own = self.depth.copy(), self.surface.copy(), FIRST + 10 * len(self.primitives)
+        draw(self.lens, self.pose, self.centre, self.known, depth_m, surface, np.asarray(primitive, np.float64), own)
+        return ((surface >= own) & self.known).sum(axis=(1, 2))
+
     def _told(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
         """(N, 3) gains, what of them is on pixels that show the primitives, and what those cost before."""
         return gains(
@@ -137,6 +149,8 @@ class Explained:
             self.pair,
             self.at,
             self.z,
+            self.begin,
+            self.judged,
             self.cost,
             self.odds if looks else np.zeros_like(self.odds),
             self.half,
@@ -167,6 +181,7 @@ class Explained:
             self.half,
             self.mean_weight,
         )
+        self.begin, self.judged = judged_by(self.known, self.depth, self.pair, self.at, self.z)
 
     def add(self, primitive: Float[np.ndarray, " 8"]) -> None:
         """Add one primitive (8,)."""

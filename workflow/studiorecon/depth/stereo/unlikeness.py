@@ -93,18 +93,18 @@ def _apart(pieces: np.ndarray, at: np.ndarray, upright: bool) -> np.ndarray:
     others, places = described[chosen], at[chosen]
     # Fewer cells apart than this are beside each other.
     reach = at.dtype.type(np.ceil(_ELSEWHERE_M / _CELL_M))
-    squared = np.empty(len(pieces), np.float32)
+    squared, theirs = np.empty(len(pieces), np.float32), (others**2).sum(axis=1)
     for first in range(0, len(pieces), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)
-        distance = (
-            (described[some] ** 2).sum(axis=1)[:, None] + (others**2).sum(axis=1) - 2 * described[some] @ others.T
-        )
+        distance = (described[some] ** 2).sum(axis=1)[:, None] + theirs
+        distance -= 2 * described[some] @ others.T
         beside = np.abs(at[some, None, 1] - places[:, 1]) < reach
         if not upright:
             beside &= np.abs(at[some, None, 0] - places[:, 0]) < reach
         np.copyto(distance, np.float32(np.inf), where=beside)
         rank = min(_NEAREST, distance.shape[1] - 1)
-        squared[some] = np.partition(distance, rank, axis=1)[:, rank]
+        distance.partition(rank, axis=1)
+        squared[some] = distance[:, rank]
     finite = squared[np.isfinite(squared)]
     # A face so narrow that nothing is elsewhere says nothing.
     squared = np.where(np.isfinite(squared), squared, np.median(finite) if len(finite) else 0.0)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a round thing stands that one camera alone sees: by its outline in the picture at full size.
+
+Nothing matches there, so its distance is that of its foot on the floor. A row of a picture 160 pixels wide is 0.3 m of
+floor at seven metres, and pillars and lamps are wider at their foot than above it: both put it too near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.images.warp import sample
+from studiorecon.scene.camera import Camera
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+# Outlines are looked for in steps of so much of a pixel, and are what changes most between two places so far apart.
+_STEP_PX, _APART_PX = 0.25, 0.5
+# An edge differs by this much in colour (sum over channels), over half of its points and so many of them.
+_LEAST_CONTRAST, _LEAST_SHARE, _LEAST_POINTS = 0.06, 0.35, 6
+_TOP = 0.9
+# Sides are looked at above the lower quarter: what is below may be a base. Points of a side, of a foot.
+_ABOVE_BASE, _SIDE_POINTS, _FOOT_POINTS = 0.25, 60, 41
+# The part of a foot's front that counts, to either side of its middle.
+_FRONT_RAD = 0.6
+# A base is at most so much wider, and is looked for between these heights above the contact.
+_WIDEST, _BASE_STEP, _BASE_PX = 1.6, 0.02, (1.0, 4.0)
+
+
+def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) -> Float[np.ndarray, " 8"]:
+    """A cylinder (8,) that stands on the floor, with its sides and its foot moved onto the edges of the picture that
+    shows it, no further than ``reach_px`` in it; as it was where its foot has no edge there.
+
+    Its front is where the picture changes most along the front of its foot, and its axis behind that by half of what
+    it is wide down there.
+    """
+    camera, (x, y), low_m, high_m = picture.camera, cylinder[1:3], cylinder[6], cylinder[7]
+    centre_m, pixel_rad = camera.centre_m, 1 / camera.focal_px[0]
+    apart_m, azimuth = float(np.hypot(x - centre_m[0], y - centre_m[1])), np.arctan2(y - centre_m[1], x - centre_m[0])
+    above_m = centre_m[2] - low_m
+    if apart_m <= cylinder[4] / 2 or above_m <= 0:
+        return cylinder
+    half = np.arcsin(cylinder[4] / 2 / apart_m)
+    around = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX) * pixel_rad
+    aside = _APART_PX * pixel_rad
+
+    def side(at: float, from_m: float, to_m: float, distance_m: float) -> float:
+        ends = (_upright(camera, at + s * aside, distance_m, from_m, to_m) for s in (-1, 1))
+        return _change(picture, *(camera.project(points)[0] for points in ends))
+
+    shaft_m = low_m + _ABOVE_BASE * (high_m - low_m)
+    left, right = (
+        _peak(lambda at: side(at, shaft_m, high_m, apart_m), azimuth + sign * half + around) for sign in (-1, 1)
+    )
+    left, right = (azimuth - half if left is None else left), (azimuth + half if right is None else right)
+    if right <= left:
+        return cylinder
+    azimuth, half = (left + right) / 2, (right - left) / 2
+    down_px = np.array([0.0, _APART_PX])
+    down = np.arctan(above_m / (apart_m - cylinder[4] / 2)) - around
+    down = down[down > pixel_rad]
+
+    def foot(below: float) -> float:
+        front_m = above_m / np.tan(below)
+        points = _front(camera, azimuth, front_m, front_m * np.sin(half) / (1 - np.sin(half)), low_m)
+        pixels = camera.project(points)[0]
+        return _change(picture, pixels - down_px, pixels + down_px)
+
+    below = _peak(foot, down)
+    if below is None:
+        return cylinder
+    front_m = above_m / np.tan(below)
+    apart_m = front_m / (1 - np.sin(half))
+    base_m = [low_m + height * pixel_rad * np.hypot(apart_m, above_m) for height in _BASE_PX]
+
+    def base_side(sign: int, wide: float) -> float:
+        return side(azimuth + sign * wide, base_m[0], base_m[1], apart_m)
+
+    widths = half * np.arange(1 - _BASE_STEP, _WIDEST, _BASE_STEP)
+    bases = [_peak(partial(base_side, sign), widths) for sign in (-1, 1)]
+    seen = [wide for wide in bases if wide is not None]
+    base = max(float(np.mean(seen)) if seen else half, half)
+    axis_m = front_m / (1 - np.sin(base))
+    moved = cylinder.copy()
+    moved[1:3] = centre_m[:2] + axis_m * np.array([np.cos(azimuth), np.sin(azimuth)])
+    moved[4:6] = 2 * axis_m * np.sin(half)
+    return moved
+
+
+def _upright(camera: Camera, azimuth: float, distance_m: float, low_m: float, high_m: float) -> np.ndarray:
+    """(N, 3) points of an upright line, so far from a camera."""
+    place = camera.centre_m[:2] + distance_m * np.array([np.cos(azimuth), np.sin(azimuth)])
+    heights_m = np.linspace(low_m, high_m, _SIDE_POINTS)
+    return np.column_stack([np.tile(place, (_SIDE_POINTS, 1)), heights_m])
+
+
+def _front(camera: Camera, azimuth: float, front_m: float, radius_m: float, low_m: float) -> np.ndarray:
+    """(N, 3) points of the arc of a foot that faces a camera."""
+    middle = camera.centre_m[:2] + (front_m + radius_m) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    turns = azimuth + np.pi + np.linspace(-_FRONT_RAD, _FRONT_RAD, _FOOT_POINTS)
+    arc = middle + radius_m * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    return np.column_stack([arc, np.full(_FOOT_POINTS, low_m)])
+
+
+def _change(picture: Picture, before_px: np.ndarray, after_px: np.ndarray) -> float:
+    """By how much colours (sum over channels) at two rows of pixels (N, 2) differ in the mean; NaN where too few of
+    them are known."""
+    colours, usable = [], np.ones(len(before_px), bool)
+    for pixels in (before_px, after_px):
+        rgb, inside = sample(picture.rgb, pixels[None])
+        known, _ = sample(picture.known.astype(np.float32), pixels[None])
+        colours.append(rgb[0])
+        usable &= inside[0] & (known[0] > 0.99)
+    if usable.sum() < max(_LEAST_POINTS, _LEAST_SHARE * len(usable)):
+        return np.nan
+    return float(np.abs(colours[0] - colours[1])[usable].sum(axis=1).mean())
+
+
+def _peak(change: Callable[[float], float], places: Float[np.ndarray, " N"]) -> float | None:
+    """The middle of where ``change`` is about greatest, if that is an edge: higher than what is beside it, and known
+    there."""
+    found = np.array([change(place) for place in places])
+    if not np.nanmax(found, initial=0.0) >= _LEAST_CONTRAST:
+        return None
+    top = np.flatnonzero(~(found < _TOP * np.nanmax(found)))
+    first = last = int(np.nanargmax(found))
+    while first - 1 in top:
+        first -= 1
+    while last + 1 in top:
+        last += 1
+    edge = first > 0 and last < len(found) - 1 and np.isfinite(found[first : last + 1]).all()
+    return float(places[first : last + 1].mean()) if edge else None
