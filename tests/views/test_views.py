@@ -14,6 +14,8 @@ from studiorecon.configuration.settings import load
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
 from studiorecon.footage.video import read_stack, to_bytes
+from studiorecon.geometry.camera_path import look_at, with_pose
+from studiorecon.scene.camera import Camera
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.path import write_path
 from studiorecon.views import path as views_path
@@ -86,6 +88,47 @@ def test_warped_views_match_the_truth_where_they_claim_support(photos: list[Warp
     assert psnr(rgb, truth, sure) > 23
     assert (np.abs(found - depth)[sure] < 0.05 * depth[sure]).mean() > 0.97
     assert (support[found == 0] == 0).all()
+
+
+def floor_look(azimuth_deg: float, apart_m: float, high_m: float) -> Camera:
+    """At a place on the floor, from so far and so high."""
+    turn = np.radians(azimuth_deg)
+    eye = np.array([apart_m * np.cos(turn), apart_m * np.sin(turn), high_m])
+    intrinsics = np.array([[160.0, 0, 80], [0, 160.0, 45], [0, 0, 1]])
+    return with_pose(Camera("look", (160, 90), intrinsics, np.eye(4)), look_at(eye, np.zeros(3)), eye)
+
+
+def floor_photo(camera: Camera, brightness: float) -> WarpSource:
+    """Boards 12 cm wide along x, box-filtered from 5 × 5 rays to a pixel, and so bright."""
+    fine = camera.resized((5 * camera.wh[0], 5 * camera.wh[1]))
+    origin, rays = fine.rays()
+    points = origin + rays * np.where(rays[..., 2:] < 0, -origin[2] / np.minimum(rays[..., 2:], -1e-9), 0)
+    grey = 0.5 + 0.25 * np.sign(np.sin(points[..., 1] * np.pi / 0.12))
+    grey = brightness * grey.reshape(camera.hw[0], 5, camera.hw[1], 5).mean(axis=(1, 3))
+    origin, rays = camera.rays()
+    depth_m = np.where(rays[..., 2] < 0, -origin[2] / np.minimum(rays[..., 2], -1e-9), 0)
+    return source(camera, np.repeat(grey[..., None], 3, axis=2), np.ones(camera.hw, bool), depth_m, 0.04)
+
+
+def test_detail_is_of_the_sharpest_photo_and_brightness_of_the_nearest_direction() -> None:
+    """A photo from beside the view sees the boards along their width at a grazing angle, as one grey; one from a
+    quarter turn off sees them sharply, in other light."""
+    view = floor_look(90.0, 3.0, 1.5)
+    beside, across = floor_photo(floor_look(80.0, 7.0, 1.0), 1.0), floor_photo(floor_look(0.0, 2.5, 1.8), 0.8)
+    wanted = floor_photo(view, 1.0)
+    near = np.zeros(view.hw, bool)
+    near[35:55, 60:100] = True
+    near &= blend(view, [beside], 3, 0.02, np.radians(15))[1] > 0
+
+    def told(*photos: WarpSource) -> tuple[float, float]:
+        own = blend(view, photos, 3, 0.02, np.radians(15))[0][near].mean(axis=-1)
+        return float(np.corrcoef(own, wanted.rgb[near].mean(axis=-1))[0, 1]), float(own.mean())
+
+    assert told(beside)[0] < 0.5
+    sharp, bright = told(beside, across)
+    assert sharp > 0.8
+    assert bright == pytest.approx(told(beside)[1], abs=0.02), "not as dark as the sharper photo"
+    assert told(across, beside) == pytest.approx((sharp, bright), abs=1e-6), "whichever comes first"
 
 
 def test_what_no_photo_sees_is_a_hole_in_the_mask(photos: list[WarpSource], default_settings: Callable) -> None:

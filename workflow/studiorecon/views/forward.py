@@ -22,6 +22,10 @@ _NEAR_M = 0.1
 # Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does
 # with itself).
 _SAME_SURFACE = 0.03
+# What is finer than this (standard deviation of the mean that is taken off, in pixels of the view) is detail.
+_DETAIL_PX = 2.0
+# More samples of a photo in a pixel than this show nothing finer. Less of a mean than that is none.
+_MOST_SAMPLES, _LEAST_MEAN = 4.0, 1e-6
 
 
 @dataclass(frozen=True)
@@ -168,19 +172,36 @@ def blend(
     """(H, W, 3) float32 colour, (H, W) float32 support in [0, 1] and (H, W) depth (0 in holes) of several photos in one
     camera.
 
-    The nearest surface wins; photos that show it are averaged with weight exp(-angle/fade). Support is 1 where some
-    photo shows the pixel at no less than half its resolution, falls with thinner sampling, and is 0 in holes.
+    The nearest surface wins. Coarse colours are averages of the photos that show it with weight exp(-angle/fade): they
+    change with the direction, and depth is least wrong from nearby. What is finer than a few pixels comes from
+    whichever photo shows it with most samples per pixel, from wherever: a floor that one camera sees at a grazing angle
+    is sharp to another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls with
+    thinner sampling, and is 0 in holes.
     """
     carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
     nearest = np.min([depth_m for _, depth_m, _ in carried], axis=0)
-    total, weight, support = np.zeros((*camera.hw, 3)), np.zeros(camera.hw), np.zeros(camera.hw)
+    coarse, weight, support = np.zeros((*camera.hw, 3)), np.zeros(camera.hw), np.zeros(camera.hw)
+    fine, sharpness = np.zeros((*camera.hw, 3)), np.zeros(camera.hw)
     for photo, (rgb, depth_m, count) in zip(sources, carried):
         shows = np.isfinite(depth_m) & (depth_m <= nearest * (1 + _SAME_SURFACE))
+        smooth = _local_mean(rgb, shows)
         angle = ray_angles_rad(camera, depth_m, photo.camera.centre_m)
-        # A floor under the weight keeps the only witness of a surface, however oblique.
+        # A floor under the weights keeps the only witness of a surface, however oblique.
         share = np.where(shows, np.exp(-np.nan_to_num(angle) / fade_rad) + 1e-6, 0)
-        total, weight = total + share[..., None] * rgb, weight + share
+        coarse, weight = coarse + share[..., None] * smooth, weight + share
+        density = np.minimum(count / oversampling**2, _MOST_SAMPLES)
+        share = np.where(shows, density**2 + 1e-6, 0)
+        fine, sharpness = fine + share[..., None] * (rgb - smooth), sharpness + share
         support = np.maximum(support, np.where(shows, np.minimum(4 * count / oversampling**2, 1), 0))
     seen = weight > 0
-    rgb = total / np.where(seen, weight, 1)[..., None]
+    rgb = coarse / np.where(seen, weight, 1)[..., None] + fine / np.where(seen, sharpness, 1)[..., None]
+    rgb = np.clip(rgb, 0, 1)
     return rgb.astype(np.float32), support.astype(np.float32), np.where(seen, nearest, 0).astype(np.float32)
+
+
+def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
+    """(H, W, 3) Gaussian means of the pixels that are shown; 0 far from any."""
+    known = shows.astype(np.float64)
+    share = cv2.GaussianBlur(known, (0, 0), _DETAIL_PX, borderType=cv2.BORDER_REPLICATE)
+    total = cv2.GaussianBlur(rgb * known[..., None], (0, 0), _DETAIL_PX, borderType=cv2.BORDER_REPLICATE)
+    return total / np.maximum(share, _LEAST_MEAN)[..., None]
