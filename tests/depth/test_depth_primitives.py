@@ -41,18 +41,17 @@ def looks(room: Room, width: int = 96) -> list[Picture]:
     return [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
 
 
+def put_up(pictures: list[Picture], room_box: RoomBox, least_gain: float = 20.0, most: int = 3) -> list[Primitive]:
+    gates = {"window": 5, "mean_weight": 1.5, "least_gain": least_gain, "most": most}
+    return furnish(pictures, pictures.__getitem__, room_box, NOBODY, **gates)
+
+
 @pytest.fixture(scope="module")
 def furnished() -> tuple[Room, list[Picture], list[Primitive]]:
     """The room with its cupboard, four looks at it, and what is found in them."""
     room = made_room()
     pictures = looks(room)
-    return (
-        room,
-        pictures,
-        furnish(
-            pictures, pictures.__getitem__, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=3
-        ),
-    )
+    return room, pictures, put_up(pictures, room.room_box)
 
 
 @pytest.mark.parametrize("primitive", [BOX, POST], ids=["box", "cylinder"])
@@ -158,6 +157,18 @@ def test_every_pixel_knows_which_pixels_it_judges() -> None:
     assert len(expected) > 1000
 
 
+def test_what_is_shown_is_counted_in_every_view() -> None:
+    room = made_room(table=False)
+    seen = Explained.by_room_box(looks(room), room.room_box, 5, 1.5)
+    seen.add(cupboard(made_room()).numbers)
+    expected = [
+        np.count_nonzero((depth_m > 0) & (depth_m < seen.depth[v]))
+        for v, depth_m in enumerate(BOX.depth(picture.camera) for picture in looks(room))
+    ]
+    assert seen.shown(BOX.numbers).tolist() == expected
+    assert len(set(expected)) > 1
+
+
 def test_what_only_hides_a_floor_in_the_wrong_place_is_contradicted() -> None:
     """A floor that is taken to be 0.4 m too high matches nowhere, and any box in mid-air that hides it explains the
     photos better."""
@@ -205,9 +216,7 @@ def test_a_table_gets_its_legs() -> None:
             own, own_m = photograph(replace(room, table=one), camera)
             rgb, depth_m = np.where((own_m < depth_m)[..., None], own, rgb), np.minimum(depth_m, own_m)
         pictures.append(Picture(camera, rgb, np.ones(camera.hw, bool)))
-    found = furnish(
-        pictures, pictures.__getitem__, room.room_box, NOBODY, window=5, mean_weight=1.5, least_gain=20.0, most=8
-    )
+    found = put_up(pictures, room.room_box, most=8)
     top, *rest = sorted(found, key=lambda one: -one.size_m[0] * one.size_m[1])
     assert top.high_m == pytest.approx(0.75, abs=0.04)
     places = [room.room_box.axes[:2, :2] @ np.array(one.centre_m) for one in rest if max(one.size_m) < 0.2]
@@ -238,28 +247,15 @@ def test_nothing_that_stands_on_the_floor_has_legs() -> None:
 def test_what_is_contradicted_is_not_put_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Though the cupboard is there: everything is refused, and the search ends."""
     room = made_room()
-    gates = {"window": 5, "mean_weight": 1.5, "least_gain": 400.0, "most": 3}
     pictures = looks(room, 64)
-    assert len(furnish(pictures, pictures.__getitem__, room.room_box, NOBODY, **gates)) == 1
+    assert len(put_up(pictures, room.room_box, least_gain=400.0)) == 1
     monkeypatch.setattr(Explained, "contradicted", lambda self, primitive: True)
-    assert furnish(pictures, pictures.__getitem__, room.room_box, NOBODY, **gates) == []
+    assert put_up(pictures, room.room_box, least_gain=400.0) == []
 
 
 def test_an_empty_room_stays_empty() -> None:
     room = made_room(table=False)
-    assert (
-        furnish(
-            looks(room),
-            looks(room).__getitem__,
-            room.room_box,
-            NOBODY,
-            window=5,
-            mean_weight=1.5,
-            least_gain=20.0,
-            most=3,
-        )
-        == []
-    )
+    assert put_up(looks(room), room.room_box) == []
 
 
 def test_nothing_is_put_where_somebody_walked_or_a_camera_is(

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from studiorecon.geometry.depth_surface import depth_breaks
+from studiorecon.images.blur import gaussian_blur
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ _NEAR_M = 0.1
 # Between sources, a surface this much deeper than the nearest is another one (two depth maps never agree as one does
 # with itself).
 _SAME_SURFACE = 0.03
-# What is finer than this (standard deviation of the mean that is taken off, in pixels of the view) is detail.
-_DETAIL_PX = 2.0
+# Detail is what is left of a picture without its means over so many pixels of the view: side and standard deviation.
+_BLUR_PX, _DETAIL_PX = 11, 2.0
 # More samples of a photo in a pixel than this show nothing finer. Less of a mean than that is none.
 _MOST_SAMPLES, _LEAST_MEAN = 4.0, 1e-6
 
@@ -173,9 +174,9 @@ def blend(
     camera.
 
     The nearest surface wins. Coarse colours are averages of the photos that show it with weight exp(-angle/fade): they
-    change with the direction, and depth is least wrong from nearby. What is finer than a few pixels comes from
-    whichever photo shows it with most samples per pixel, from wherever: a floor that one camera sees at a grazing angle
-    is sharp to another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls with
+    change with the direction, and depth is least wrong from nearby. What is finer than a few pixels is
+    averaged with the square of the samples per pixel, from wherever: a floor that one camera sees at a grazing angle is
+    sharp to another. Support is 1 where some photo shows the pixel at no less than half its resolution, falls with
     thinner sampling, and is 0 in holes.
     """
     carried = [carry(photo, camera, oversampling, z_tolerance) for photo in sources]
@@ -201,7 +202,5 @@ def blend(
 
 def _local_mean(rgb: Float[np.ndarray, "H W 3"], shows: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W 3"]:
     """(H, W, 3) Gaussian means of the pixels that are shown; 0 far from any."""
-    known = shows.astype(np.float64)
-    share = cv2.GaussianBlur(known, (0, 0), _DETAIL_PX, borderType=cv2.BORDER_REPLICATE)
-    total = cv2.GaussianBlur(rgb * known[..., None], (0, 0), _DETAIL_PX, borderType=cv2.BORDER_REPLICATE)
+    share, total = (gaussian_blur(x, _BLUR_PX, _DETAIL_PX) for x in (shows, rgb * shows[..., None]))
     return total / np.maximum(share, _LEAST_MEAN)[..., None]

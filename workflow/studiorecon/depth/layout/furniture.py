@@ -16,6 +16,7 @@ from studiorecon.depth.layout.standing import stood
 from studiorecon.depth.layout.visibility import kept_from
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.depth.stereo.trial_kernels import STANDING_M
 from studiorecon.scene.room import RoomBox
 
 if TYPE_CHECKING:
@@ -28,8 +29,8 @@ _CLEARANCE_M = 0.05
 # A box is tried as a cylinder when its sides differ by less than this share; one of one photo always is, and may
 # explain so much less.
 _SQUARE_SHARE, _ROUND_SHARE = 0.4, 0.85
-# What one photo alone shows, and stands this near the floor, is moved by so many pixels of the small pictures at most.
-_STANDING_M, _REACH_PX = 0.05, 1.5
+# What one photo alone shows to stand is moved by so many pixels of the small pictures at most.
+_REACH_PX = 1.5
 # So many proposals are priced anew at a time, and so many of them moved.
 _HEAD, _CLIMBERS = 16, 2
 # Proposals this near the middle of one that was refused are moved to it.
@@ -273,7 +274,7 @@ def _on_its_foot(
     gain: float,
 ) -> Float[np.ndarray, " 8"]:
     """A cylinder that one photo alone shows where its foot is on the floor in that photo (``standing``)."""
-    if primitive[0] != 1 or primitive[6] > room.floor_m + _STANDING_M or not _seen_alone(room, primitive, gain):
+    if primitive[0] != 1 or primitive[6] > room.floor_m + STANDING_M or not _seen_alone(room, primitive, gain):
         return primitive
     view = int(room.shown(primitive).argmax())
     picture, start = full(view), primitive.copy()

@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.images.regions import dilated
 from studiorecon.images.warp import sample
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-# Outlines are looked for in steps of so much of a pixel, and are what changes most between two places so far apart.
-_STEP_PX, _APART_PX = 0.25, 0.5
-# An edge differs by this much in colour (sum over channels), over half of its points and so many of them.
-_LEAST_CONTRAST, _LEAST_SHARE, _LEAST_POINTS = 0.06, 0.35, 6
-_TOP = 0.9
+# Edges are looked for in steps of so much of a pixel; colours so far to either side of one are compared.
+_STEP_PX, _BESIDE_PX = 0.25, 0.5
+# An edge differs by this much in colour (sum over channels), where this share of its points and so many of them are
+# known. Its middle is that of the places where it differs by nearly as much as at most.
+_LEAST_CONTRAST, _LEAST_SHARE, _LEAST_POINTS, _NEARLY = 0.06, 0.35, 6, 0.9
 # Sides are looked at above the lower quarter: what is below may be a base. Points of a side, of a foot.
 _ABOVE_BASE, _SIDE_POINTS, _FOOT_POINTS = 0.25, 60, 41
 # The part of a foot's front that counts, to either side of its middle.
@@ -41,6 +42,8 @@ def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) 
     it is wide down there.
     """
     camera, (x, y), low_m, high_m = picture.camera, cylinder[1:3], cylinder[6], cylinder[7]
+    # Between pixels a colour is known where all around it are.
+    known = ~dilated(~picture.known, 3)
     centre_m, pixel_rad = camera.centre_m, 1 / camera.focal_px[0]
     apart_m, azimuth = float(np.hypot(x - centre_m[0], y - centre_m[1])), np.arctan2(y - centre_m[1], x - centre_m[0])
     above_m = centre_m[2] - low_m
@@ -48,11 +51,11 @@ def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) 
         return cylinder
     half = np.arcsin(cylinder[4] / 2 / apart_m)
     around = np.arange(-reach_px, reach_px + _STEP_PX / 2, _STEP_PX) * pixel_rad
-    aside = _APART_PX * pixel_rad
+    aside = _BESIDE_PX * pixel_rad
 
     def side(at: float, from_m: float, to_m: float, distance_m: float) -> float:
         ends = (_upright(camera, at + s * aside, distance_m, from_m, to_m) for s in (-1, 1))
-        return _change(picture, *(camera.project(points)[0] for points in ends))
+        return _change(picture.rgb, known, *(camera.project(points)[0] for points in ends))
 
     shaft_m = low_m + _ABOVE_BASE * (high_m - low_m)
     left, right = (
@@ -62,7 +65,7 @@ def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) 
     if right <= left:
         return cylinder
     azimuth, half = (left + right) / 2, (right - left) / 2
-    down_px = np.array([0.0, _APART_PX])
+    down_px = np.array([0.0, _BESIDE_PX])
     down = np.arctan(above_m / (apart_m - cylinder[4] / 2)) - around
     down = down[down > pixel_rad]
 
@@ -70,7 +73,7 @@ def stood(cylinder: Float[np.ndarray, " 8"], picture: Picture, reach_px: float) 
         front_m = above_m / np.tan(below)
         points = _front(camera, azimuth, front_m, front_m * np.sin(half) / (1 - np.sin(half)), low_m)
         pixels = camera.project(points)[0]
-        return _change(picture, pixels - down_px, pixels + down_px)
+        return _change(picture.rgb, known, pixels - down_px, pixels + down_px)
 
     below = _peak(foot, down)
     if below is None:
@@ -108,15 +111,12 @@ def _front(camera: Camera, azimuth: float, front_m: float, radius_m: float, low_
     return np.column_stack([arc, np.full(_FOOT_POINTS, low_m)])
 
 
-def _change(picture: Picture, before_px: np.ndarray, after_px: np.ndarray) -> float:
+def _change(rgb: np.ndarray, known: np.ndarray, before_px: np.ndarray, after_px: np.ndarray) -> float:
     """By how much colours (sum over channels) at two rows of pixels (N, 2) differ in the mean; NaN where too few of
     them are known."""
-    colours, usable = [], np.ones(len(before_px), bool)
-    for pixels in (before_px, after_px):
-        rgb, inside = sample(picture.rgb, pixels[None])
-        known, _ = sample(picture.known.astype(np.float32), pixels[None])
-        colours.append(rgb[0])
-        usable &= inside[0] & (known[0] > 0.99)
+    pixels = np.stack([before_px, after_px])
+    colours, inside = sample(rgb, pixels)
+    usable = (inside & sample(known, pixels, "nearest")[0]).all(axis=0)
     if usable.sum() < max(_LEAST_POINTS, _LEAST_SHARE * len(usable)):
         return np.nan
     return float(np.abs(colours[0] - colours[1])[usable].sum(axis=1).mean())
@@ -128,7 +128,7 @@ def _peak(change: Callable[[float], float], places: Float[np.ndarray, " N"]) -> 
     found = np.array([change(place) for place in places])
     if not np.nanmax(found, initial=0.0) >= _LEAST_CONTRAST:
         return None
-    top = np.flatnonzero(~(found < _TOP * np.nanmax(found)))
+    top = np.flatnonzero(~(found < _NEARLY * np.nanmax(found)))
     first = last = int(np.nanargmax(found))
     while first - 1 in top:
         first -= 1

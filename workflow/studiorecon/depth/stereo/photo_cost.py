@@ -142,8 +142,8 @@ class Explained:
 
     def _told(self, primitives: Float[np.ndarray, "N 8"], looks: bool) -> Float[np.ndarray, "N 3"]:
         """(N, 3) gains, what of them is on pixels that show the primitives, and what those cost before."""
-        return gains(
-            *self._photos,
+        odds = self.odds if looks else np.zeros_like(self.odds)
+        explained = (
             self.depth,
             self.surface,
             self.pair,
@@ -152,12 +152,10 @@ class Explained:
             self.begin,
             self.judged,
             self.cost,
-            self.odds if looks else np.zeros_like(self.odds),
-            self.half,
-            self.mean_weight,
-            self.floor_m,
-            np.ascontiguousarray(primitives, np.float64),
+            odds,
         )
+        tried = np.ascontiguousarray(primitives, np.float64)
+        return gains(self._photos, explained, self.half, self.mean_weight, self.floor_m, tried)
 
     @property
     def _photos(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -29,55 +29,20 @@ from studiorecon.depth.stereo.kernels import (
 _ODDS_WEIGHT, _STANDING_WEIGHT = 0.3, 0.4
 # A thing stands before everybody's eyes when so much of its foot has floor before it, seen this many pixels below, and
 # what is this many pixels beside it is wall again; its foot is on the floor within so many metres.
-_CLEAR_FOOT, _BELOW, _BESIDE, _STANDING_M = 0.5, 2, 2, 0.03
+_CLEAR_FOOT, _BELOW, _BESIDE, STANDING_M = 0.5, 2, 2, 0.03
 
 
 @njit(cache=True, parallel=True)
-def gains(
-    lens,
-    pose,
-    centre,
-    rgb,
-    known,
-    depth,
-    surface,
-    pair,
-    at,
-    z,
-    begin,
-    judged,
-    cost,
-    odds,
-    half,
-    mean_weight,
-    floor_m,
-    primitives,
-):
+def gains(photos, explained, half, mean_weight, floor_m, primitives):
     """(N, 3) by how much the cost of all pixels falls with each of N primitives (N, 8) added alone; then of the pixels
-    that show it and that another camera judges, by how much theirs falls and what it was; ``floor_m``: height of the
-    floor."""
+    that show it and that another camera judges, by how much theirs falls and what it was.
+
+    ``photos``: lens, pose, centre, rgb, known; ``explained``: depth, surface, pair, at, z, begin, judged, cost, odds
+    (``photo_cost.Explained``); ``floor_m``: height of the floor.
+    """
     found = np.zeros((len(primitives), 3))
     for k in prange(len(primitives)):
-        found[k, 0], found[k, 1], found[k, 2] = _gain(
-            lens,
-            pose,
-            centre,
-            rgb,
-            known,
-            depth,
-            surface,
-            pair,
-            at,
-            z,
-            begin,
-            judged,
-            cost,
-            odds,
-            half,
-            mean_weight,
-            floor_m,
-            primitives[k],
-        )
+        found[k, 0], found[k, 1], found[k, 2] = _gain(photos, explained, half, mean_weight, floor_m, primitives[k])
     return found
 
 
@@ -111,26 +76,9 @@ def _stands_clear(number, known, surface, odds, top, bottom, left, right):
 
 
 @njit(cache=True)
-def _gain(
-    lens,
-    pose,
-    centre,
-    rgb,
-    known,
-    depth,
-    surface,
-    pair,
-    at,
-    z,
-    begin,
-    judged,
-    cost,
-    odds,
-    half,
-    mean_weight,
-    floor_m,
-    primitive,
-):
+def _gain(photos, explained, half, mean_weight, floor_m, primitive):
+    lens, pose, centre, rgb, known = photos
+    depth, surface, pair, at, z, begin, judged, cost, odds = explained
     views, height, width = known.shape
     trial = np.zeros((views, height, width), np.float32)
     number = np.zeros((views, height, width), np.int8)
@@ -212,7 +160,7 @@ def _gain(
                 elif surface[v, y + top, x + left] < 6:
                     unlike += _ODDS_WEIGHT * odds[v, y + top, x + left]
         own = (unlike - before_view) / _ODDS_WEIGHT
-        stands = own > 0 and primitive[6] <= floor_m + _STANDING_M
+        stands = own > 0 and primitive[6] <= floor_m + STANDING_M
         if stands and _stands_clear(number[v], known[v], surface[v], odds[v], top, bottom, left, right):
             clear += _STANDING_WEIGHT * own
         # Pixels on other surfaces that another camera no longer sees.
