@@ -17,6 +17,7 @@ from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration.setting import setting
 from studiorecon.depth.layout import box as room
 from studiorecon.depth.layout import uprights
+from studiorecon.depth.layout.platform import Raised, platform_of
 from studiorecon.depth.layout.votes import Votes, read_sweeps
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
 from studiorecon.depth.sweep_settings import FirstLook, Matching
@@ -137,6 +138,14 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
+    raised = platform_of(
+        pictures,
+        fitted.axes,
+        float(fitted.low_m[2]),
+        room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m),
+    )
+    if raised is not None:
+        fitted = _on_lower_floor(fitted, raised, pictures, settings)
     feet = uprights.feet(cameras, [room_of(plate) for plate in plates], float(fitted.low_m[2]))
     fitted, uprights_at = uprights.with_walls(fitted, feet, cameras)
     for index, (name, face) in enumerate(zip(FACES, fitted.faces)):
@@ -154,8 +163,27 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         votes.planes, votes.count(), fitted, settings.candidates, least_votes=_least_voters(pictures)
     )
     planes = refine_candidates(pictures, votes, planes, settings)
+    if raised is not None:
+        lower = np.array([[0.0, 0.0, 1.0, level] for level in raised.levels_m]).reshape(-1, 4)
+        planes = np.concatenate([planes, lower])
     say(f"{len(planes) - 6} planes inside the room are worth trying")
     write_room(box, replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
+
+
+def _on_lower_floor(box: RoomBox, raised: Raised, pictures: list[Picture], settings: Settings) -> RoomBox:
+    """The box with its floor where it lies around what people stand on."""
+    size_m = raised.platform.high_m - raised.platform.low_m
+    say(
+        f"people stand {raised.platform.top_m - raised.floor_m:.2f} m above the floor, on something of "
+        f"{size_m[0]:.1f} × {size_m[1]:.1f} m: around it photos agree on what lies lower"
+    )
+    fitted, score = box.fitted.copy(), box.score.copy()
+    fitted[4], score[4] = True, raised.score
+    low_m, high_m = np.array([*box.low_m[:2], raised.floor_m]), box.high_m.copy()
+    if not fitted[5]:
+        highest_m = max(float(p.camera.centre_m[2]) for p in pictures)
+        high_m[2] = max(raised.floor_m + settings.ceiling_default_m, highest_m + 1.0)
+    return replace(box, low_m=low_m, high_m=high_m, fitted=fitted, score=score, platform=raised.platform)
 
 
 def _least_voters(pictures: list[Picture]) -> int:

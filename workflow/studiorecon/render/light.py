@@ -142,7 +142,7 @@ def estimate(
     """The light that explains how the floor changes over ``frames`` (T); not kept where it does not explain the last
     quarter of them."""
     nothing = Lamps(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, float(room_box.low_m[2]))
+    blank = Light(False, "", nothing, np.zeros(0), np.ones(0), 0.0, 0.0, settings.contact_m, room_box.standing_m)
     points, ratio = np.concatenate([o.points_m for o in observed]), np.concatenate([o.ratio for o in observed])
     later = np.arange(len(frames)) >= len(frames) - max(1, round(_HELD_OUT * len(frames)))
     some = (np.isfinite(ratio[:, ~later]).sum(axis=1) >= 2) & np.isfinite(ratio[:, later]).any(axis=1)
@@ -219,7 +219,7 @@ def run(
     observed = []
     for camera, video, mask, plate_path, depth in zip(cameras, videos, masks, plates, depths):
         plate, measured = read_plate(plate_path)
-        points, floor = floor_points(camera, read_depth(depth)[0], float(box.low_m[2]))
+        points, floor = floor_points(camera, read_depth(depth)[0], box.standing_m)
         pixels = np.flatnonzero(floor & measured & beside(points, at[sure], chosen.reach_m))
         pixels = pixels[:: max(1, -(-len(pixels) // chosen.points))]
         seam = np.ones((2 * max(1, round(_SEAM * camera.wh[0])) + 1,) * 2, np.uint8)

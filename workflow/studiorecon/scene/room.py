@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +54,20 @@ class Face:
 
 
 @dataclass(frozen=True)
+class Platform:
+    """What people stand on where the room's floor lies lower.
+
+    Attributes:
+        low_m, high_m: (2,) its sides' least and greatest coordinates along the room box's u and v.
+        top_m: its height, where people stand.
+    """
+
+    low_m: Num[np.ndarray, " 2"]
+    high_m: Num[np.ndarray, " 2"]
+    top_m: float
+
+
+@dataclass(frozen=True)
 class RoomBox:
     """A box with vertical walls that encloses every camera.
 
@@ -69,6 +83,7 @@ class RoomBox:
         gains: camera name → (3,) factors that multiplied its exposure: divide its photo by them to make the cameras
             agree.
         planes: (K, 4) every plane the photos voted for, n·p = o, metres; the six faces come first.
+        platform: what people stand on, None where that is the floor.
     """
 
     yaw_rad: float
@@ -78,6 +93,12 @@ class RoomBox:
     score: Num[np.ndarray, " 6"]
     gains: Mapping[str, Num[np.ndarray, " 3"]] = field(default_factory=dict)
     planes: Num[np.ndarray, "K 4"] = field(default_factory=lambda: np.zeros((0, 4)))
+    platform: Platform | None = None
+
+    @property
+    def standing_m(self) -> float:
+        """Height of what people stand on."""
+        return float(self.low_m[2]) if self.platform is None else self.platform.top_m
 
     @property
     def axes(self) -> Num[np.ndarray, "3 3"]:
@@ -141,12 +162,13 @@ def write_room(path: Path, room_box: RoomBox) -> None:
     faces = {
         name: {"fitted": bool(room_box.fitted[i]), "score": float(room_box.score[i])} for i, name in enumerate(FACES)
     }
-    write_json(path, value | {"faces": faces})
+    platform = None if room_box.platform is None else asdict(room_box.platform)
+    write_json(path, value | {"faces": faces, "platform": platform})
 
 
 def read_room(path: Path) -> RoomBox:
     """Read ``depth/room.json``; raises UserError when it is missing or not JSON."""
-    value = read_content(path, gaps=("score",))
+    value = read_content(path, gaps=("score", "platform"))
     with as_written(path):
         return _room(value)
 
@@ -161,4 +183,10 @@ def _room(value: Mapping[str, Any]) -> RoomBox:
         score=np.array([np.nan if f["score"] is None else f["score"] for f in faces], np.float64),
         gains={name: np.asarray(gain, np.float64) for name, gain in value["gains"].items()},
         planes=np.asarray(value["planes"], np.float64).reshape(-1, 4),
+        platform=None if value["platform"] is None else _platform(value["platform"]),
     )
+
+
+def _platform(value: Mapping[str, Any]) -> Platform:
+    low_m, high_m = (np.asarray(value[name], np.float64).reshape(2) for name in ("low_m", "high_m"))
+    return Platform(low_m, high_m, float(value["top_m"]))

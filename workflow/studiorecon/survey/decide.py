@@ -74,7 +74,7 @@ def run(
         for video, camera, own in zip(videos, cameras, own_points)
     ]
     followed = tracks(found, whose, names or [], capture.frames, settings.min_confidence)
-    material = Material(cameras, names, views, films, followed, float(read_room(room_box).low_m[2]), capture.fps)
+    material = Material(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
     early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier), settings.force)}

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""People on something that stands on the floor: the floor is found below them, and a floor that is polished or full of
+things is not taken for a platform."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from studiorecon.depth.layout.box import Matching
+from studiorecon.depth.layout.furniture import furnish
+from studiorecon.depth.layout.platform import platform_of
+from studiorecon.depth.layout.primitives import read_primitives
+from studiorecon.depth.stereo.plates import Picture
+from studiorecon.scene.room import Platform, RoomBox, read_room, write_room
+
+from tests.depth.test_depth import FURNISHED, estimate, relative_errors
+from tests.made.room import Room, made_room, photograph, ring, write_capture
+
+HOW = Matching(window=7, mean_weight=0.3, near_m=0.3, far_m=12.0)
+WH = (288, 162)
+FLOOR_M = -0.35
+
+
+def raised(size_m: tuple[float, float] = (1.8, 1.4)) -> Room:
+    """A room whose floor is 0.35 m below what stands in its middle."""
+    room = made_room(table=False)
+    low_m = np.array([-size_m[0] / 2, -size_m[1] / 2, FLOOR_M])
+    return replace(
+        room,
+        room_box=replace(room.room_box, low_m=np.array([*room.room_box.low_m[:2], FLOOR_M])),
+        table=replace(room.room_box, low_m=low_m, high_m=np.array([size_m[0] / 2, size_m[1] / 2, 0.0])),
+    )
+
+
+def seen(room: Room, count: int = 4) -> list[Picture]:
+    cameras = ring(count, wh=WH, target_m=0.2)
+    return [Picture(c, photograph(room, c)[0], np.ones(c.hw, bool)) for c in cameras]
+
+
+@pytest.fixture(scope="module")
+def on_a_platform() -> list[Picture]:
+    return seen(raised())
+
+
+def test_floor_is_found_below_what_people_stand_on(on_a_platform: list[Picture]) -> None:
+    found = platform_of(on_a_platform, raised().room_box.axes, 0.0, HOW)
+    assert found is not None
+    assert abs(found.floor_m - FLOOR_M) < 0.06
+    assert found.score > 0.8
+    assert np.abs(found.platform.low_m - (-0.9, -0.7)).max() < 0.16
+    assert np.abs(found.platform.high_m - (0.9, 0.7)).max() < 0.16
+    assert found.platform.top_m == 0.0
+
+
+def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
+    # A mat over half the room, 0.17 m above the floor: both heights are told, the lower one is the floor's.
+    room = raised()
+    mat = RoomBox(
+        room.room_box.yaw_rad,
+        np.array([-2.9, 0.9, FLOOR_M]),
+        np.array([3.3, 3.1, FLOOR_M + 0.17]),
+        room.room_box.fitted,
+        room.room_box.score,
+    )
+    matted = seen(replace(room, table=mat))
+    pictures = []
+    for with_mat, without in zip(matted, on_a_platform):
+        # Both boxes in one picture: the nearer surface of the two rooms.
+        near = photograph(replace(room, table=mat), with_mat.camera)[1]
+        nearer = near < photograph(room, without.camera)[1]
+        pictures.append(replace(without, rgb=np.where(nearer[..., None], with_mat.rgb, without.rgb)))
+    found = platform_of(pictures, room.room_box.axes, 0.0, HOW)
+    assert found is not None
+    assert abs(found.floor_m - FLOOR_M) < 0.06
+    assert min(abs(level - (FLOOR_M + 0.17)) for level in found.levels_m) < 0.05
+
+
+@pytest.mark.parametrize("table", [False, True], ids=["bare", "furnished"])
+def test_floor_that_people_stand_on_is_no_platform(table: bool) -> None:
+    room = made_room(table=table)
+    assert platform_of(seen(room), room.room_box.axes, 0.0, HOW) is None
+
+
+def test_mirrored_things_do_not_lie_below_a_polished_floor() -> None:
+    room = made_room()
+    assert room.table is not None
+    upside_down = replace(
+        room,
+        room_box=replace(room.room_box, low_m=room.room_box.low_m * (1, 1, 0) - (0, 0, 3.0)),
+        table=replace(room.table, low_m=room.table.low_m - (0, 0, 0.8), high_m=room.table.high_m - (0, 0, 0.8)),
+    )
+    pictures = []
+    for picture in seen(room):
+        mirrored = photograph(upside_down, picture.camera)[0]
+        origin, rays = picture.camera.rays()
+        _, face = room.room_box.intersect(origin, rays)
+        _, depth_m = photograph(room, picture.camera)
+        floor = (face == 4) & (np.abs(origin[2] + rays[..., 2] * depth_m) < 1e-6)
+        rgb = np.where(floor[..., None], 0.4 * picture.rgb + 0.6 * mirrored, picture.rgb)
+        pictures.append(replace(picture, rgb=rgb.astype(np.float32)))
+    assert platform_of(pictures, room.room_box.axes, 0.0, HOW) is None
+
+
+def test_one_camera_tells_nothing() -> None:
+    assert platform_of(seen(raised())[:1], raised().room_box.axes, 0.0, HOW) is None
+
+
+def test_platform_is_the_first_of_the_furniture(on_a_platform: list[Picture]) -> None:
+    room_box = replace(
+        raised().room_box, fitted=np.ones(6, bool), platform=Platform(np.array([-0.9, -0.7]), np.array([0.9, 0.7]), 0.0)
+    )
+    small = [_at_width(picture, 96) for picture in on_a_platform]
+    feet = np.array([[0.0, 0.0, 0.0, 0.05], [0.2, 0.2, 0.0, 0.05]])
+    found = furnish(small, small.__getitem__, room_box, feet, window=5, mean_weight=0.3, least_gain=20.0, most=2)
+    assert found[0].kind == "box"
+    assert (found[0].low_m, found[0].high_m) == (FLOOR_M, 0.0)
+    assert found[0].size_m == pytest.approx((1.8, 1.4))
+    assert found[0].evidence > 20.0
+
+
+def _at_width(picture: Picture, width: int) -> Picture:
+    camera = picture.camera.resized((width, round(width * WH[1] / WH[0])))
+    return Picture(camera, photograph(raised(), camera)[0], np.ones(camera.hw, bool))
+
+
+def test_room_file_keeps_the_platform(tmp_path: Path) -> None:
+    for platform in (None, Platform(np.array([-0.9, -0.7]), np.array([0.9, 0.7]), 0.02)):
+        write_room(tmp_path / "room.json", replace(made_room().room_box, platform=platform))
+        read = read_room(tmp_path / "room.json")
+        if platform is None:
+            assert read.platform is None
+            assert read.standing_m == 0.0
+        else:
+            assert read.platform is not None
+            assert read.standing_m == read.platform.top_m == 0.02
+            assert np.array_equal([read.platform.low_m, read.platform.high_m], [platform.low_m, platform.high_m])
+
+
+def test_room_stands_on_the_lower_floor(
+    on_a_platform: list[Picture], tmp_path: Path, default_settings: Callable[..., dict]
+) -> None:
+    cameras = [picture.camera for picture in on_a_platform]
+    plates = write_capture(tmp_path, cameras, [picture.rgb for picture in on_a_platform])
+    found = estimate(tmp_path, cameras, plates, default_settings("depth", **FURNISHED))
+    assert abs(found.room_box.low_m[2] - FLOOR_M) < 0.03
+    assert abs(found.room_box.standing_m) < 0.02
+    first = read_primitives(tmp_path / "primitives.json")[0]
+    assert (first.low_m, first.high_m) == (found.room_box.low_m[2], found.room_box.standing_m)
+    truth = [photograph(raised(), camera)[1] for camera in cameras]
+    assert (relative_errors(found, truth) < 0.05).mean() > 0.8
