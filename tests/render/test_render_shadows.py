@@ -29,7 +29,7 @@ from studiorecon.render.room_light import Lamps, Light, read_light, write_light
 from studiorecon.render.shading import dim, facing_up, most_agreed, shading
 from studiorecon.scene.gaussians import SH_C0, Gaussians, sh_from_rgb
 from studiorecon.scene.people import Person
-from studiorecon.scene.room import RoomBox, write_room
+from studiorecon.scene.room import Platform, RoomBox, write_room
 from studiorecon.splatting.conventions import SH
 from studiorecon.splatting.cpu.blocks import block
 from studiorecon.splatting.discs import discs
@@ -301,7 +301,9 @@ def test_the_step_finds_the_lamp_in_files_and_refuses_what_does_not_fit(
     one, cameras = walking(body), ring([20, 110], "cam", wh=(160, 100))
     disc = np.array([[*LAMP_M, 2 * LAMP_HALF_M / np.sqrt(np.pi)]])
     write_model(tmp_path / "cameras", cameras)
-    write_room(tmp_path / "room.json", ROOM_BOX)
+    # On a platform: shadows are looked for where people stand, not on the floor below it.
+    platform = Platform(ROOM_BOX.low_m[:2], ROOM_BOX.high_m[:2], 0.0)
+    write_room(tmp_path / "room.json", replace(ROOM_BOX, low_m=np.array([-3.0, -3.0, -0.4]), platform=platform))
     for camera in cameras:
         rays = camera.rays()[1]
         depth = np.where(rays[..., 2] < -1e-3, camera.centre_m[2] / np.maximum(-rays[..., 2], 1e-3), 0.0)
