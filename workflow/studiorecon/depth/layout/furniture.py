@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 _STEPS_M = (0.16, 0.08, 0.04, 0.02)
 _MOST_MOVES = 8
+# A move explains so many pixels more; of what people stand on, such a share of what it explains: whatever is wrong
+# about the floor beside it explains a little.
+_LEAST_MORE, _LEAST_MORE_SHARE = 0.2, 0.02
 _LEAST_SIDE_M, _LEAST_HEIGHT_M = 0.05, 0.04
 _CLEARANCE_M = 0.05
 # A box is tried as a cylinder when its sides differ by less than this share; one of one photo always is, and may
@@ -124,17 +127,43 @@ def climb(
     """The primitive moved face by face while that explains more, in steps down to centimetres, and what it gains."""
     # What stands along the walls stays along them: two faces seen do not tell a small turn from a wrong place.
     turns = abs((primitive[3] - room_box.yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4) > 1e-6
-    for step in steps_m:
+
+    def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
+        around = moves(now, step_m, turns)
+        return around[allowed(around, room_box, taken)]
+
+    return _moved(room, primitive, gain, steps_m, others, _LEAST_MORE)
+
+
+def _widened(room: Explained, platform: Float[np.ndarray, " 8"], gain: float) -> tuple[Float[np.ndarray, " 8"], float]:
+    """What people stand on with its sides moved outwards while that explains more, and what it gains."""
+
+    def others(now: Float[np.ndarray, " 8"], step_m: float) -> Float[np.ndarray, "M 8"]:
+        around = moves(now, step_m, False)
+        wider = around[:, 4:6].sum(axis=1) > now[4:6].sum()
+        return around[wider & (around[:, 6:] == now[6:]).all(axis=1)]
+
+    return _moved(room, platform, gain, _STEPS_M[:3], others, _LEAST_MORE_SHARE * gain)
+
+
+def _moved(
+    room: Explained,
+    primitive: Float[np.ndarray, " 8"],
+    gain: float,
+    steps_m: tuple[float, ...],
+    others: Callable[[Float[np.ndarray, " 8"], float], Float[np.ndarray, "M 8"]],
+    least_more: float,
+) -> tuple[Float[np.ndarray, " 8"], float]:
+    for step_m in steps_m:
         for _ in range(_MOST_MOVES):
-            others = moves(primitive, step, turns)
-            others = others[allowed(others, room_box, taken)]
-            if not len(others):
+            around = others(primitive, step_m)
+            if not len(around):
                 break
-            found = room.gains(others)
+            found = room.gains(around)
             best = int(found.argmax())
-            if found[best] <= gain + 0.2:
+            if found[best] <= gain + least_more:
                 break
-            primitive, gain = others[best], float(found[best])
+            primitive, gain = around[best], float(found[best])
     return primitive, gain
 
 
@@ -204,7 +233,8 @@ def furnish(
     evidence: list[float] = []
     if room_box.platform is not None:
         stood_on = _box_of(room_box.platform, room_box)
-        evidence.append(float(room.gains(stood_on[None])[0]))
+        stood_on, gain = _widened(room, stood_on, float(room.gains(stood_on[None])[0]))
+        evidence.append(gain)
         room.add(stood_on)
     taken = np.concatenate([kept_from(room.centre, _CLEARANCE_M), free_m])
     proposals = np.array(
