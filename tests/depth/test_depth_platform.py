@@ -16,6 +16,8 @@ from studiorecon.depth.layout.box import Matching
 from studiorecon.depth.layout.furniture import furnish
 from studiorecon.depth.layout.platform import platform_of
 from studiorecon.depth.stereo.plates import Picture
+from studiorecon.geometry import rotations
+from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.room import Platform, RoomBox, read_room, write_room
 
 from tests.depth.test_depth import THIN
@@ -84,6 +86,19 @@ def test_mats_lie_on_the_floor(on_a_platform: list[Picture]) -> None:
 def test_floor_that_people_stand_on_is_no_platform(table: bool) -> None:
     room = made_room(table=table)
     assert platform_of(seen(room), room.room_box.axes, 0.0, HOW) is None
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_cameras_that_are_off_see_no_platform(seed: int) -> None:
+    # Two thirds of a degree and a centimetre and a half each: photos agree on the floor in places only.
+    room, rng = made_room(), np.random.default_rng(seed)
+    pictures = []
+    for picture in seen(room):
+        turn = rotations.exp(np.radians(rng.normal(0, 0.7 / np.sqrt(3), 3)))
+        centre_m = picture.camera.centre_m + rng.normal(0, 0.015, 3)
+        moved = with_pose(picture.camera, picture.camera.rotation_camera_from_world.T @ turn, centre_m)
+        pictures.append(replace(picture, camera=moved))
+    assert platform_of(pictures, room.room_box.axes, 0.0, HOW) is None
 
 
 def test_mirrored_things_do_not_lie_below_a_polished_floor() -> None:

@@ -40,11 +40,15 @@ _NEARLY, _WORSE = 0.15, 0.3
 _CELL_M = 0.1
 # A cell belongs to what people stand on where this share of the pixels about it says so.
 _CELL_AGREES = 0.4
-# So many cells around the platform must lie lower, and this share of all that were told there, and of those on it;
-# nearer than this many steps is the platform's own height.
-_LEAST_CELLS, _LEAST_SHARE, _LEAST_AROUND, _OWN = 50, 0.6, 0.1, 1
-# Mats and boxes lie on the floor: it is the lowest height that this share of the most frequent one's cells lie at.
-_LOWEST_SHARE = 0.6
+# So many cells around the platform must lie lower, and this share of all that were told there, and of those on it.
+# Nearer than this many steps is the platform's own height.
+_LEAST_CELLS, _LEAST_SHARE, _LEAST_AROUND, _OWN = 50, 0.6, 0.4, 1
+# A floor that is seen by cameras that are a degree off lies apart as well, but as much of it above as below: within so
+# many steps.
+_NEAR = 6
+# Mats and boxes lie on the floor: it is the lowest height that this share of the most frequent one's cells lie at. A
+# floor that lies less than so far down is within what cameras may be off by.
+_LOWEST_SHARE, _LEAST_DOWN_M = 0.6, 0.14
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,9 @@ def platform_of(
     on_it = len(_cells(local[level & ~outside]))
     if lower < max(_LEAST_CELLS, _LEAST_SHARE * (lower + same), _LEAST_AROUND * on_it):
         return None
+    near = (np.abs(told.step) > _OWN) & (np.abs(told.step) <= _NEAR) & outside
+    if len(_cells(local[near & ~below])) > len(_cells(local[near & below])):
+        return None
     count = np.zeros(round(_DEEPEST_M / _STEP_M) + 2)
     for step in np.unique(told.step[below & outside]):
         count[-step] = len(_cells(local[outside & (told.step == step)]))
@@ -111,6 +118,8 @@ def platform_of(
     peak = lowest - 1 + int(count[lowest - 1 : lowest + 2].argmax())
     span = np.arange(peak - 1, min(peak + 2, len(count)))
     floor_m = standing_m - _STEP_M * float((span * count[span]).sum() / count[span].sum())
+    if standing_m - floor_m < _LEAST_DOWN_M:
+        return None
     mats = [
         standing_m - k * _STEP_M
         for k in range(2 * _OWN + 1, peak - 1)
