@@ -43,9 +43,6 @@ _CELL_AGREES = 0.4
 # So many cells around the platform must lie lower, and this share of all that were told there, and of those on it.
 # Nearer than this many steps is the platform's own height.
 _LEAST_CELLS, _LEAST_SHARE, _LEAST_AROUND, _OWN = 50, 0.6, 0.4, 1
-# A floor that is seen by cameras that are a degree off lies apart as well, but as much of it above as below: within so
-# many steps.
-_NEAR = 6
 # Mats and boxes lie on the floor: it is the lowest height that this share of the most frequent one's cells lie at. A
 # floor that lies less than so far down is within what cameras may be off by.
 _LOWEST_SHARE, _LEAST_DOWN_M = 0.6, 0.14
@@ -106,19 +103,19 @@ def platform_of(
     on_it = len(_cells(local[level & ~outside]))
     if lower < max(_LEAST_CELLS, _LEAST_SHARE * (lower + same), _LEAST_AROUND * on_it):
         return None
-    near = (np.abs(told.step) > _OWN) & (np.abs(told.step) <= _NEAR) & outside
-    if len(_cells(local[near & ~below])) > len(_cells(local[near & below])):
-        return None
-    count = np.zeros(round(_DEEPEST_M / _STEP_M) + 2)
-    for step in np.unique(told.step[below & outside]):
-        count[-step] = len(_cells(local[outside & (told.step == step)]))
+    # Cells at every step below where people stand, and as far above it.
+    count, above = np.zeros((2, round(_DEEPEST_M / _STEP_M) + 2))
+    for step in range(_OWN + 1, len(count)):
+        count[step], above[step] = (len(_cells(local[outside & (told.step == at)])) for at in (-step, step))
     around = np.convolve(count, np.ones(3), mode="same")
     lowest = int(np.flatnonzero(around >= _LOWEST_SHARE * around.max())[-1])
     # The peak beside it, and where in its step: cells of three steps, the middle one the fullest.
     peak = lowest - 1 + int(count[lowest - 1 : lowest + 2].argmax())
     span = np.arange(peak - 1, min(peak + 2, len(count)))
     floor_m = standing_m - _STEP_M * float((span * count[span]).sum() / count[span].sum())
-    if standing_m - floor_m < _LEAST_DOWN_M:
+    # The floor that people stand on lies apart as well where cameras are a degree off, but as much of it above as
+    # below.
+    if standing_m - floor_m < _LEAST_DOWN_M or above[: peak + 2].sum() > count[: peak + 2].sum():
         return None
     mats = [
         standing_m - k * _STEP_M
