@@ -20,12 +20,13 @@ from studiorecon.geometry import rotations
 from studiorecon.geometry.camera_path import with_pose
 from studiorecon.scene.room import Platform, RoomBox, read_room, write_room
 
-from tests.depth.test_depth import THIN
 from tests.made.room import Room, made_room, photograph, ring, write_capture
 
 HOW = Matching(window=7, mean_weight=0.3, near_m=0.3, far_m=12.0)
 WH = (240, 136)
 FLOOR_M = -0.35
+# Fewer planes than by default: the room is small.
+THIN = {"sweep_width": 144, "wall_step_m": 0.08, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 30}
 
 
 def raised(size_m: tuple[float, float] = (1.8, 1.4)) -> Room:
