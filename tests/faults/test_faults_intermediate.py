@@ -60,6 +60,7 @@ ROOM = {
     "gains": {"cam1": [1.0, 1.0, 1.0]},
     "planes": [[0.0, 0.0, 1.0, 0.0]],
     "faces": {name: {"fitted": True, "score": 0.5} for name in FACES},
+    "platform": {"low_m": [1.0, 1.0], "high_m": [2.0, 3.0], "top_m": 0.3},
 }
 PRIMITIVE = Primitive("box", (1.0, 1.0), 0.2, (0.5, 0.5), 0.0, 1.0, 30.0)
 DETECTIONS = {
