@@ -134,9 +134,10 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
     assert ways.max() == pytest.approx(200, abs=6)
     hidden = rooms["cam"].known.copy()
     hidden[:, :150] = False
-    assert straight_edges(rooms["cam"].grey, hidden)[:, [0, 2]].min() > 150, (
-        "where nobody knows the room it has no edges"
-    )
+    beside = replace(rooms["cam"], known=hidden)
+    assert beside.edges_px[:, [0, 2]].min() > 150, "where nobody knows the room it has no edges"
+    assert np.array_equal(beside.edges_px, straight_edges(beside.grey, beside.known))
+    assert beside.edges_px is beside.edges_px, "they are found once"
 
 
 def test_a_bare_picture_has_no_edges() -> None:

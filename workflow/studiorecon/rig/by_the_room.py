@@ -22,7 +22,7 @@ from studiorecon.rig.bundle import error_medians
 from studiorecon.rig.correspondences import Observations
 from studiorecon.rig.floor_marks import FloorMarks, floor_marks
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.room_turns import RoomTurn, room_turns, straight_edges
+from studiorecon.rig.room_turns import RoomTurn, room_turns
 from studiorecon.scene.camera import Camera
 
 if TYPE_CHECKING:
@@ -147,11 +147,7 @@ def turns_of(cameras: Sequence[Camera], rooms: Sequence[RoomPicture | None]) -> 
     A room that is mostly hidden says nothing: the few edges left are not a fair choice, and agree with one another on
     turns that are degrees off.
     """
-    edges = {
-        v: straight_edges(room.grey, room.known)
-        for v, room in enumerate(rooms)
-        if room is not None and room.known.mean() >= _LEAST_KNOWN
-    }
+    edges = {v: room.edges_px for v, room in enumerate(rooms) if room is not None and room.known.mean() >= _LEAST_KNOWN}
     return room_turns(dict(enumerate(cameras)), edges)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,10 @@ import cv2
 import numpy as np
 
 from studiorecon.footage.stills import read_plate
+from studiorecon.rig.room_turns import straight_edges
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Integer
+    from jaxtyping import Bool, Integer, Num
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,12 @@ class RoomPicture:
 
     grey: Integer[np.ndarray, "H W"]
     known: Bool[np.ndarray, "H W"]
+
+    @cached_property
+    def edges_px(self) -> Num[np.ndarray, "N 4"]:
+        """(N, 4) ends of its straight edges (``room_turns.straight_edges``), found once: whoever tries cameras asks
+        again for each."""
+        return straight_edges(self.grey, self.known)
 
 
 def room_of(plate: Path) -> RoomPicture:

@@ -17,7 +17,6 @@ import numpy as np
 
 from studiorecon.geometry.camera_path import scene_centre
 from studiorecon.rig.room_picture import RoomPicture
-from studiorecon.rig.room_turns import straight_edges
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.room import RoomBox
 
@@ -77,7 +76,7 @@ def feet(cameras: Sequence[Camera], rooms: Sequence[RoomPicture], floor_m: float
 
 
 def _feet_of(view: int, camera: Camera, room: RoomPicture, floor_m: float) -> Feet:
-    ends_px = straight_edges(room.grey, room.known).reshape(-1, 2, 2)
+    ends_px = room.edges_px.reshape(-1, 2, 2)
     rays = camera.unproject(ends_px, np.ones(ends_px.shape[:2])) - camera.centre_m
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     across = np.cross(rays[:, 0], rays[:, 1])
