@@ -29,19 +29,18 @@ FLOOR_M = -0.35
 THIN = {"sweep_width": 144, "wall_step_m": 0.08, "reach_m": 6.0, "furniture_m": 1.0, "candidates": 30}
 
 
-def raised(size_m: tuple[float, float] = (1.8, 1.4)) -> Room:
-    """A room whose floor is 0.35 m below what stands in its middle."""
+def raised() -> Room:
+    """A room whose floor is 0.35 m below the top of what stands in its middle, 1.8 × 1.4 m."""
     room = made_room(table=False)
-    low_m = np.array([-size_m[0] / 2, -size_m[1] / 2, FLOOR_M])
     return replace(
         room,
         room_box=replace(room.room_box, low_m=np.array([*room.room_box.low_m[:2], FLOOR_M])),
-        table=replace(room.room_box, low_m=low_m, high_m=np.array([size_m[0] / 2, size_m[1] / 2, 0.0])),
+        table=replace(room.room_box, low_m=np.array([-0.9, -0.7, FLOOR_M]), high_m=np.array([0.9, 0.7, 0.0])),
     )
 
 
-def seen(room: Room, count: int = 4) -> list[Picture]:
-    cameras = ring(count, wh=WH, target_m=0.2)
+def seen(room: Room) -> list[Picture]:
+    cameras = ring(wh=WH, target_m=0.2)
     return [Picture(c, photograph(room, c, samples=1)[0], np.ones(c.hw, bool)) for c in cameras]
 
 

@@ -58,7 +58,7 @@ def fit_room_box(pictures: list[Picture], votes: Votes, yaw_rad: float, floor_m:
     A default wall stands ``far_m`` beyond the cameras, the default ceiling at ``ceiling_default_m`` above the floor (at
     least a metre above the highest camera): an open place has no walls, and ``fitted`` says so.
     """
-    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    how = _matching(settings)
     count = votes.count()
     least = settings.wall_votes * sum(c.size for c in votes.chosen)
     centres = np.stack([p.camera.centre_m for p in pictures])
@@ -120,7 +120,7 @@ def refine_candidates(
     pictures: list[Picture], votes: Votes, planes: Float[np.ndarray, "L 4"], settings: Settings
 ) -> Float[np.ndarray, "L 4"]:
     """The candidate planes with their offsets placed by their own voters; the six faces of the room box stay."""
-    how = room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
+    how = _matching(settings)
     placed = planes.copy()
     for k in progress(range(6, len(planes)), "placing planes"):
         voters = votes.voters(planes[k, :3], planes[k, 3], 0.07)
@@ -138,12 +138,7 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
     swept = read_sweeps(sweeps, len(cameras))
     pictures = equalised(read_pictures(cameras, plates, settings.sweep_width), swept.gains)
     fitted = fit_room_box(pictures, swept.votes, swept.yaw_rad, swept.floor_m, settings)
-    raised = platform_of(
-        pictures,
-        fitted.axes,
-        float(fitted.low_m[2]),
-        room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m),
-    )
+    raised = platform_of(pictures, fitted.axes, float(fitted.low_m[2]), _matching(settings))
     if raised is not None:
         fitted = _on_lower_floor(fitted, raised, pictures, settings)
     feet = uprights.feet(cameras, [room_of(plate) for plate in plates], float(fitted.low_m[2]))
@@ -168,6 +163,10 @@ def run(settings: Settings, model: Path, plates: list[Path], sweeps: list[Path],
         planes = np.concatenate([planes, lower])
     say(f"{len(planes) - 6} planes inside the room are worth trying")
     write_room(box, replace(fitted, planes=planes, gains={c.name: g for c, g in zip(cameras, swept.gains)}))
+
+
+def _matching(settings: Settings) -> room.Matching:
+    return room.Matching(settings.window, settings.mean_weight, settings.near_m, settings.far_m)
 
 
 def _on_lower_floor(box: RoomBox, raised: Raised, pictures: list[Picture], settings: Settings) -> RoomBox:

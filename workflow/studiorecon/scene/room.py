@@ -55,7 +55,8 @@ class Face:
 
 @dataclass(frozen=True)
 class Platform:
-    """What people stand on where the room's floor lies lower.
+    """What people stand on where the room's floor lies lower, as its own pixels tell; the first of
+    ``depth/primitives.json`` is the same, widened to what explains the photos.
 
     Attributes:
         low_m, high_m: (2,) its sides' least and greatest coordinates along the room box's u and v.

@@ -169,6 +169,7 @@ def _pair(picture: Picture, other: Picture, standing_m: float, steps: np.ndarray
 
 
 def _told(pictures: Sequence[Picture], standing_m: float, how: Matching) -> _Told:
+    """What the pixels of all pictures say of their height, each compared with every other picture."""
     steps = np.arange(-round(_DEEPEST_M / _STEP_M), round(_HIGHEST_M / _STEP_M) + 1)
     plane = np.array([0.0, 0.0, 1.0, standing_m])
     pairs = {
