@@ -117,7 +117,8 @@ def main() -> int:
             with tempfile.TemporaryDirectory() as folder:
                 told |= {device: film(dataset, device, Path(folder))}
             print(json.dumps(told, indent=1), flush=True)
-        written.write_text(json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": told}, indent=1) + "\n")
+            # Each as it ends: the machine may be lent for a few minutes only.
+            written.write_text(json.dumps(known | {"gpu": name, f"film_{Path(dataset).stem}": told}, indent=1) + "\n")
         return 0
     # Its plugin warns of xdist wherever it is installed, and warnings are errors here.
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:benchmark", "-m", "gpu", "tests/gpu"]

@@ -63,17 +63,16 @@ def texture(points: np.ndarray, face: np.ndarray, seed: int, lines: bool = False
     u = np.where(face // 2 == 0, points[..., 1], points[..., 0]) + 20.0
     v = np.where(face // 2 == 2, points[..., 1], points[..., 2]) + 20.0
     rng = np.random.default_rng(seed)
-    colour = np.empty((*face.shape, 3))
-    for c in range(3):
-        table = rng.random((64, 64))
-        value = np.zeros(face.shape)
-        for scale, share in ((1.1, 0.5), (3.0, 0.5)):
-            a, b = u * scale + 7 * face, v * scale + 3 * face
-            i, j = np.floor(a).astype(int), np.floor(b).astype(int)
-            p, q = (x * x * (3 - 2 * x) for x in (a - i, b - j))
-            at = [table[(i + di) % 64, (j + dj) % 64] for di in (0, 1) for dj in (0, 1)]
-            value += share * ((at[0] * (1 - q) + at[1] * q) * (1 - p) + (at[2] * (1 - q) + at[3] * q) * p)
-        colour[..., c] = 0.15 + 0.7 * value
+    tables, value = [rng.random((64, 64)) for _ in range(3)], np.zeros((3, *face.shape))
+    for scale, share in ((1.1, 0.5), (3.0, 0.5)):
+        a, b = u * scale + 7 * face, v * scale + 3 * face
+        i, j = np.floor(a).astype(int), np.floor(b).astype(int)
+        p, q = (x * x * (3 - 2 * x) for x in (a - i, b - j))
+        places = [((i + di) % 64, (j + dj) % 64) for di in (0, 1) for dj in (0, 1)]
+        for c, table in enumerate(tables):
+            at = [table[place] for place in places]
+            value[c] += share * ((at[0] * (1 - q) + at[1] * q) * (1 - p) + (at[2] * (1 - q) + at[3] * q) * p)
+    colour = np.ascontiguousarray(np.moveaxis(0.15 + 0.7 * value, 0, -1))
     if lines:
         boards = (face == 4) & ((v / 0.4) % 1 < 0.12)
         bands = (face < 4) & ((v < 20.15) | (np.abs(v - 21.3) < 0.05))

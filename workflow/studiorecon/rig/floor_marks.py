@@ -135,18 +135,23 @@ def floor_marks(
     places: list[tuple[int, np.ndarray, dict[int, np.ndarray]]] = []
     seen_by: dict[tuple[int, int], int] = {}
     for a in views:
-        rows, columns, patches = _patches(laid[a], place_m, reach_m)
+        at = _edged_places(laid[a], place_m)
+        patches = [_patch(laid[a], place, place_m) for place in at]
+        again = {
+            b: _found_again(patches, at, laid[b], shifts[a, b] if (a, b) in shifts else -shifts[b, a], place_m)
+            for b in views
+            if b != a
+        }
+        # Most are found nowhere, and of those it does not matter what is beside them.
+        some = np.any([np.isfinite(moved[:, 0]) for moved in again.values()], axis=0).tolist()
+        alone = np.array([s and _alone(laid[a], place, place_m, reach_m) for s, place in zip(some, at)], bool)
         found: dict[int, np.ndarray] = {}
-        for b in views:
-            if b == a:
-                continue
-            shift = shifts[a, b] if (a, b) in shifts else -shifts[b, a]
-            moved = _found_again(patches, rows, columns, laid[b], shift, place_m)
-            agreed = _one_homography(np.stack([columns, rows], 1), moved, place_m)
+        for b, moved in again.items():
+            agreed = _one_homography(at[alone], moved[alone], place_m)
             if agreed.any():
-                found[b] = np.where(agreed[:, None], moved, np.nan)
+                found[b] = np.where(agreed[:, None], moved[alone], np.nan)
                 seen_by[a, b] = int(agreed.sum())
-        places += [(a, np.array([columns[k], rows[k]]), {b: m[k] for b, m in found.items()}) for k in range(len(rows))]
+        places += [(a, place, {b: m[k] for b, m in found.items()}) for k, place in enumerate(at[alone])]
     kept = [p for p in places if any(np.isfinite(at).all() for at in p[2].values())]
     if not kept:
         return None
@@ -182,7 +187,8 @@ def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m:
     shape = grid_m.shape[:2]
     pixels, depth_m = camera.project(np.concatenate([grid_m, np.full((*shape, 1), plane_m)], axis=-1).reshape(-1, 3))
     pixels, depth_m = pixels.reshape(*shape, 2), depth_m.reshape(shape)
-    known = (depth_m > 0) & (pixels >= 1).all(-1) & (pixels < np.array(camera.wh) - 1).all(-1)
+    (x, y), (width, height) = np.moveaxis(pixels, -1, 0), camera.wh
+    known = (depth_m > 0) & (x >= 1) & (y >= 1) & (x < width - 1) & (y < height - 1)
     at = np.where(known[..., None], pixels, -1.0).astype(np.float32) - 0.5
     # Where places are larger than pixels, pixels between them count too.
     shrink = max(1.0, float(np.median(_spacing_px(pixels)[known[:-1, :-1]]))) if known[:-1, :-1].any() else 1.0
@@ -202,9 +208,9 @@ def _laid(room: RoomPicture | None, camera: Camera, grid_m: np.ndarray, plane_m:
 
 def _spacing_px(pixels: np.ndarray) -> np.ndarray:
     """(H - 1, W - 1) pixels from a place to the next, the lesser of both ways."""
-    right = np.linalg.norm(pixels[:-1, 1:] - pixels[:-1, :-1], axis=-1)
-    below = np.linalg.norm(pixels[1:, :-1] - pixels[:-1, :-1], axis=-1)
-    nearest: np.ndarray = np.minimum(right, below)
+    x, y = np.moveaxis(pixels, -1, 0)
+    right, below = (np.diff(x)[:-1], np.diff(y)[:-1]), (np.diff(x, axis=0)[:, :-1], np.diff(y, axis=0)[:, :-1])
+    nearest: np.ndarray = np.sqrt(np.minimum(*(across**2 + down**2 for across, down in (right, below))))
     return nearest
 
 
@@ -224,7 +230,7 @@ def _coarse(
         spectra = {v: _spectra(_laid(rooms[v], cameras[v], grid_m, plane_m)) for v in views}
         total, shifts = 0.0, {}
         for a, b in itertools.combinations(views, 2):
-            score = _alike(spectra[a], spectra[b], reach)
+            score = _alike(spectra[a], spectra[b], grid_m.shape[:2], reach)
             row, column = np.unravel_index(int(np.argmax(score)), score.shape)
             total += float(score[row, column])
             shifts[a, b] = (np.array([column, row]) - reach) * _COARSE_M
@@ -234,54 +240,62 @@ def _coarse(
     return best[1], best[2]
 
 
-def _spectra(laid: _Laid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fourier transforms of the edges, of their strength and of what is known, padded against wrapping round."""
-    shape = [fft.next_fast_len(2 * n) for n in laid.known.shape]
-    edges = laid.edges[..., 0] + 1j * laid.edges[..., 1]
-    known = laid.known.astype(np.float32)
-    whole = (edges.astype(np.complex64), (np.abs(edges) ** 2).astype(np.float32), known)
-    first, second, third = (fft.fft2(x, shape) for x in whole)
-    return first, second, third
+def _spectra(laid: _Laid) -> np.ndarray:
+    """(4, H', W') Fourier transforms of the edges' two parts, of the square of their strength and of what is known,
+    padded against wrapping round."""
+    shape = [fft.next_fast_len(2 * n, real=True) for n in laid.known.shape]
+    across, down = np.moveaxis(laid.edges, -1, 0)
+    spectra: np.ndarray = fft.rfft2(np.stack([across, down, across**2 + down**2, laid.known.astype(np.float32)]), shape)
+    return spectra
 
 
-def _alike(first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...], reach: int) -> np.ndarray:
-    """(2 reach + 1, 2 reach + 1) how alike two floors are by the second one's shift, at most 1; -1 where they share too
-    little."""
-    at = np.arange(-reach, reach + 1)
-
-    def over(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        summed: np.ndarray = fft.ifft2(np.conj(one) * other).real[np.ix_(at, at)]
-        return summed
-
-    edges = over(first[0], second[0])
-    of_first, of_second = over(first[1], second[2]), over(first[2], second[1])
-    shared = over(first[2], second[2])
+def _alike(first: np.ndarray, second: np.ndarray, shape: Sequence[int], reach: int) -> np.ndarray:
+    """(2 reach + 1, 2 reach + 1) how alike two floors of ``shape`` are by the second one's shift, at most 1; -1 where
+    they share too little."""
+    padded, at = [fft.next_fast_len(2 * n, real=True) for n in shape], np.arange(-reach, reach + 1)
+    (across, down, strength, known), (other_across, other_down, other_strength, other_known) = np.conj(first), second
+    products = across * other_across + down * other_down, strength * other_known, known * other_strength
+    edges, of_first, of_second, shared = fft.irfft2(np.stack([*products, known * other_known]), padded)[
+        :, at[:, None], at
+    ]
     alike = edges / np.sqrt(np.maximum(of_first, 1.0) * np.maximum(of_second, 1.0))
     return np.where(shared > 1.0 / _COARSE_M**2, alike, -1.0)
 
 
-def _patches(laid: _Laid, place_m: float, reach_m: float) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Rows and columns (K,) of the middles of patches that look like nothing beside them, and their edges."""
-    half, step, beside = (max(1, round(m / place_m)) for m in (_PATCH_M / 2, _EVERY_M, _BESIDE_M))
-    reach = max(2 * beside, round(reach_m / place_m))
-    rows, columns, patches = [], [], []
-    height, width = laid.known.shape
-    edged = (np.abs(laid.edges).sum(-1) > 0).astype(np.float32)
-    size = (2 * half + 1, 2 * half + 1)
-    share = cv2.boxFilter(edged, -1, size)
+def _half(place_m: float) -> int:
+    return max(1, round(_PATCH_M / 2 / place_m))
+
+
+def _edged_places(laid: _Laid, place_m: float) -> np.ndarray:
+    """(K, 2) columns and rows of the middles of patches of known floor that have edges."""
+    half, step = _half(place_m), max(1, round(_EVERY_M / place_m))
+    size, (height, width) = (2 * half + 1, 2 * half + 1), laid.known.shape
+    share = cv2.boxFilter(_edged(laid.edges).astype(np.float32), -1, size)
     seen = cv2.boxFilter(laid.known.astype(np.float32), -1, size)
-    for row, column in itertools.product(range(half, height - half, step), range(half, width - half, step)):
-        if share[row, column] < _LEAST_EDGES or seen[row, column] < 0.9:
-            continue
-        patch = laid.edges[row - half : row + half + 1, column - half : column + half + 1]
-        around = _window(laid.edges, row, column, half + reach)
-        alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
-        alike[_disc(alike.shape, reach, reach, beside)] = -1
-        if alike.max() < _SELF_ALIKE:
-            rows.append(row)
-            columns.append(column)
-            patches.append(patch)
-    return np.array(rows, int), np.array(columns, int), patches
+    rows, columns = np.meshgrid(range(half, height - half, step), range(half, width - half, step), indexing="ij")
+    wanted = (share[rows, columns] >= _LEAST_EDGES) & (seen[rows, columns] >= 0.9)
+    return np.stack([columns[wanted], rows[wanted]], axis=1)
+
+
+def _patch(laid: _Laid, place: np.ndarray, place_m: float) -> np.ndarray:
+    column, row, half = *place, _half(place_m)
+    return laid.edges[row - half : row + half + 1, column - half : column + half + 1]
+
+
+def _alone(laid: _Laid, place: np.ndarray, place_m: float, reach_m: float) -> bool:
+    """Does the patch about a place look like nothing beside it?"""
+    beside = max(1, round(_BESIDE_M / place_m))
+    reach = max(2 * beside, round(reach_m / place_m))
+    around = _window(laid.edges, place[1], place[0], _half(place_m) + reach)
+    alike = cv2.matchTemplate(around, _patch(laid, place, place_m), cv2.TM_CCORR_NORMED)
+    alike[_disc(alike.shape, reach, reach, beside)] = -1
+    return bool(alike.max() < _SELF_ALIKE)
+
+
+def _edged(edges: np.ndarray) -> np.ndarray:
+    """(H, W) where there is any edge, channel by channel: sums along a last axis of two take ten times as long."""
+    found: np.ndarray = (edges[..., 0] != 0) | (edges[..., 1] != 0)
+    return found
 
 
 def _window(edges: np.ndarray, row: int, column: int, half: int) -> np.ndarray:
@@ -306,8 +320,7 @@ def _disc(shape: tuple[int, ...], row: int, column: int, radius: int) -> np.ndar
 
 def _found_again(
     patches: Sequence[np.ndarray],
-    rows: np.ndarray,
-    columns: np.ndarray,
+    at: np.ndarray,
     laid: _Laid,
     shift_m: np.ndarray,
     place_m: float,
@@ -318,9 +331,9 @@ def _found_again(
     reach, beside = max(2, round(_BEYOND_M / place_m)), max(1, round(_BESIDE_M / place_m))
     begin = np.rint(np.asarray(shift_m) / place_m).astype(int)
     for k, patch in enumerate(patches):
-        row, column = int(rows[k] + begin[1]), int(columns[k] + begin[0])
+        column, row = (int(i) for i in at[k] + begin)
         around = _window(laid.edges, row, column, len(patch) // 2 + reach)
-        if (np.abs(around).sum(-1) > 0).mean() < _LEAST_EDGES / 2:
+        if _edged(around).mean() < _LEAST_EDGES / 2:
             continue
         alike = cv2.matchTemplate(around, patch, cv2.TM_CCORR_NORMED)
         top, left = (int(i) for i in np.unravel_index(int(np.argmax(alike)), alike.shape))
