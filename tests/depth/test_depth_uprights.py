@@ -156,3 +156,18 @@ def test_a_camera_might_stand_where_none_does() -> None:
     found, told = placed(around, [np.full(c.hw, 120, np.uint8) for c in around], box)
     assert told.keys() == {2, 3}
     assert -5.0 < found.low_m[1] < -4.4
+
+
+@pytest.mark.parametrize(("beside", "told"), [(10, True), (60, False)])
+def test_a_line_that_few_of_the_feet_stand_on_is_no_wall(beside: int, told: bool) -> None:
+    """Among things that stand about, some stand in a row by chance."""
+    row = np.stack([np.full(8, 3.0), np.linspace(-1.0, 1.0, 8)], 1)
+    rng = np.random.default_rng(0)
+    about = np.stack([np.linspace(0.2, 2.5, beside), rng.uniform(-1.5, 1.5, beside)], 1)
+    place_m = np.concatenate([row, about])
+    count, towards = len(place_m), place_m / np.linalg.norm(place_m, axis=1)[:, None]
+    seen = uprights.Feet(place_m, towards, np.full(count, 0.02), np.full(count, 3.0), np.zeros(count, int))
+    line = uprights.foot_of(seen, np.array([1.0, 0.0]), 0.0, 5.0)
+    assert (line is not None) == told
+    if line is not None:
+        assert line[0] == pytest.approx(3.0, abs=0.05)

@@ -13,6 +13,7 @@ from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.decisions import Decision, forced, read_decisions, switched_on, write_decisions
+from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halved, read_film, run_starts
 from studiorecon.survey.coverage import (
@@ -215,6 +216,17 @@ class TestStep:
         found = read_decisions(files["decisions"])
         assert found["people"].verdict == "off"
         assert found["hands"].verdict == "undetermined"
+
+    def test_the_floor_is_where_people_stand(
+        self, files: dict, settings: step.Settings, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """On a platform their shadows fall on it, not on the room's floor below."""
+        box, heights_m = read_room(files["room_box"]), []
+        monkeypatch.setattr(step, "Material", lambda *given: heights_m.append(given[5]) or Material(*given))
+        for platform in (None, Platform(box.low_m[:2], box.high_m[:2], 0.3)):
+            write_room(files["room_box"], replace(box, platform=platform))
+            step.run(settings, **files)
+        assert heights_m == [0.0, 0.3]
 
     def test_a_missing_film_is_refused(self, files: dict, settings: step.Settings) -> None:
         with pytest.raises(UserError, match="2 videos, 3 plates"):
