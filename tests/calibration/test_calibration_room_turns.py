@@ -140,6 +140,19 @@ def test_edges_of_footage_are_those_of_the_empty_room(tmp_path: Path, capsys: py
     assert beside.edges_px is beside.edges_px, "they are found once"
 
 
+@pytest.mark.parametrize("count", [1, 4, 7])
+def test_the_room_is_the_median_of_its_pictures(tmp_path: Path, count: int) -> None:
+    """And known where half of the pictures are within 12 levels of it; of two in the middle their mean counts."""
+    grey = np.random.default_rng(0).integers(0, 256, (count, 24, 32), dtype=np.uint8)
+    for k, picture in enumerate(grey):
+        cv2.imwrite(str(tmp_path / f"{k:03}.png"), picture)
+    room = rooms_of(["cam"], [tmp_path], {"cam": (32, 24)})["cam"]
+    median = np.median(grey, axis=0).astype(np.uint8)
+    np.testing.assert_array_equal(room.grey, median)
+    beside = np.abs(grey.astype(int) - median)
+    np.testing.assert_array_equal(room.known, np.median(beside, axis=0) < 12)
+
+
 def test_a_bare_picture_has_no_edges() -> None:
     assert straight_edges(np.full((50, 60), 128, np.uint8)).shape == (0, 4)
     with pytest.raises(ValueError, match="grey"):
