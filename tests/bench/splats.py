@@ -2,11 +2,12 @@
 """The rasteriser and its training beside their peers, with the bars they are held to; figures go to
 tests/bench/results/splats.json.
 
-    python -m tests.bench.splats [--threads 2] [--gsplat DIR] [--prototype DIR] [--iterations 7000]
+    python -m tests.bench.splats [--threads 2] [--gsplat DIR] [--opensplat DIR] [--prototype DIR] [--iterations 7000]
     python -m tests.bench.splats --table          # milliseconds by size, nothing else
 
-DIR is gsplat 1.5.3's unpacked wheel (pip download --no-deps gsplat==1.5.3; python -m zipfile -e …) and the folder of
-the design's numba sketches; a bar whose peer is not given is left out and said to be. Peers take turns with ours in one
+DIR is gsplat 1.5.3's unpacked wheel (pip download --no-deps gsplat==1.5.3; python -m zipfile -e …), OpenSplat's source
+(a C++ compiler and ninja build its rasteriser) and the folder of the design's numba sketches; a bar whose peer is not
+given is left out and said to be. Peers take turns with ours in one
 process, and every figure is the least of its rounds, because neighbours on the machine only ever add. Ratios are of
 processor time on one thread, which a busy machine hardly changes; what is meant for idle cores (frames per second, a
 whole training, two threads against one) is wall time, and the load is written down beside it: on a busy machine these
@@ -40,6 +41,7 @@ from studiorecon.splatting.train.targets import DrawOrder, Target
 from studiorecon.splatting.train.terms import Term, terms_of
 
 from tests.bench import ceiling, children, peers, plain
+from tests.bench.opensplat import drawn_by_opensplat
 from tests.made.gaussians import camera, camera_on_ring, hard, room
 from tests.made.splatting_gradients import BACKGROUND, FIELDS, NEAR_M, reference
 from tests.made.splatting_settings import SETTINGS
@@ -104,7 +106,9 @@ def accuracy() -> Bars:
     return bars
 
 
-def speed(gsplat: Path | None, prototype: Path | None, rounds: int) -> tuple[Bars, dict[str, float]]:
+def speed(
+    gsplat: Path | None, opensplat: Path | None, prototype: Path | None, rounds: int
+) -> tuple[Bars, dict[str, float]]:
     """50,000 Gaussians at 320×176 on one thread, ours and every peer in turns; processor milliseconds."""
     scene, view = room(50_000, 0), camera(320, 176)
     scene = scene.take(morton_order(scene.means_m))
@@ -156,10 +160,14 @@ def speed(gsplat: Path | None, prototype: Path | None, rounds: int) -> tuple[Bar
                 )
             )
         slow: dict[str, Callable[[], object]] = {"plain": scalar, "raster": calls["raster"]}
-        if gsplat:
+        if gsplat or opensplat:
             import torch
 
             torch.set_num_threads(1)
+        if opensplat:
+            another = drawn_by_opensplat(opensplat, scene, view, by, 0.01)
+            slow["OpenSplat"] = lambda: another(True)
+        if gsplat:
             theirs = peers.gsplat_reference(gsplat, scene, view, ours, by)
             slow["gsplat torch"] = lambda: theirs(True)
         for call in (calls | slow).values():
@@ -180,6 +188,10 @@ def speed(gsplat: Path | None, prototype: Path | None, rounds: int) -> tuple[Bar
         picture = float(np.abs(theirs(False) - ours.planes[:3].transpose(1, 2, 0)).mean())
         bars["gsplat's torch reference and ours, mean difference"] = (picture, "<=", 1e-4)
         bars["forward + backward, times gsplat's torch reference"] = (ms["gsplat torch"] / ms["both"], ">=", 60)
+    if opensplat:
+        picture = float(np.abs(another(False) - ours.planes[:3].transpose(1, 2, 0)).mean())
+        bars["OpenSplat and ours, mean difference"] = (picture, "<=", 1e-3)
+        bars["forward + backward, times OpenSplat's rasteriser"] = (ms["OpenSplat"] / ms["both"], ">=", 10)
     if prototype:
         bars["forward + backward, share of the prototype's time"] = (ms["both"] / ms["prototype both"], "<=", 1.25)
     rates = {
@@ -307,6 +319,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--gsplat", type=Path, help="gsplat's unpacked wheel")
+    parser.add_argument("--opensplat", type=Path, help="OpenSplat's source")
     parser.add_argument("--prototype", type=Path, help="folder of the design's numba sketches")
     parser.add_argument("--iterations", type=int, default=7000, help="of the whole training, which is scaled to 7,000")
     parser.add_argument("--rounds", type=int, default=60)
@@ -320,7 +333,7 @@ def main() -> None:
             "OMP_WAIT_POLICY", "passive"
         )  # threads that spin for one that waits its turn only make it wait longer
     load, bars = [os.getloadavg()[0]], accuracy()
-    found, ms = speed(options.gsplat, options.prototype, options.rounds)
+    found, ms = speed(options.gsplat, options.opensplat, options.prototype, options.rounds)
     bars |= found
     load.append(os.getloadavg()[0])
     found, walls = scaling(options.threads, options.rounds)
@@ -348,7 +361,11 @@ def main() -> None:
     }
     left_out = [
         name
-        for name, given in (("gsplat's torch reference", options.gsplat), ("the prototype", options.prototype))
+        for name, given in (
+            ("gsplat's torch reference", options.gsplat),
+            ("OpenSplat", options.opensplat),
+            ("the prototype", options.prototype),
+        )
         if not given
     ]
     for name, row in result.items():
