@@ -45,8 +45,8 @@ from studiorecon.views.forward import blend, source
 from tests.defaults import default_settings, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
-# Cases in which the settings differ: without boxes and cylinders, with planes of regions, with these alone.
-CHANGES = {"bare": ["primitives=0"], "regions": ["regions=100"], "bare regions": ["primitives=0", "regions=100"]}
+# Cases in which the settings differ: without boxes and cylinders.
+CHANGES = {"bare": ["primitives=0"]}
 
 
 def section(stage: str, preset: str, changes: list[str]) -> dict:
@@ -249,7 +249,7 @@ def main() -> None:
             values = section("depth", given.preset, given.changes + CHANGES.get(what, []))
             # Every room its own errors, the same in every run.
             rng = np.random.default_rng([len(what), *room.name.encode()])
-            shown = given.pictures / what if given.pictures and what in ("plain", "regions") else None
+            shown = given.pictures / what if given.pictures and what == "plain" else None
             result = measure(disturbed(room, what, rng), values, shown)
             told = {"changes": given.changes} | ({} if room.made else {"views": given.views})
             stored["runs"][f"{room.name} {what}"] = result | {k: v for k, v in told.items() if v}

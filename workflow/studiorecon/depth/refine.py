@@ -4,7 +4,7 @@ edges.
 
 Writes ``depth/<camera>.exr``: Z metres, A confidence. Pixels that rest on the room box because no other camera could
 judge them have A at or below ``default_confidence``; measured ones lie above it. Furniture (``depth/primitives.json``)
-stands before all of it, and planes of regions that nothing explains (``regions``) replace what is there.
+stands before all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numba import njit
 
@@ -24,7 +23,6 @@ from studiorecon.depth.stereo.free_space import back_to_room_box
 from studiorecon.depth.stereo.passes import Labelled, PassSettings, explain, plane_depths, plane_scores
 from studiorecon.depth.stereo.photo_cost import Explained
 from studiorecon.depth.stereo.plates import Picture, equalised, read_pictures
-from studiorecon.depth.stereo.regions import explain_regions
 from studiorecon.depth.sweep_settings import Assumed
 from studiorecon.errors import UserError
 from studiorecon.footage.exr import write_depth
@@ -46,19 +44,11 @@ _EDGE_CONTRAST = 0.15
 
 @dataclass(frozen=True)
 class Settings(PassSettings, Assumed):
-    """The size of the last look, and the share of the disagreement that a region's own plane may leave."""
+    """The size of the last look."""
 
     refine_width: int = setting(
         320, "Width of the last look at the chosen planes, at most the working width.", minimum=32, maximum=4096
     )
-    regions: int = setting(
-        0,
-        "Planes of their own, leaning as they may, of regions of a photo that room and furniture do not "
-        "explain, at most per camera; 0 = none.",
-        minimum=0,
-        maximum=1000,
-    )
-    regions_share: float = 0.4
 
 
 def confidence(
@@ -201,42 +191,6 @@ def furnished(
     return depth_m, np.where(shown, certainty, certain).astype(np.float32), shown
 
 
-def patched(
-    camera: Camera,
-    rgb: Float[np.ndarray, "H W 3"],
-    index: int,
-    pictures: list[Picture],
-    depths: list[Float[np.ndarray, "h w"]],
-    room_box: RoomBox,
-    depth_m: Float[np.ndarray, "H W"],
-    certain: Float[np.ndarray, "H W"],
-    settings: Settings,
-) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Depth, confidence (H, W) and (H, W) bool ``patch`` of one camera at full size with the planes of regions that
-    explain the photos better than ``depths`` (one (h, w) per picture) do."""
-    found = explain_regions(
-        pictures,
-        index,
-        depths,
-        room_box,
-        window=settings.window,
-        mean_weight=settings.mean_weight,
-        penalty=settings.refine_penalty,
-        near_m=settings.near_m,
-        most_share=settings.regions_share,
-        most=settings.regions,
-    )
-    planes = np.concatenate([np.zeros((1, 4)), found.planes])
-    small_m = np.where(found.chosen > 0, pictures[index].depth_of(planes[found.chosen]), depths[index])
-    labelled = Labelled(found.chosen, small_m, found.cost, found.judged)
-    patch_m, source = at_full_size(camera, rgb, pictures[index], labelled, planes)
-    stated = confidence(
-        replace(labelled, plane=found.chosen + 6), np.zeros(6, bool), settings.default_confidence
-    ).ravel()[source]
-    patch = found.chosen.ravel()[source] > 0
-    return np.where(patch, patch_m, depth_m), np.where(patch, stated, certain), patch
-
-
 def run(
     settings: Settings,
     camera: str,
@@ -280,15 +234,6 @@ def run(
         certainty.reshape(depth_m.shape),
         settings,
     )
-    if settings.regions:
-        depths = [cv2.resize(a, p.camera.wh, interpolation=cv2.INTER_NEAREST) for a, p in zip(agreed, pictures)]
-        depths[index] = in_front(read_primitives(primitives), pictures[index].camera, labelled.depth_m)[0]
-        even = rgb / gains[index].astype(np.float32)
-        depth_m, certainty, patch = patched(
-            cameras[index], even, index, pictures, depths, room, depth_m, certainty, settings
-        )
-        shown &= ~patch
-        say(f"{patch.mean():.1%} of {camera} is planes of regions that room and furniture did not explain")
     say(
         f"{shown.mean():.0%} of {camera} is boxes and cylinders, "
         f"{(labelled.plane >= 6).mean():.0%} other surfaces inside the room"

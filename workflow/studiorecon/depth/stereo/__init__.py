@@ -3,6 +3,6 @@
 
 ``plates`` and ``planes`` (what is compared and tried) → ``matching`` (the cost of a plane) → ``labelling`` (one
 plane per pixel) → ``passes`` (the second pass, without hidden cameras). For furniture: ``photo_cost`` with ``kernels``
-and ``trial_kernels``, and ``unlikeness`` where one photo shows it alone. For what neither explains:
-``photo_inconsistency``, ``regions`` with ``patches``; ``free_space`` takes back what floats.
+and ``trial_kernels``, and ``unlikeness`` where one photo shows it alone. ``free_space`` takes back what
+floats.
 """
