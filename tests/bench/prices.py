@@ -25,11 +25,12 @@ from studiorecon.configuration.schema import typed
 from studiorecon.home import HOME, SCHEMA
 from studiorecon.humans.result_cache import STANDS
 from studiorecon.plan.budget import Stated, laid_over, preset
-from studiorecon.plan.foreseen import called_for, foreseen
+from studiorecon.plan.foreseen import JOBS, called_for, foreseen
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import PRICES, Point, Price, PriceList, predict, probe_s, spent
 from studiorecon.plan.workload import Work, footage_of, workload
 from studiorecon.report.sections.cost import cost
+from studiorecon.scene.decisions import read_decisions
 from studiorecon.scene.files import read_json, write_json
 
 CORES = 2
@@ -62,8 +63,10 @@ def run_of(folder: Path, scene: str, name: str, dataset: str, capture_yaml: str 
     config = typed(config | {"dataset": dataset, "capture_yaml": capture_yaml, "scene": scene}, schema)
     plan = make_plan(config, HOME)
     # What it has decided is known now.
-    decided = config | {"survey": config["survey"] | {"earlier": str(folder / "results" / scene)}}
-    gaps, (called, _) = foreseen(plan, decided), called_for(plan, decided)
+    made = read_decisions(folder / "results" / scene / "survey/decisions.json")
+    verdicts = {effect: made[effect].verdict for effect in ("view_synthesis", *JOBS)}
+    known = replace(plan, forced={**{e: "on" if v == "on" else "off" for e, v in verdicts.items()}, **plan.forced})
+    gaps, (called, _) = foreseen(known, config), called_for(known)
     log, wall_s = _log(folder, scene)
     footage = footage_of(plan, config["capture"]["picture_fps"])
     footage = replace(footage, made="(Rule: studio_capture)" in log)

@@ -14,7 +14,7 @@ from studiorecon.enhance import shot as enhance_shot
 from studiorecon.enhance.photos import Training
 from studiorecon.enhance.pilot import called_for, flicker, worth
 from studiorecon.footage.video import read_stack, write_lossless
-from studiorecon.geometry.statistics import NOTHING, Estimate
+from studiorecon.geometry.statistics import NOTHING
 from studiorecon.images.transfer import Transfer
 from studiorecon.models.protocols import Moment
 from studiorecon.render import shot as render_shot
@@ -114,12 +114,6 @@ def test_a_film_of_two_pictures_says_nothing(tmp_path: Path) -> None:
     change = flicker(steps, render, depth, lambda _: np.zeros((*HW, 3), np.uint8), Noisy(9.0), SEARCH)
     assert change is NOTHING
     assert called_for(change, 0.2).verdict == "undetermined"
-
-
-def test_what_was_on_stays_on_within_a_fifth_of_the_threshold() -> None:
-    change = Estimate(0.18, (0.17, 0.19))
-    assert called_for(change, 0.2).verdict == "off"
-    assert called_for(change, 0.2, was_on=True).verdict == "on"
 
 
 @pytest.fixture(scope="module")

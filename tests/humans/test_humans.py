@@ -46,8 +46,7 @@ from studiorecon.humans.surface_samples import (
     vertex_samples,
 )
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import from_entry, write_decisions
-from studiorecon.scene.effects import TEMPORAL_APPEARANCE
+from studiorecon.scene.decisions import from_entry
 from studiorecon.scene.factors import write_factors
 from studiorecon.scene.intermediate import read_arrays
 from studiorecon.scene.people import Person
@@ -372,23 +371,16 @@ def test_people_are_trained_in_one_exposure_and_light(
     assert found["left"] < found["divided"] - worse_db
 
 
-def test_the_threshold_of_the_settings_and_an_earlier_run_decide_on_the_network(
+def test_the_threshold_of_the_settings_decides_on_the_network(
     made: Made, settings: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Six frames are too few to see colours drift: how much they do is given, how it is decided is asked."""
     monkeypatch.setattr(train, "drifting_share", lambda residual: Estimate(0.3, (0.29, 0.31)))
-    drifting = TEMPORAL_APPEARANCE.decide(0.4, (0.39, 0.41), "before", detail={"p1": {"value": 0.4, "verdict": "on"}})
-    write_decisions(tmp_path / "anybody.json", [drifting])
-    write_decisions(tmp_path / "still.json", [replace(drifting, detail={"p3": {"value": 0.0, "verdict": "off"}})])
-    write_decisions(tmp_path / "forced.json", [replace(drifting, forced=True)])
     runs = {
-        "default": ({}, None, "on"),
-        "higher": ({"temporal_appearance": 0.4}, None, "off"),
-        "on before": ({"temporal_appearance": 0.35}, "anybody.json", "on"),
-        "off before": ({"temporal_appearance": 0.35}, "still.json", "off"),
-        "forced before": ({"temporal_appearance": 0.35}, "forced.json", "off"),
+        "default": ({}, "on"),
+        "higher": ({"temporal_appearance": 0.4}, "off"),
     }
-    for name, (thresholds, earlier, verdict) in runs.items():
+    for name, (thresholds, verdict) in runs.items():
         folder = tmp_path / name
         folder.mkdir()
         temporal = {"use": "auto", "start": 2, "width": 8, "points": 64}
@@ -398,7 +390,6 @@ def test_the_threshold_of_the_settings_and_an_earlier_run_decide_on_the_network(
             gaussians=folder / "p3.ply",
             avatar=folder / "p3.npz",
             working=folder / "working",
-            earlier=[tmp_path / earlier] if earlier else [],
         )
         written = read_arrays(folder / "p3.npz")
         decision = from_entry(json.loads(str(written["decision"])))

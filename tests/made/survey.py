@@ -64,13 +64,12 @@ def decided(
     settings: step.Settings,
     views: list[ExposureView],
     people: list[str] | None = None,
-    was_on: bool = False,
 ) -> Decision:
     """One effect alone, of cameras with plates and depth."""
     nobody = tracks([], {}, [], 0, 0.0)
     evidence = Evidence(Material([v.camera for v in views], people, views, [], nobody, 0.0, 30.0), settings)
     found = effect.measure(evidence, effect.threshold)
-    return effect.decide(found.value, found.interval, found.reason, was_on=was_on, detail=found.detail)
+    return effect.decide(found.value, found.interval, found.reason, detail=found.detail)
 
 
 @pytest.fixture
@@ -113,7 +112,6 @@ def files(tmp_path: Path) -> dict:
         "identities": [tmp_path / "identities.tsv"],
         "detections": [],
         "room_box": tmp_path / "room.json",
-        "earlier": [],
         "decisions": tmp_path / "survey/decisions.json",
         "artefacts": [tmp_path / "survey" / effect.artefact.file for effect in EARLY if effect.artefact],
     }

@@ -20,7 +20,6 @@ from studiorecon.plan.foreseen import JOBS, Gaps, called_for, foreseen
 from studiorecon.plan.make import make_plan
 from studiorecon.plan.prices import Point, Price, PriceList, pace_here, predict, read_prices
 from studiorecon.plan.workload import Footage, Work, footage_of, workload
-from studiorecon.scene.decisions import Decision, write_decisions
 
 from tests.made.footage import smooth_pictures, write_video
 
@@ -217,28 +216,11 @@ class TestForeseen:
     def test_views_that_nothing_learns_from_are_not_made(self) -> None:
         assert foreseen(Planned(), DEFAULTS | {"background": {"views_share": 0.0}}) == Gaps(0, 0, 0)
 
-    def test_an_earlier_run_of_the_scene_has_decided(self, tmp_path: Path) -> None:
-        measured = Decision("view_synthesis", "s", 0.3, (0.2, 0.4), 0.1, "on", "r", detail={"parts": PARTS})
-        config = DEFAULTS | {"survey": DEFAULTS["survey"] | {"earlier": str(tmp_path)}}
-        assert foreseen(Planned(), config) == Gaps(0, 4, 4), "no such run yet"
-        write_decisions(tmp_path / "survey/decisions.json", [measured])
-        assert foreseen(Planned(), config) == Gaps(1, 1, 1)
-        write_decisions(tmp_path / "survey/decisions.json", [replace(measured, forced=True)])
-        assert foreseen(Planned(), config) == Gaps(0, 4, 4), "what was forced there is open here"
-
-    def test_loose_things_and_shadows_may_be_called_for_unless_it_is_known(self, tmp_path: Path) -> None:
+    def test_loose_things_and_shadows_may_be_called_for_unless_it_is_forced(self) -> None:
         every, shadows = frozenset(sum(JOBS.values(), ())), frozenset(JOBS["moving_shadows"])
-        assert called_for(Planned(), DEFAULTS) == (frozenset(), every)
+        assert called_for(Planned()) == (frozenset(), every)
         forced = Planned({"moving_shadows": "on", "dynamic_objects": "off"})
-        assert called_for(forced, DEFAULTS) == (shadows, shadows)
-        decided = [
-            Decision(effect, "s", 0.3, (0.2, 0.4), 0.1, verdict, "r")
-            for effect, verdict in (("moving_shadows", "on"), ("dynamic_objects", "off"))
-        ]
-        write_decisions(tmp_path / "survey/decisions.json", decided)
-        earlier = DEFAULTS | {"survey": DEFAULTS["survey"] | {"earlier": str(tmp_path)}}
-        assert called_for(Planned(), earlier) == (shadows, shadows)
-        assert called_for(Planned({"moving_shadows": "off"}), earlier) == (frozenset(), frozenset())
+        assert called_for(forced) == (shadows, shadows)
         assert set(workload(DEMO, DEFAULTS, USUAL, shadows)) - set(workload(DEMO, DEFAULTS, USUAL)) == shadows
         assert not every & set(workload(replace(DEMO, people=0), DEFAULTS, USUAL, every))
 

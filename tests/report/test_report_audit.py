@@ -94,7 +94,6 @@ def test_the_step_decides_and_can_be_forced(tmp_path: Path, default_settings) ->
         "background": tmp_path / "scene.ply",
         "avatars": [tmp_path / "p0.npz"],
         "films": [tmp_path / f"{film}.json" for film in told],
-        "earlier": [],
         "decisions": tmp_path / "report/audit.json",
     }
     step.run(settings, **files)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from studiorecon.errors import UserError
 from studiorecon.geometry.camera_path import gaps_around
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, forced, read_decisions, switched_on, write_decisions
+from studiorecon.scene.decisions import Decision, forced, read_decisions
 from studiorecon.scene.room import Platform, read_room, write_room
 from studiorecon.survey import decide as step
 from studiorecon.survey.clips import halved, read_film, run_starts
@@ -71,31 +70,24 @@ class TestCoverage:
         assert from_two_sides(np.array([[0, 0, 1.0]]), cameras, np.ones((3, 1), bool), 2.0).all()
 
     def test_four_cameras_need_views_between_and_a_dense_ring_does_not(self, settings: step.Settings) -> None:
-        def verdict(azimuths: list[float], was_on: bool = False) -> str:
+        def verdict(azimuths: list[float]) -> str:
             views = [blank(camera) for camera in ring(azimuths, focal_px=40)]
-            return decided(VIEW_SYNTHESIS, settings, views, was_on=was_on).verdict
+            return decided(VIEW_SYNTHESIS, settings, views).verdict
 
         assert verdict([0, 90, 180, 270]) == "on"
         assert verdict(list(range(0, 360, 20))) == "off"
-        # A gap of 33 degrees lies between 0.8 times the threshold and the threshold.
-        almost = list(np.arange(0, 360, 360 / 11))
-        assert (verdict(almost), verdict(almost, was_on=True)) == ("off", "on")
 
     def test_every_gap_between_neighbours_is_decided_by_itself(self, settings: step.Settings) -> None:
-        """Close together but for two gaps, of 33 and of 80 degrees; the first was called for in an earlier run."""
+        """Close together but for two gaps, of 33 and of 80 degrees."""
         cameras = ring([0, 20, 40, 60, 93, 173, 193, 213, 233, 253, 273, 293, 313, 333], focal_px=40)
         views = [blank(camera) for camera in cameras]
         nobody = tracks([], {}, [], 0, 0.0)
         evidence = Evidence(Material(cameras, None, views, [], nobody, 0.0, 30.0), settings)
 
-        def on(*was_on: str) -> set[str]:
-            found = of_effect(VIEW_SYNTHESIS, evidence, VIEW_SYNTHESIS.threshold, was_on)
-            parts = found.detail["parts"]
-            assert found.value == max(part["value"] for part in parts.values())
-            return {name for name, part in parts.items() if part["verdict"] == "on"}
-
-        assert on() == {"04"}
-        assert on("view_synthesis/03") == {"03", "04"}
+        found = of_effect(VIEW_SYNTHESIS, evidence, VIEW_SYNTHESIS.threshold)
+        parts = found.detail["parts"]
+        assert found.value == max(part["value"] for part in parts.values())
+        assert {name for name, part in parts.items() if part["verdict"] == "on"} == {"04"}
 
     def test_the_widest_gap_is_named(self, settings: step.Settings) -> None:
         assert decided(CLOSED_PATH, settings, [blank(c) for c in ring([0, 45, 90])]).detail == {"widest": "02"}
@@ -143,21 +135,6 @@ class TestDecisions:
         with pytest.raises(UserError, match=r"effects decided here are .*exposure"):
             forced(made, {"weather": "off"})
 
-    def test_the_next_survey_knows_what_was_on_but_not_what_was_forced(self, tmp_path: Path) -> None:
-        assert switched_on([]) == frozenset()
-        made = [
-            Decision(e, "s", 1.5, None, 1.0, v, "r") for e, v in (("exposure", "on"), ("hands", "off"), ("face", "on"))
-        ]
-        write_decisions(tmp_path / "decisions.json", forced(made, {"face": "on"}))
-        assert switched_on([tmp_path / "decisions.json"]) == {"exposure"}
-
-    def test_parts_that_were_on_are_known_too(self, tmp_path: Path) -> None:
-        detail = {"parts": {"00": {"value": 1, "verdict": "on"}, "01": {"value": 0, "verdict": "off"}}}
-        made = Decision("view_synthesis", "s", 1.5, (1.4, 1.6), 1.0, "on", "r", detail=detail)
-        for forced_, was in ((False, {"view_synthesis", "view_synthesis/00"}), (True, set())):
-            write_decisions(tmp_path / "decisions.json", [replace(made, forced=forced_)])
-            assert switched_on([tmp_path / "decisions.json"]) == was
-
 
 class TestStep:
     def test_every_effect_has_a_decision_with_its_reason(self, files: dict, settings: step.Settings) -> None:
@@ -199,17 +176,6 @@ class TestStep:
         once = files["decisions"].read_bytes()
         step.run(settings, **files)
         assert files["decisions"].read_bytes() == once
-
-    def test_an_earlier_run_counts_only_where_it_is_given(self, files: dict, settings: step.Settings) -> None:
-        """A ring whose widest gap, 120 degrees, lies within the hysteresis of 110: up to 132 once it was on."""
-        narrow = replace(settings, thresholds={**settings.thresholds, "closed_path": 110.0})
-        step.run(settings, **files)
-        earlier = files["decisions"].rename(files["decisions"].with_name("earlier.json"))
-        verdicts = []
-        for given in ([], [earlier], []):
-            step.run(narrow, **files | {"earlier": given})
-            verdicts.append(read_decisions(files["decisions"])["closed_path"].verdict)
-        assert verdicts == ["off", "on", "off"]
 
     def test_a_room_that_is_known_to_be_empty(self, files: dict, settings: step.Settings) -> None:
         step.run(settings, **files | {"people": [], "identities": []})

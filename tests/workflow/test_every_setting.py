@@ -31,7 +31,6 @@ PLANNED: dict[str, set[str] | None] = {
     "sweep_minutes": set(),
     "weights": set(),
     "licences": set(),
-    "survey.earlier": None,
     "people.identities": None,
     "detect.network": None,  # one that has to be there
     "detect.network_layout": {"detect_people", "people_second_look", "cameras_held_out"},

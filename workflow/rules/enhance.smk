@@ -15,7 +15,6 @@ rule enhance_shot:
         edited=files.edited_reference,
         made=files.film_of_elsewhere,
         exposure=files.exposure,
-        earlier=files.earlier("report/audit.json"),
     output:
         video="results/{scene}/enhance/{shot}.mkv",
         film="results/{scene}/enhance/{shot}.mp4",

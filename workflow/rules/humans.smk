@@ -20,7 +20,6 @@ rule humans_train:
         body=files.body,
         exposure=files.exposure,
         kernels="results/{scene}/background/kernels.txt",
-        earlier=files.earlier("report/audit.json"),
     output:
         gaussians="results/{scene}/humans/{person}.ply",
         avatar="results/{scene}/humans/{person}.npz",

@@ -7,7 +7,6 @@ rule report_audit:
         background="results/{scene}/background/scene.ply",
         avatars=files.human_avatars,
         films=collect("results/{scene}/enhance/{shot}.decisions.json", shot=files.films, allow_missing=True),
-        earlier=files.earlier("report/audit.json"),
     output:
         decisions="results/{scene}/report/audit.json",
     log:

@@ -12,7 +12,6 @@ checkpoint survey_decide:
         plates=collect("results/{scene}/plates/{camera}.png", camera=files.training, allow_missing=True),
         depths=collect("results/{scene}/depth/{camera}.exr", camera=files.training, allow_missing=True),
         room_box="results/{scene}/depth/room.json",
-        earlier=files.earlier("survey/decisions.json"),
     output:
         decisions="results/{scene}/survey/decisions.json",
         artefacts=[

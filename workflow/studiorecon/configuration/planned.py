@@ -107,16 +107,6 @@ class Depth:
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What was decided before."""
-
-    earlier: str = setting(
-        "",
-        "Results folder of an earlier run: what it measured to be on stays on until it falls 20 % below its threshold.",
-    )
-
-
-@dataclass(frozen=True)
 class Masks:
     """Where masks of others lie."""
 

@@ -90,7 +90,7 @@ SECTIONS: tuple[Section, ...] = (
     Section(
         "survey",
         "Which effects the scene calls for.",
-        ("survey.effects:Decided", "configuration.planned:Survey"),
+        ("survey.effects:Decided",),
     ),
     Section("objects", "Loose and held things.", ("objects.find:Settings",)),
     Section(

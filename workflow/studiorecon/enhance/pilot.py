@@ -35,9 +35,7 @@ _LEAST_EVIDENCE = 0.01
 _PAIRS, _LEAST_PAIRS, _LEVEL = 8, 3, 1 / 255
 
 
-def worth(
-    training: Training, frames: int, transfer: Transfer, threshold: float, was_on: bool = False
-) -> tuple[float, Decision]:
+def worth(training: Training, frames: int, transfer: Transfer, threshold: float) -> tuple[float, Decision]:
     """Strength of the residual transfer, the factor that best predicts each training camera from the other ones, and
     whether it is worth adding.
 
@@ -64,7 +62,7 @@ def worth(
     strength, evidence = best_strength(*_of(everybody, predicted, smoothed))
     if evidence < _LEAST_EVIDENCE:
         few = f"only {100 * evidence:.1f} % of the training pixels are seen by a second training camera"
-        return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold, was_on=was_on)
+        return 0.0, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     gains = np.full(count, np.nan)
     for index in everybody:
         factor, shared = best_strength(*_of([k for k in everybody if k != index], predicted, smoothed))
@@ -75,12 +73,12 @@ def worth(
     gain = mean(gains, 2)
     if gain.value is None:
         few = "fewer than two training cameras see what the others see"
-        return strength, ENHANCEMENT.decide(None, None, few, threshold=threshold, was_on=was_on)
+        return strength, ENHANCEMENT.decide(None, None, few, threshold=threshold)
     reason = (
         f"what photos show and renders miss, carried over with strength {strength:.2f}, gains {gain.value:+.2f} dB at "
         f"a training camera that took no part, where others see it too ({100 * evidence:.0f} % of the pixels)"
     )
-    decision = ENHANCEMENT.decide(gain.value, gain.interval, reason, threshold=threshold, was_on=was_on)
+    decision = ENHANCEMENT.decide(gain.value, gain.interval, reason, threshold=threshold)
     return strength, decision
 
 
@@ -137,10 +135,10 @@ def _alone(
     return np.where(np.isfinite(output), output, image).astype(np.float32)
 
 
-def called_for(change: Estimate, threshold: float, was_on: bool = False) -> Decision:
+def called_for(change: Estimate, threshold: float) -> Decision:
     """Do enhanced pictures change so much more than the renders that earlier ones should be injected?"""
     if change.value is None:
         reason = "the film has too few pictures that follow one another"
-        return INJECTION.decide(None, None, reason, threshold=threshold, was_on=was_on)
+        return INJECTION.decide(None, None, reason, threshold=threshold)
     reason = f"enhanced pictures change {change.value:+.0%} more from one to the next than the renders they are made of"
-    return INJECTION.decide(change.value, change.interval, reason, threshold=threshold, was_on=was_on)
+    return INJECTION.decide(change.value, change.interval, reason, threshold=threshold)

@@ -27,7 +27,7 @@ from studiorecon.recursive.clip import enhanced, for_path, stands_still
 from studiorecon.recursive.flows import flow_of
 from studiorecon.recursive.injection import Injection
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.decisions import Decision, forced, switched_on, write_decisions
+from studiorecon.scene.decisions import Decision, forced, write_decisions
 from studiorecon.scene.effects import ENHANCEMENT, FILMED, INJECTION, force, settled, thresholds
 from studiorecon.scene.factors import read_factors
 from studiorecon.scene.path import PathStep, read_path
@@ -72,14 +72,12 @@ def run(
     weights: Place = Path("resources/weights"),
     device: str = "cpu",
     exposure: list[Path] | None = None,
-    earlier: list[Path] | None = None,
 ) -> None:
     """Enhance one shot; ``videos`` is the training footage in the order of the model's cameras, ``train`` its render:
     film, path and depth, or nothing, where the film stays as it is drawn.
 
     Photos are divided by the gains and the light that ``exposure`` names, as the training pictures were: a residual
-    would carry steps of exposure from camera to camera into the film. What was decided, and why, goes to ``decisions``;
-    ``earlier``: what an earlier run decided, for the hysteresis.
+    would carry steps of exposure from camera to camera into the film. What was decided, and why, goes to ``decisions``.
 
     A shot in which somebody stands in for a person brings its ``truth`` film: what it calls invented was never
     photographed, so no photo corrects it. An ``edited`` picture, if there is one, is what a network looks at instead of
@@ -114,8 +112,7 @@ def run(
         capture.frames,
     )
     training = replace(training, exposure=read_factors(exposure or [], capture.frames))
-    was_on = switched_on(earlier or [])
-    enhancer, enhancement = chosen_enhancer(settings, training, weights, device, ENHANCEMENT.name in was_on)
+    enhancer, enhancement = chosen_enhancer(settings, training, weights, device)
     say(f"shot {shot}: enhancement is {enhancement.verdict}; {enhancement.reason}")
 
     instead = to_bytes(read_plate(edited[0])[0]) if edited else None
@@ -124,7 +121,7 @@ def run(
         return training.reference(step.camera, training.nearest_frame(step.frame)) if instead is None else instead
 
     search = flow_of(settings.flow, settings.flow_preset, weights, device)
-    injection, called = chosen_injection(settings, drawn, reference, enhancer, search, INJECTION.name in was_on)
+    injection, called = chosen_injection(settings, drawn, reference, enhancer, search)
     say(f"shot {shot}: injection is {called.verdict}; {called.reason}")
     write_decisions(decisions, [enhancement, called])
     if isinstance(enhancer, Unchanged) and not injection.history:
@@ -157,9 +154,7 @@ class Drawn:
         return (np.where(level > 0, depth, 0) for depth, level in zip(depths, levels, strict=True))
 
 
-def chosen_enhancer(
-    settings: Settings, training: Training, weights: Path, device: str, was_on: bool
-) -> tuple[Enhancer, Decision]:
+def chosen_enhancer(settings: Settings, training: Training, weights: Path, device: str) -> tuple[Enhancer, Decision]:
     """What improves the pictures, and why: a network that was asked for, or what photos show and renders miss, where
     that is worth adding."""
     if settings.enhancer != "residual":
@@ -171,7 +166,7 @@ def chosen_enhancer(
         return network(name, weights, device, settings.seed), decision
     if settings.strength == "auto":
         strength, decision = worth(
-            training, settings.judged_frames, settings.transfer, settings.threshold(ENHANCEMENT.name), was_on
+            training, settings.judged_frames, settings.transfer, settings.threshold(ENHANCEMENT.name)
         )
     else:
         strength = float(settings.strength)
@@ -199,7 +194,6 @@ def chosen_injection(
     reference: Callable[[PathStep], Integer[np.ndarray, "h w 3"]],
     enhancer: Enhancer,
     search: Flow,
-    was_on: bool,
 ) -> tuple[Injection, Decision]:
     """How earlier outputs enter later ones, and why: where enhanced pictures flicker more than renders do."""
     injection = for_path(settings.injection, drawn.steps)
@@ -213,7 +207,7 @@ def chosen_injection(
         decision = settled(INJECTION, False, "the film stands still, so there is nothing to steady")
     else:
         change = flicker(drawn.steps, drawn.render, drawn.depth, reference, enhancer, search)
-        decision = called_for(change, settings.threshold(INJECTION.name), was_on)
+        decision = called_for(change, settings.threshold(INJECTION.name))
     (decision,) = forced([decision], _of(settings.force, INJECTION.name))
     return injection if decision.called_for else replace(injection, history=0), decision
 

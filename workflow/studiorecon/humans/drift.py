@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
@@ -23,7 +22,7 @@ from studiorecon.geometry.statistics import NOTHING, Estimate, share
 from studiorecon.humans.colours import in_view, nearest_surface, sampled
 from studiorecon.humans.crops import OUTSIDE, PERSON, Crop, HeldCrop
 from studiorecon.humans.refined_motion import RefinedMotion
-from studiorecon.scene.decisions import Decision, read_decisions
+from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import TEMPORAL_APPEARANCE
 
 if TYPE_CHECKING:
@@ -114,23 +113,11 @@ def drifting_share(residual: Float[np.ndarray, "N T"]) -> Estimate:
     return share(int(drifts.sum()), len(drifts), max(len(drifts) / _PATCH, 1))
 
 
-def was_drifting(person: str, earlier: Sequence[Path]) -> bool:
-    """Whether an earlier run's audit measured that this person's colours drift; anybody's, where it knows no such
-    person."""
-    for decisions in map(read_decisions, earlier):
-        found = decisions.get(TEMPORAL_APPEARANCE.name)
-        if found is not None and not found.forced:
-            own = found.detail.get(person)
-            return own["verdict"] == "on" if own else found.called_for
-    return False
-
-
-def decide_appearance(person: str, estimate: Estimate, threshold: float, was_on: bool = False) -> Decision:
-    """Is the temporal network worth training for this person, from ``threshold`` on? ``was_on``: an earlier run said
-    so."""
+def decide_appearance(person: str, estimate: Estimate, threshold: float) -> Decision:
+    """Is the temporal network worth training for this person, from ``threshold`` on?"""
     reason = f"too few points of {person}'s body are followed long enough"
     if estimate.value is not None:
         reason = f"the colour of {estimate.value:.0%} of {person}'s body drifts over time after posing"
     # Who acts on it is said where all people's decisions become one (report.audit).
-    measured = TEMPORAL_APPEARANCE.decide(estimate.value, estimate.interval, reason, threshold=threshold, was_on=was_on)
+    measured = TEMPORAL_APPEARANCE.decide(estimate.value, estimate.interval, reason, threshold=threshold)
     return replace(measured, obeyed_by="")

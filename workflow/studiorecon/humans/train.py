@@ -29,7 +29,7 @@ from studiorecon.errors import UserError
 from studiorecon.humans.appearance import Appearance
 from studiorecon.humans.colours import look, nearest_surface
 from studiorecon.humans.crops import Crop
-from studiorecon.humans.drift import decide_appearance, drifting_share, followed, was_drifting
+from studiorecon.humans.drift import decide_appearance, drifting_share, followed
 from studiorecon.humans.filmed import read_crops
 from studiorecon.humans.refined_motion import HELD, RefinedMotion
 from studiorecon.humans.result_cache import STANDS, keep, mark_of, still_stands
@@ -151,10 +151,9 @@ def run(
     device: str = "cpu",
     exposure: list[Path] | None = None,
     lpips: Place = Path("resources/weights/lpips"),
-    earlier: list[Path] | None = None,
 ) -> None:
     """Train one person and write the avatar; pictures are divided by the gains and the light that ``exposure`` names,
-    if any. ``earlier`` is the audit of an earlier run, for the hysteresis of what is decided here.
+    if any.
 
     Where nothing near the person has changed since the files were written, they stay (``unchanged``). A killed run goes
     on from its checkpoint. ``working`` is a folder of its own: the checkpoint, pictures of how it goes, and what was
@@ -194,7 +193,6 @@ def run(
             "with a fitted body; check the masks, or "
             "remove the person in people/identities.tsv"
         )
-    was_on = was_drifting(person, earlier or [])
     # How often a checkpoint is made changes no byte of the result.
     trained_from = mark_of(
         replace(settings, checkpoint_every_s=0.0),
@@ -204,7 +202,6 @@ def run(
         threads,
         person,
         device,
-        was_on,
     )
     if still_stands(trained_from, gaussians, avatar, working):
         say(
@@ -236,9 +233,9 @@ def run(
         f"{start.count} Gaussians are seen, the rest inferred"
     )
     inputs = [model.parent / "cameras.txt", model, manifest, people, *videos, *masks, fit, body, *(exposure or [])]
-    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device, was_on)
+    mark = fingerprint(settings, inputs, code.digest("humans.train"), threads, person, device)
     checkpoint = Checkpoint(working / "checkpoint.npz", mark, settings.checkpoint_every_s)
-    appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion, was_on)
+    appearance = _appearance(settings, fitted, rest, seen, crops, samples, posing, motion)
     # A joint's speed is what is held: between frames that are further apart in time it turns further.
     losses = replace(settings.losses, pose=settings.losses.pose * (fitted.fps / _POSE_FPS) ** 2)
     subject = PersonInTraining(
@@ -319,7 +316,6 @@ def _appearance(
     samples: SurfaceSamples,
     posing: Posing,
     motion: RefinedMotion,
-    was_on: bool,
 ) -> Appearance | None:
     """The temporal network in its box around the body, and what decides whether it takes part; None when it is not
     wanted."""
@@ -346,7 +342,7 @@ def _appearance(
 
     def judge(draw: Callable[[Crop], np.ndarray]) -> Decision:
         residual = followed(crops, draw, posing, motion, samples.points_m, samples.normals, samples.spacing_m)
-        decision = decide_appearance(fitted.name, drifting_share(residual[seen]), settings.drift, was_on)
+        decision = decide_appearance(fitted.name, drifting_share(residual[seen]), settings.drift)
         say(f"temporal network: {decision.verdict}; {decision.reason}")
         return decision
 

@@ -48,11 +48,6 @@ class Brought:
             raise UserError(f"{setting} is {folder!r}, which has no {stem} with one of the endings {endings}")
         return self.local(str(found[0]))
 
-    def earlier(self, file: str) -> list[str]:
-        """A file of the earlier run that ``survey.earlier`` names, for the hysteresis of decisions."""
-        folder = self.config["survey"]["earlier"]
-        return [self.local(str(Path(folder) / file))] if folder else []
-
     @cached_property
     def given_body(self) -> str:
         return self.local(self.plan.given_body)

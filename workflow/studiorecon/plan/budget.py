@@ -146,7 +146,7 @@ def choose(
     offers = []
     for point in prices.points:
         made = laid_over(config, stated, preset(point.preset))
-        gaps, (surely, possibly) = foreseen(plan, made), called_for(plan, made)
+        gaps, (surely, possibly) = foreseen(plan, made), called_for(plan)
         ends = zip(footage.counts, (gaps.fewest, gaps.likely, gaps.most), (surely, surely, possibly))
         least, likely, most = (workload(replace(footage, people=people), made, n, rules) for people, n, rules in ends)
         listed_s: dict[str, float] = {}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the survey will call for, before anything has looked at the scene: what is forced, what an earlier run decided,
-and what is open, for which the least and the most are told beside the likeliest.
+"""What the survey will call for, before anything has looked at the scene: what is forced, and what is open, for which
+the least and the most are told beside the likeliest.
 
 Of gaps between cameras that get new views it is how many; loose things and the shadows of people either cost their jobs
 or not. What enhancement costs where it gains has no price; other verdicts cost little.
@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from studiorecon.plan.decisions import Plan
-from studiorecon.scene.decisions import Decision, read_decisions
 from studiorecon.scene.effects import COVERED_DEG
 
 _EFFECT = "view_synthesis"
@@ -32,8 +30,8 @@ class Gaps:
 
 
 def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
-    """What ``survey.force`` says, then what the run that ``survey.earlier`` names has decided, then what is usual: all
-    of them where cameras stand as far apart as the survey finds too far, none where they stand closer.
+    """What ``survey.force`` says, then what is usual: all of them where cameras stand as far apart as the survey finds
+    too far, none where they stand closer.
 
     What the scene's own run decides meanwhile does not count: a run planned again is planned alike.
     """
@@ -43,32 +41,18 @@ def foreseen(plan: Plan, config: Mapping[str, Any]) -> Gaps:
     if _EFFECT in plan.forced:
         known = every if plan.forced[_EFFECT] == "on" else 0
         return Gaps(known, known, known)
-    if (told := _told(config["survey"]["earlier"], _EFFECT)) is not None:
-        parts = told.detail.get("parts", {})
-        known = sum(part["verdict"] == "on" for part in parts.values()) if parts else every * told.called_for
-        return Gaps(known, known, known)
     apart = 360.0 / max(len(plan.training), 1) > COVERED_DEG
     return Gaps(0, every if apart else 0, every)
 
 
-def called_for(plan: Plan, config: Mapping[str, Any]) -> tuple[frozenset[str], frozenset[str]]:
-    """The rules of ``JOBS`` that surely run, forced or known as the gaps are, and those that may: with what is open,
-    which is likely not called for."""
+def called_for(plan: Plan) -> tuple[frozenset[str], frozenset[str]]:
+    """The rules of ``JOBS`` that surely run, because they are forced, and those that may: with what is open, which is
+    likely not called for."""
     surely, possibly = set[str](), set[str]()
     for effect, rules in JOBS.items():
-        told = _told(config["survey"]["earlier"], effect)
-        known = plan.forced[effect] == "on" if effect in plan.forced else told.called_for if told else None
-        if known:
+        verdict = plan.forced.get(effect)
+        if verdict == "on":
             surely.update(rules)
-        if known is not False:
+        if verdict != "off":
             possibly.update(rules)
     return frozenset(surely), frozenset(possibly)
-
-
-def _told(earlier: str, effect: str) -> Decision | None:
-    """What that run measured; what was forced there is open here."""
-    path = Path(earlier) / "survey" / "decisions.json"
-    if not earlier or not path.is_file():
-        return None
-    found = read_decisions(path).get(effect)
-    return None if found is None or found.forced or found.value is None else found

@@ -25,7 +25,7 @@ from studiorecon.report.metrics.rendered_effects import (
     thin_share,
 )
 from studiorecon.scene.camera import Camera
-from studiorecon.scene.decisions import Decision, forced, from_entry, read_decisions, switched_on, write_decisions
+from studiorecon.scene.decisions import Decision, forced, from_entry, read_decisions, write_decisions
 from studiorecon.scene.effects import FILMED, TRAINED, force, thresholds
 from studiorecon.scene.gaussians import Gaussians
 from studiorecon.scene.gaussians_ply import read_ply
@@ -103,17 +103,14 @@ def run(
     background: Path,
     avatars: list[Path],
     films: list[Path],
-    earlier: list[Path],
     decisions: Written,
     device: str = "cpu",
 ) -> None:
-    """Decide from what was trained; ``films`` are the decisions of every film, ``earlier`` is the audit of an earlier
-    run, for the hysteresis."""
+    """Decide from what was trained; ``films`` are the decisions of every film."""
     limit, cameras = {e.name: e.threshold for e in TRAINED} | dict(settings.thresholds), read_model(model.parent)
-    was_on = switched_on(earlier)
     thin = thinness(read_ply(background), cameras, device)
     measured = [
-        decide_refinement(thin, limit["refinement"], "refinement" in was_on),
+        decide_refinement(thin, limit["refinement"]),
         appearance(decisions_of(avatars), limit["temporal_appearance"]),
     ]
     made = [*forced(measured, settings.force), *of_films(films)]

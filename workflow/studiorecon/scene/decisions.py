@@ -15,8 +15,6 @@ from studiorecon.scene.outside import read_json
 
 Verdict = Literal["on", "off", "undetermined"]
 
-# An effect that was on stays on until its statistic is this far inside the threshold.
-HYSTERESIS = 0.2
 # What supports the thresholds: planted effects. No real capture has been measured yet.
 UNCALIBRATED = "uncalibrated"
 
@@ -36,7 +34,6 @@ class Decision:
         reason: one sentence.
         unit: of value, interval and threshold; empty for a pure number.
         on_above: the effect is on above the threshold; False when it is on below.
-        hysteresis: share of the threshold by which an effect that was on must fall before it is off.
         cost_saved_estimate_s: seconds that leaving the effect out saves; None when nothing is left out or nobody
             measured it.
         calibration: what the threshold rests on.
@@ -54,7 +51,6 @@ class Decision:
     reason: str
     unit: str = ""
     on_above: bool = True
-    hysteresis: float = HYSTERESIS
     cost_saved_estimate_s: float | None = None
     calibration: str = UNCALIBRATED
     forced: bool = False
@@ -93,27 +89,6 @@ def forced(decisions: Sequence[Decision], verdicts: Mapping[str, str]) -> list[D
 def write_decisions(path: Path, decisions: Sequence[Decision]) -> None:
     """Write the decisions, and the order in which they were made."""
     write_json(path, {"order": [d.effect for d in decisions], "decisions": [asdict(d) for d in decisions]})
-
-
-def switched_on(earlier: Sequence[Path]) -> frozenset[str]:
-    """Effects that an earlier run's files of decisions measured to be on, for the hysteresis; none of no files.
-
-    Where parts of a scene are decided one by one, those that were on are among them (``part_of``). A forced verdict
-    does not count: lifting the force must give what was measured.
-    """
-    made = [d for path in earlier for d in read_decisions(path).values() if not d.forced]
-    parts = {
-        part_of(d.effect, name)
-        for d in made
-        for name, part in d.detail.get("parts", {}).items()
-        if part["verdict"] == "on"
-    }
-    return frozenset({d.effect for d in made if d.called_for} | parts)
-
-
-def part_of(effect: str, part: str) -> str:
-    """How a part of the scene that an effect decides on by itself is named among those that were on."""
-    return f"{effect}/{part}"
 
 
 def read_decisions(path: Path) -> dict[str, Decision]:

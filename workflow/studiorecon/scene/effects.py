@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from studiorecon.configuration.setting import setting
-from studiorecon.scene.decisions import HYSTERESIS, Decision, Verdict
+from studiorecon.scene.decisions import Decision, Verdict
 
 COVERED_DEG = 30.0
 """Neighbouring cameras that are at most this far apart need no views in between; measured, not assumed (U55)."""
@@ -29,7 +29,6 @@ class Effect:
         paper: what the paper does instead of asking, or the reading (U18) that it follows.
         tunable: whether the settings may: False where it is no matter of degree.
         on_above: on above the threshold; False: on below it.
-        hysteresis: share of the threshold by which an effect that was on must fall before it is off.
         hidden_by: effects that are decided before, because they would pass for it or spoil its measurement.
         voids: what is said of an effect that this one hides while it is on; empty: that one is measured all the same.
         obeyed_by: which step or plan acts on the verdict, and how; empty: it is a finding, which nobody can force.
@@ -42,7 +41,6 @@ class Effect:
     paper: str = ""
     tunable: bool = True
     on_above: bool = True
-    hysteresis: float = HYSTERESIS
     hidden_by: tuple[str, ...] = ()
     voids: str = ""
     obeyed_by: str = ""
@@ -59,15 +57,12 @@ class Effect:
         reason: str,
         *,
         threshold: float | None = None,
-        was_on: bool = False,
         detail: Mapping[str, Any] | None = None,
     ) -> Decision:
         """On when the whole interval lies beyond the threshold, off when none of it does, else undetermined.
 
-        Without a finite value and interval there is nothing to tell, and ``reason`` must say why. An effect that
-        ``was_on`` in an earlier run is measured against a threshold that lies ``hysteresis`` inside, so that noise does
-        not switch it back and forth; for it, an interval that straddles the line leaves it on. Raises ValueError when
-        the value lies outside of its interval.
+        Without a finite value and interval there is nothing to tell, and ``reason`` must say why. Raises ValueError
+        when the value lies outside of its interval.
         """
         limit = self.threshold if threshold is None else threshold
         verdict: Verdict
@@ -77,10 +72,9 @@ class Effect:
             value, interval = float(value), (float(interval[0]), float(interval[1]))
             if not interval[0] <= value <= interval[1]:
                 raise ValueError(f"{self.name}: the value {value} lies outside of its interval {interval}")
-            line = limit * (1 - self.hysteresis if self.on_above else 1 + self.hysteresis) if was_on else limit
             nearest, furthest = interval if self.on_above else (-interval[1], -interval[0])
-            line = line if self.on_above else -line
-            verdict = "on" if nearest > line else "off" if furthest <= line else "on" if was_on else "undetermined"
+            line = limit if self.on_above else -limit
+            verdict = "on" if nearest > line else "off" if furthest <= line else "undetermined"
             if verdict == "undetermined":
                 reason += "; the threshold lies within what the measurement leaves open, so the cheaper branch is taken"
         return Decision(
@@ -93,7 +87,6 @@ class Effect:
             reason,
             unit=self.unit,
             on_above=self.on_above,
-            hysteresis=self.hysteresis,
             obeyed_by=self.obeyed_by,
             detail=dict(detail or {}),
         )

@@ -18,7 +18,7 @@ from studiorecon.footage.stills import read_plate
 from studiorecon.progress import say
 from studiorecon.rig.body_points import tracks
 from studiorecon.scene.capture import read_manifest
-from studiorecon.scene.decisions import forced, switched_on, write_decisions
+from studiorecon.scene.decisions import forced, write_decisions
 from studiorecon.scene.files import one_each
 from studiorecon.scene.people import Detections, read_detections, read_identities, read_people
 from studiorecon.scene.room import read_room
@@ -43,15 +43,13 @@ def run(
     plates: list[Path],
     depths: list[Path],
     room_box: Path,
-    earlier: list[Path],
     decisions: Written,
     artefacts: list[Written],
 ) -> None:
     """Decide from what the earlier stages found; ``people`` and ``identities`` are absent when the room is known to be
     empty.
 
-    ``earlier``: decisions of an earlier run, for the hysteresis. ``artefacts``: where every effect that has a file of
-    its own writes it, found by the file's name.
+    ``artefacts``: where every effect that has a file of its own writes it, found by the file's name.
     """
     cameras, capture = read_model(model.parent), read_manifest(manifest)
     one_each(cameras, videos=videos, plates=plates, depth_maps=depths, files_of_keypoints=detections or cameras)
@@ -77,7 +75,7 @@ def run(
     material = Material(cameras, names, views, films, followed, read_room(room_box).standing_m, capture.fps)
     by_file = {path.name: path for path in artefacts}
     evidence = Evidence(material, settings)
-    early = {d.effect: d for d in judge(evidence, settings.thresholds, switched_on(earlier), settings.force)}
+    early = {d.effect: d for d in judge(evidence, settings.thresholds, settings.force)}
     measured = [early.get(effect.name) or effect.left_to("report/audit.json") for effect in EFFECTS]
     made = {d.effect: d for d in forced(measured, settings.force)}
     recordings = Recordings(videos, found or [None] * len(cameras), capture.frames)

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from studiorecon.scene.decisions import Decision, part_of
+from studiorecon.scene.decisions import Decision
 from studiorecon.scene.effects import force, thresholds
 from studiorecon.survey.effects import EARLY
 from studiorecon.survey.effects.surveyed import SurveyedEffect
@@ -32,11 +32,9 @@ class Settings(Sampling):
 def judge(
     evidence: Evidence,
     thresholds: Mapping[str, float],
-    was_on: Collection[str] = (),
     force: Mapping[str, str] | None = None,
 ) -> list[Decision]:
-    """One decision for every effect that shows before training; ``was_on`` names those that an earlier run found,
-    and their parts (``scene.decisions.part_of``).
+    """One decision for every effect that shows before training.
 
     An effect without a threshold in ``thresholds`` has its own. What an effect voids while it is on, it does not void
     where ``force`` has it off.
@@ -44,7 +42,7 @@ def judge(
     verdicts = force or {}
     made: dict[str, Decision] = {}
     for effect in EARLY:
-        made[effect.name] = decided(effect, evidence, thresholds.get(effect.name, effect.threshold), was_on)
+        made[effect.name] = decided(effect, evidence, thresholds.get(effect.name, effect.threshold))
     by_name = {effect.name: effect for effect in EARLY}
     for effect in EARLY:
         for hiding in effect.hidden_by:
@@ -60,12 +58,12 @@ def judge(
     return list(made.values())
 
 
-def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float, was_on: Collection[str]) -> Decision:
+def decided(effect: SurveyedEffect, evidence: Evidence, threshold: float) -> Decision:
     """The decision on one effect by itself, and in its detail those on the parts of the scene that it has."""
     found = effect.measure(evidence, threshold)
-    on, parts = effect.name in was_on, {}
+    parts = {}
     for name, own in found.parts.items():
-        part = effect.decide(*own, "", threshold=threshold, was_on=part_of(effect.name, name) in was_on)
+        part = effect.decide(*own, "", threshold=threshold)
         parts[name] = {"value": part.value, "verdict": part.verdict}
     detail = {**found.detail, **({"parts": parts} if parts else {})}
-    return effect.decide(found.value, found.interval, found.reason, threshold=threshold, was_on=on, detail=detail)
+    return effect.decide(found.value, found.interval, found.reason, threshold=threshold, detail=detail)

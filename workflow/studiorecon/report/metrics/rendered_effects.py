@@ -45,7 +45,7 @@ def thin_share(alpha: Float[np.ndarray, "K H W"], density: Float[np.ndarray, "K 
     return share(int(thin.sum()), int(known.sum()), known.sum() / _PATCH_PX)
 
 
-def decide_refinement(estimate: Estimate, threshold: float, was_on: bool = False) -> Decision:
+def decide_refinement(estimate: Estimate, threshold: float) -> Decision:
     """Do views from other heights show holes, so that a round of refinement may be worth its views?"""
     reason = "no views from other heights were rendered"
     if estimate.value is not None:
@@ -53,7 +53,7 @@ def decide_refinement(estimate: Estimate, threshold: float, was_on: bool = False
             f"{estimate.value:.1%} of views from 15 % higher and lower are thin or empty; "
             "background.refinement.views adds such views"
         )
-    return REFINEMENT.decide(estimate.value, estimate.interval, reason, threshold=threshold, was_on=was_on)
+    return REFINEMENT.decide(estimate.value, estimate.interval, reason, threshold=threshold)
 
 
 def appearance(found: Mapping[str, Decision | None], threshold: float) -> Decision:
