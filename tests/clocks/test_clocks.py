@@ -26,7 +26,7 @@ from studiorecon.scene.clocks import Clock, Clocks, read_clocks
 from studiorecon.scene.files import read_json
 from studiorecon.scene.people import Detections, write_detections
 
-from tests.bench.clocks import the_man
+from benchmarks.clocks import the_man
 from tests.made.cameras import STANDING, detect, ring
 from tests.made.sound import Recorder, moving, record, world_sound
 

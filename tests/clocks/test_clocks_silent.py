@@ -9,7 +9,7 @@ from studiorecon.clocks.agreement import Proposal, judged
 from studiorecon.clocks.people_clock import people_pair
 from studiorecon.scene.clocks import Clock
 
-from tests.bench.clocks import by_people, silent_films
+from benchmarks.clocks import by_people, silent_films
 from tests.made.cameras import ring
 from tests.made.silent import Silent, sighted
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each effect: planted it is found, alone it does not set off another, and without information nothing is claimed.
 
-Many seeds and all pairs are the benchmark's (``python -m tests.bench.effects``); here a few seeds keep the statistics
+Many seeds and all pairs are the benchmark's (``python -m benchmarks.effects``); here a few seeds keep the statistics
 honest.
 """
 

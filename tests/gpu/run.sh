@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# The GPU check in one call: compiles gsplat's kernels, runs the tests marked gpu, measures, writes tests/bench/results/<gpu>.json.
+# The GPU check in one call: compiles gsplat's kernels, runs the tests marked gpu, measures, writes benchmarks/results/<gpu>.json.
 #
 #   tests/gpu/run.sh [--wheels DIR] [--count 300000] [--iterations 7000]
 #
@@ -50,4 +50,4 @@ export TORCH_CUDA_ARCH_LIST MAX_JOBS=${MAX_JOBS:-$(nproc)}
 echo "compiling gsplat for compute capability $TORCH_CUDA_ARCH_LIST with $MAX_JOBS jobs"
 "$python" -c 'from gsplat.cuda._backend import _C; raise SystemExit(_C is None)' \
   || fail "gsplat's kernels could not be compiled; VERBOSE=1 tests/gpu/run.sh shows what nvcc says"
-"$python" -m tests.bench.gpu "${options[@]}"
+"$python" -m benchmarks.gpu "${options[@]}"

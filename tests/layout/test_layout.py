@@ -361,7 +361,7 @@ def test_no_test_takes_anything_from_another_test_file() -> None:
     assert not taken, "take it from tests/made"
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "tests/bench").glob("*.py")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda p: p.stem)
 def test_a_bench_still_finds_what_it_measures(path: Path) -> None:
     """Benches run by hand only: what they import must be there all the same."""
-    importlib.import_module(f"tests.bench.{path.stem}")
+    importlib.import_module(f"benchmarks.{path.stem}")

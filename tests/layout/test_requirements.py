@@ -32,7 +32,7 @@ CALLED = {
     "llvmlite": "numba",
     "pxr": "usd-core",
 }
-OWN = {*sys.stdlib_module_names, "studiorecon", "snakemake_logger_plugin_studiorecon", "tests"}
+OWN = {*sys.stdlib_module_names, "studiorecon", "snakemake_logger_plugin_studiorecon", "benchmarks", "tests"}
 
 
 def names(requirements: list) -> set[str]:
@@ -90,7 +90,7 @@ def test_what_the_workflow_imports_is_declared() -> None:
 def test_what_tests_import_is_declared() -> None:
     everything = PLAIN.union(*OPTIONAL.values(), DRIVER, names(GROUPS["test"]))
     for path in sorted((ROOT / "tests").rglob("*.py")):
-        if path.parent.name not in ("bench", "gpu"):
+        if path.parent.name != "gpu":
             assert imports(outside_functions(tree(path))) <= everything, path.name
 
 

@@ -45,7 +45,7 @@ def test_what_never_ran_is_said() -> None:
 
 
 def test_seconds_are_remembered_by_scene_and_only_the_last(tmp_path: Path) -> None:
-    path = tmp_path / "benchmarks/seconds.json"
+    path = tmp_path / "timings/seconds.json"
     assert read_seconds(path, "demo") == {}
     keep_seconds(path, "demo", {"film": [1.0] * 30, "train": [5.0]})
     keep_seconds(path, "demo", {"film": [2.0]})
@@ -85,7 +85,7 @@ def test_the_plugin_writes_the_page_of_the_scene_that_runs(plugin: LogHandler, t
     plugin.close()
     assert "1 of 3 jobs, stopped" in page.read_text()
     plugin.close()
-    assert [len(s) for s in read_seconds(tmp_path / "benchmarks/seconds.json", "demo").values()] == [1]
+    assert [len(s) for s in read_seconds(tmp_path / "timings/seconds.json", "demo").values()] == [1]
 
 
 def test_a_dry_run_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

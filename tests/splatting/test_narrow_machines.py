@@ -15,10 +15,12 @@ import pytest
 from studiorecon.splatting.cpu.blocks import block, morton_order
 from studiorecon.splatting.cpu.rasterise import Rasteriser
 
-from tests.bench.children import INSTRUCTION_SETS, ROOT
 from tests.made.gaussians import camera, hard, room
 
 pytestmark = pytest.mark.skipif(platform.machine() != "x86_64", reason="instruction sets of x86-64")
+ROOT = Path(__file__).resolve().parents[2]
+# Name → NUMBA_CPU_NAME, NUMBA_CPU_FEATURES.
+INSTRUCTION_SETS = {"AVX2": ("haswell", "+avx2,+fma"), "SSE": ("x86-64", "-avx,-avx2,-fma,-avx512f")}
 FIELDS = ("means_m", "quaternions", "log_scales", "logit_opacities", "sh")
 
 

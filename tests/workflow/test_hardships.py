@@ -68,7 +68,7 @@ def jobs_of(finished: House) -> list[Job]:
 def place(finished: House, folder: Path) -> Path:
     """A folder with a finished run's results, where no workflow engine was."""
     shutil.copytree(finished.folder / "results", folder / "results")
-    for part in ("resources", "config", "benchmarks", "workflow"):
+    for part in ("resources", "config", "timings", "workflow"):
         (folder / part).symlink_to(finished.folder / part)
     return folder
 

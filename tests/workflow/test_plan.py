@@ -269,6 +269,6 @@ def test_a_budget_chooses_the_preset_and_leaves_what_the_user_said(house: House)
     assert f'"iterations": {look["background"]["training"]["iterations"]}' in told
     assert f'"sweep_width": {look["depth"]["sweep_width"]}' in told
     assert '"candidates": 44' in told
-    assert (house.folder / "benchmarks" / "pace.json").is_file()
+    assert (house.folder / "timings" / "pace.json").is_file()
     without = replace(house, dataset="").snakemake(*arguments).stdout
     assert "budget" not in without

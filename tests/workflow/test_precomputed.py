@@ -62,7 +62,7 @@ def brought(finished: House, tmp_path_factory: pytest.TempPathFactory) -> tuple[
         if "." not in film.stem:
             shutil.copy(film, elsewhere["views" if film.parent.name == "views" else "enhance"])
     shutil.copytree(
-        finished.folder, folder / "house", ignore=shutil.ignore_patterns("results", ".snakemake", "logs", "benchmarks")
+        finished.folder, folder / "house", ignore=shutil.ignore_patterns("results", ".snakemake", "logs", "timings")
     )
     house = House(folder / "house", finished.dataset)
     sections = {section: {"source": "precomputed", "precomputed": str(path)} for section, path in elsewhere.items()}

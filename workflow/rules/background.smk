@@ -17,7 +17,7 @@ rule background_kernels:
     log:
         "logs/{scene}/background/kernels.log",
     benchmark:
-        "benchmarks/{scene}/background/kernels.tsv"
+        "timings/{scene}/background/kernels.tsv"
     priority: 1
     container:
         image("core")
@@ -63,7 +63,7 @@ if PLAN.networks.refiner:
         log:
             "logs/{scene}/background/half.log",
         benchmark:
-            "benchmarks/{scene}/background/half.tsv"
+            "timings/{scene}/background/half.tsv"
         container:
             image(PLAN.networks.drawn_by)
         threads: 2
@@ -95,7 +95,7 @@ if PLAN.networks.refiner:
         log:
             "logs/{scene}/background/refined.log",
         benchmark:
-            "benchmarks/{scene}/background/refined.tsv"
+            "timings/{scene}/background/refined.tsv"
         container:
             model_image(PLAN.networks.refiner)
         threads: 2
@@ -142,7 +142,7 @@ rule background_train:
     log:
         "logs/{scene}/background/train.log",
     benchmark:
-        "benchmarks/{scene}/background/train.tsv"
+        "timings/{scene}/background/train.tsv"
     priority: 5
     container:
         image(PLAN.networks.drawn_by)

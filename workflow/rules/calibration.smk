@@ -18,7 +18,7 @@ if PLAN.from_people:
         log:
             "logs/{scene}/calibration/from_people.log",
         benchmark:
-            "benchmarks/{scene}/calibration/from_people.tsv"
+            "timings/{scene}/calibration/from_people.tsv"
         container:
             image("core")
         threads: 1
@@ -44,7 +44,7 @@ else:
         log:
             "logs/{scene}/calibration/files.log",
         benchmark:
-            "benchmarks/{scene}/calibration/files.tsv"
+            "timings/{scene}/calibration/files.tsv"
         container:
             image("core")
         threads: 1
@@ -79,7 +79,7 @@ if PLAN.networks.cameras:
         log:
             "logs/{scene}/calibration/network.log",
         benchmark:
-            "benchmarks/{scene}/calibration/network.tsv"
+            "timings/{scene}/calibration/network.tsv"
         container:
             model_image(PLAN.networks.cameras)
         threads: 1
@@ -112,7 +112,7 @@ rule calibration_doctor:
     log:
         "logs/{scene}/calibration/doctor.log",
     benchmark:
-        "benchmarks/{scene}/calibration/doctor.tsv"
+        "timings/{scene}/calibration/doctor.tsv"
     container:
         image("core")
     threads: 1

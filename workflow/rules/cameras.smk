@@ -19,7 +19,7 @@ rule cameras_refine:
     log:
         "logs/{scene}/cameras/refine.log",
     benchmark:
-        "benchmarks/{scene}/cameras/refine.tsv"
+        "timings/{scene}/cameras/refine.tsv"
     # Everything later waits for it: before kernels are compiled, which is done beside it.
     priority: 5
     container:
@@ -52,7 +52,7 @@ rule cameras_held_out:
     log:
         "logs/{scene}/cameras/held_out.log",
     benchmark:
-        "benchmarks/{scene}/cameras/held_out.tsv"
+        "timings/{scene}/cameras/held_out.tsv"
     container:
         image("core")
     threads: 1

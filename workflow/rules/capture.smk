@@ -9,7 +9,7 @@ rule capture_frames:
     log:
         "logs/{scene}/capture/frames/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/capture/frames/{camera}.tsv"
+        "timings/{scene}/capture/frames/{camera}.tsv"
     container:
         image("core")
     threads: 1
@@ -32,7 +32,7 @@ rule capture_manifest:
     log:
         "logs/{scene}/capture/manifest.log",
     benchmark:
-        "benchmarks/{scene}/capture/manifest.tsv"
+        "timings/{scene}/capture/manifest.tsv"
     container:
         image("core")
     threads: 1

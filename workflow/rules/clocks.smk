@@ -13,7 +13,7 @@ rule clocks_offsets:
     log:
         "logs/{scene}/clocks/offsets.log",
     benchmark:
-        "benchmarks/{scene}/clocks/offsets.tsv"
+        "timings/{scene}/clocks/offsets.tsv"
     container:
         image("core")
     threads: 1

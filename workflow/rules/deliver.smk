@@ -19,7 +19,7 @@ rule deliver_export:
     log:
         "logs/{scene}/deliver/export.log",
     benchmark:
-        "benchmarks/{scene}/deliver/export.tsv"
+        "timings/{scene}/deliver/export.tsv"
     container:
         image("core")
     threads: 1
@@ -53,7 +53,7 @@ rule deliver_player:
     log:
         "logs/{scene}/deliver/player.log",
     benchmark:
-        "benchmarks/{scene}/deliver/player.tsv"
+        "timings/{scene}/deliver/player.tsv"
     container:
         image("core")
     threads: 1
@@ -83,7 +83,7 @@ rule deliver_scene_glb:
     log:
         "logs/{scene}/deliver/scene_glb.log",
     benchmark:
-        "benchmarks/{scene}/deliver/scene_glb.tsv"
+        "timings/{scene}/deliver/scene_glb.tsv"
     container:
         image("core")
     threads: 1
@@ -109,7 +109,7 @@ rule deliver_mesh:
     log:
         "logs/{scene}/deliver/mesh.log",
     benchmark:
-        "benchmarks/{scene}/deliver/mesh.tsv"
+        "timings/{scene}/deliver/mesh.tsv"
     container:
         image("vision")
     threads: 2
@@ -143,7 +143,7 @@ rule deliver_usd:
     log:
         "logs/{scene}/deliver/usd.log",
     benchmark:
-        "benchmarks/{scene}/deliver/usd.tsv"
+        "timings/{scene}/deliver/usd.tsv"
     container:
         image("vision")
     threads: 1

@@ -27,7 +27,7 @@ rule depth_sweep:
     log:
         "logs/{scene}/depth/sweep/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/depth/sweep/{camera}.tsv"
+        "timings/{scene}/depth/sweep/{camera}.tsv"
     # The first film that anybody can look at waits for it, and then the furniture.
     priority: 7
     container:
@@ -52,7 +52,7 @@ rule depth_kernels:
     log:
         "logs/{scene}/depth/kernels.log",
     benchmark:
-        "benchmarks/{scene}/depth/kernels.tsv"
+        "timings/{scene}/depth/kernels.tsv"
     container:
         image("core")
     threads: 1
@@ -82,7 +82,7 @@ rule depth_box:
     log:
         "logs/{scene}/depth/box.log",
     benchmark:
-        "benchmarks/{scene}/depth/box.tsv"
+        "timings/{scene}/depth/box.tsv"
     priority: 7
     container:
         image("core")
@@ -116,7 +116,7 @@ rule depth_preview:
     log:
         "logs/{scene}/depth/preview.log",
     benchmark:
-        "benchmarks/{scene}/depth/preview.tsv"
+        "timings/{scene}/depth/preview.tsv"
     priority: 7
     container:
         image("core")
@@ -156,7 +156,7 @@ rule depth_room:
     log:
         "logs/{scene}/depth/room.log",
     benchmark:
-        "benchmarks/{scene}/depth/room.tsv"
+        "timings/{scene}/depth/room.tsv"
     # Everything that is drawn waits for it; bodies, which are fitted meanwhile, take less long.
     priority: 5
     container:
@@ -191,7 +191,7 @@ rule depth_refine:
     log:
         "logs/{scene}/depth/refine/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/depth/refine/{camera}.tsv"
+        "timings/{scene}/depth/refine/{camera}.tsv"
     # The survey waits for it, and everything after that; pages of people, made meanwhile, do not.
     priority: 5
     container:
@@ -215,7 +215,7 @@ rule depth_given:
     log:
         "logs/{scene}/depth/given/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/depth/given/{camera}.tsv"
+        "timings/{scene}/depth/given/{camera}.tsv"
     wildcard_constraints:
         camera=one_of(PLAN.dataset.depth),
     container:
@@ -243,7 +243,7 @@ if PLAN.networks.first_depth:
         log:
             "logs/{scene}/depth/first/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/depth/first/{camera}.tsv"
+            "timings/{scene}/depth/first/{camera}.tsv"
         container:
             image("core")
         threads: 1
@@ -267,7 +267,7 @@ if PLAN.networks.depth not in ("", "precomputed") and not PLAN.networks.first_de
         log:
             "logs/{scene}/depth/network.log",
         benchmark:
-            "benchmarks/{scene}/depth/network.tsv"
+            "timings/{scene}/depth/network.tsv"
         container:
             model_image(PLAN.networks.depth)
         threads: 1
@@ -295,7 +295,7 @@ if PLAN.networks.depth and not PLAN.networks.first_depth:
         log:
             "logs/{scene}/depth/aligned/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/depth/aligned/{camera}.tsv"
+            "timings/{scene}/depth/aligned/{camera}.tsv"
         container:
             image("core")
         threads: 1

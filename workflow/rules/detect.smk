@@ -14,7 +14,7 @@ if PLAN.sight.measured or not PLAN.sight.bodies:
         log:
             "logs/{scene}/detect/people/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/detect/people/{camera}.tsv"
+            "timings/{scene}/detect/people/{camera}.tsv"
         container:
             image("core")
         threads: 1
@@ -38,7 +38,7 @@ rule detect_keypoints:
     log:
         "logs/{scene}/detect/keypoints/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/detect/keypoints/{camera}.tsv"
+        "timings/{scene}/detect/keypoints/{camera}.tsv"
     container:
         image("core")
     threads: 1

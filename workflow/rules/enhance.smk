@@ -22,7 +22,7 @@ rule enhance_shot:
     log:
         "logs/{scene}/enhance/shot/{shot}.log",
     benchmark:
-        "benchmarks/{scene}/enhance/shot/{shot}.tsv"
+        "timings/{scene}/enhance/shot/{shot}.tsv"
     # Before the next film is drawn.
     priority: 12
     container:
@@ -54,7 +54,7 @@ rule enhance_sheet:
     log:
         "logs/{scene}/enhance/sheet/{shot}.{picture}.log",
     benchmark:
-        "benchmarks/{scene}/enhance/sheet/{shot}.{picture}.tsv"
+        "timings/{scene}/enhance/sheet/{shot}.{picture}.tsv"
     container:
         model_image(PLAN.networks.enhance)
     threads: 1
@@ -82,7 +82,7 @@ rule enhance_comparison:
     log:
         "logs/{scene}/enhance/comparison/{shot}.log",
     benchmark:
-        "benchmarks/{scene}/enhance/comparison/{shot}.tsv"
+        "timings/{scene}/enhance/comparison/{shot}.tsv"
     container:
         image("core")
     threads: 1

@@ -26,7 +26,7 @@ rule humans_train:
     log:
         "logs/{scene}/humans/train/{person}.log",
     benchmark:
-        "benchmarks/{scene}/humans/train/{person}.tsv"
+        "timings/{scene}/humans/train/{person}.tsv"
     container:
         image(PLAN.networks.drawn_by)
     threads: 1
@@ -56,7 +56,7 @@ rule humans_photo:
     log:
         "logs/{scene}/humans/photo/{person}.log",
     benchmark:
-        "benchmarks/{scene}/humans/photo/{person}.tsv"
+        "timings/{scene}/humans/photo/{person}.tsv"
     container:
         image("core")
     threads: 1
@@ -78,7 +78,7 @@ rule humans_stranger:
     log:
         "logs/{scene}/humans/stranger/{stranger}.log",
     benchmark:
-        "benchmarks/{scene}/humans/stranger/{stranger}.tsv"
+        "timings/{scene}/humans/stranger/{stranger}.tsv"
     container:
         image("core")
     threads: 1
@@ -100,7 +100,7 @@ rule humans_canonical:
     log:
         "logs/{scene}/humans/canonical/{donor}.log",
     benchmark:
-        "benchmarks/{scene}/humans/canonical/{donor}.tsv"
+        "timings/{scene}/humans/canonical/{donor}.tsv"
     container:
         model_image("lhm")
     threads: 4
@@ -124,7 +124,7 @@ rule humans_proxy:
     log:
         "logs/{scene}/humans/proxy/{person}.log",
     benchmark:
-        "benchmarks/{scene}/humans/proxy/{person}.tsv"
+        "timings/{scene}/humans/proxy/{person}.tsv"
     container:
         image("core")
     threads: 1
@@ -148,7 +148,7 @@ if files.body != files.given_body:
         log:
             "logs/body/plain.log",
         benchmark:
-            "benchmarks/body/plain.tsv"
+            "timings/body/plain.tsv"
         container:
             image("core")
         threads: 1

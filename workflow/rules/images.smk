@@ -5,7 +5,7 @@ rule images:
     log:
         "logs/images/build.log",
     benchmark:
-        "benchmarks/images/build.tsv"
+        "timings/images/build.tsv"
     localrule: True
     # What builds images cannot run in one of them.
     container:

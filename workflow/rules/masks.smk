@@ -17,7 +17,7 @@ rule masks_segment:
     log:
         "logs/{scene}/masks/segment/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/masks/segment/{camera}.tsv"
+        "timings/{scene}/masks/segment/{camera}.tsv"
     container:
         image("core")
     threads: 1
@@ -41,7 +41,7 @@ if PLAN.networks.masks:
         log:
             "logs/{scene}/masks/network/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/masks/network/{camera}.tsv"
+            "timings/{scene}/masks/network/{camera}.tsv"
         container:
             model_image(PLAN.networks.masks)
         threads: 2

@@ -17,7 +17,7 @@ rule objects_find:
     log:
         "logs/{scene}/objects/find.log",
     benchmark:
-        "benchmarks/{scene}/objects/find.tsv"
+        "timings/{scene}/objects/find.tsv"
     container:
         image("core")
     threads: 1

@@ -21,7 +21,7 @@ checkpoint people_associate:
     log:
         "logs/{scene}/people/associate.log",
     benchmark:
-        "benchmarks/{scene}/people/associate.tsv"
+        "timings/{scene}/people/associate.tsv"
     # The room is fitted after people are found, and everything that is drawn after the room.
     priority: 6
     container:
@@ -53,7 +53,7 @@ if PLAN.lifted:
         log:
             "logs/{scene}/people/lift/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/people/lift/{camera}.tsv"
+            "timings/{scene}/people/lift/{camera}.tsv"
         container:
             model_image(PLAN.networks.depth)
         threads: 1
@@ -91,7 +91,7 @@ if files.corrected:
         log:
             "logs/{scene}/people/by_itself/associate.log",
         benchmark:
-            "benchmarks/{scene}/people/by_itself/associate.tsv"
+            "timings/{scene}/people/by_itself/associate.tsv"
 
 
 if PLAN.sight.detected:
@@ -115,7 +115,7 @@ if PLAN.sight.detected:
         log:
             "logs/{scene}/people/first/associate.log",
         benchmark:
-            "benchmarks/{scene}/people/first/associate.tsv"
+            "timings/{scene}/people/first/associate.tsv"
 
     rule people_second_look:
         input:
@@ -137,7 +137,7 @@ if PLAN.sight.detected:
         log:
             "logs/{scene}/people/second_look/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/people/second_look/{camera}.tsv"
+            "timings/{scene}/people/second_look/{camera}.tsv"
         wildcard_constraints:
             camera=one_of(PLAN.sight.detected),
         # As for who is who.
@@ -175,7 +175,7 @@ if PLAN.sight.plated:
         log:
             "logs/{scene}/people/without_keypoints.log",
         benchmark:
-            "benchmarks/{scene}/people/without_keypoints.tsv"
+            "timings/{scene}/people/without_keypoints.tsv"
         container:
             image("core")
         threads: 1
@@ -202,7 +202,7 @@ rule people_review:
     log:
         "logs/{scene}/people/review.log",
     benchmark:
-        "benchmarks/{scene}/people/review.tsv"
+        "timings/{scene}/people/review.tsv"
     container:
         image("core")
     threads: 1
@@ -228,7 +228,7 @@ rule people_fit:
     log:
         "logs/{scene}/people/fit/{person}.log",
     benchmark:
-        "benchmarks/{scene}/people/fit/{person}.tsv"
+        "timings/{scene}/people/fit/{person}.tsv"
     # As for who is who.
     priority: 6
     container:
@@ -256,7 +256,7 @@ rule people_overlay:
     log:
         "logs/{scene}/people/overlay/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/people/overlay/{camera}.tsv"
+        "timings/{scene}/people/overlay/{camera}.tsv"
     container:
         image("core")
     threads: 1

@@ -11,7 +11,7 @@ rule placement_advise:
     log:
         "logs/{scene}/placement/advise.log",
     benchmark:
-        "benchmarks/{scene}/placement/advise.tsv"
+        "timings/{scene}/placement/advise.tsv"
     container:
         image("core")
     threads: 1

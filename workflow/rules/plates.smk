@@ -13,7 +13,7 @@ rule plates_clean:
     log:
         "logs/{scene}/plates/clean/{camera}.log",
     benchmark:
-        "benchmarks/{scene}/plates/clean/{camera}.tsv"
+        "timings/{scene}/plates/clean/{camera}.tsv"
     container:
         image("core")
     threads: 1

@@ -17,7 +17,7 @@ rule render_light:
     log:
         "logs/{scene}/render/light.log",
     benchmark:
-        "benchmarks/{scene}/render/light.tsv"
+        "timings/{scene}/render/light.tsv"
     container:
         image("core")
     threads: 2
@@ -55,7 +55,7 @@ rule render_shot:
     log:
         "logs/{scene}/render/shot/{shot}.log",
     benchmark:
-        "benchmarks/{scene}/render/shot/{shot}.tsv"
+        "timings/{scene}/render/shot/{shot}.tsv"
     # Before what shows the scene otherwise, and is read later.
     priority: 10
     container:
@@ -91,7 +91,7 @@ rule render_layers:
     log:
         "logs/{scene}/render/layers/{shot}.log",
     benchmark:
-        "benchmarks/{scene}/render/layers/{shot}.tsv"
+        "timings/{scene}/render/layers/{shot}.tsv"
     container:
         image(PLAN.networks.drawn_by)
     threads: 2
@@ -121,7 +121,7 @@ rule render_shade:
     log:
         "logs/{scene}/render/shade.log",
     benchmark:
-        "benchmarks/{scene}/render/shade.tsv"
+        "timings/{scene}/render/shade.tsv"
     container:
         image("core")
     threads: 2

@@ -12,7 +12,7 @@ rule report_audit:
     log:
         "logs/{scene}/report/audit.log",
     benchmark:
-        "benchmarks/{scene}/report/audit.tsv"
+        "timings/{scene}/report/audit.tsv"
     container:
         image(PLAN.networks.drawn_by)
     threads: 1
@@ -43,7 +43,7 @@ rule report_recognition:
     log:
         "logs/{scene}/report/recognition.log",
     benchmark:
-        "benchmarks/{scene}/report/recognition.tsv"
+        "timings/{scene}/report/recognition.tsv"
     # The page waits for it, and for what is measured after it, longer than for anything beside it.
     priority: 20
     container:
@@ -86,7 +86,7 @@ rule report_evaluate:
     log:
         "logs/{scene}/report/evaluate.log",
     benchmark:
-        "benchmarks/{scene}/report/evaluate.tsv"
+        "timings/{scene}/report/evaluate.tsv"
     priority: 20
     container:
         image(PLAN.networks.drawn_by)
@@ -167,7 +167,7 @@ rule report_page:
     log:
         "logs/{scene}/report/page.log",
     benchmark:
-        "benchmarks/{scene}/report/page.tsv"
+        "timings/{scene}/report/page.tsv"
     container:
         image("core")
     threads: 1
@@ -178,7 +178,7 @@ rule report_page:
         code=code("report.page"),
         configuration=told.shown_settings(config),
         budget=json.dumps(BUDGET),
-        benchmarks="benchmarks/{scene}",
+        benchmarks="timings/{scene}",
         logs="logs/{scene}",
         licences=HOME / "resources/licences",
         # Shown where a sweep was run; never asked for.
@@ -199,7 +199,7 @@ rule report_strict:
     log:
         "logs/{scene}/report/strict.log",
     benchmark:
-        "benchmarks/{scene}/report/strict.tsv"
+        "timings/{scene}/report/strict.tsv"
     container:
         image("core")
     threads: 1

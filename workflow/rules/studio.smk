@@ -17,7 +17,7 @@ if PLAN.studio:
         log:
             f"logs/studio/{PLAN.studio}/capture.log",
         benchmark:
-            f"benchmarks/studio/{PLAN.studio}/capture.tsv"
+            f"timings/studio/{PLAN.studio}/capture.tsv"
         container:
             image("core")
         threads: 2

@@ -22,7 +22,7 @@ checkpoint survey_decide:
     log:
         "logs/{scene}/survey/decide.log",
     benchmark:
-        "benchmarks/{scene}/survey/decide.tsv"
+        "timings/{scene}/survey/decide.tsv"
     container:
         image("core")
     threads: 1

@@ -10,7 +10,7 @@ rule sweep_run:
     log:
         "logs/{scene}/sweep/{table}/run.log",
     benchmark:
-        "benchmarks/{scene}/sweep/{table}/run.tsv"
+        "timings/{scene}/sweep/{table}/run.tsv"
     handover: True
     # It starts Snakemake again, which has no place inside a step's image, and gets every core: seconds are only worth comparing
     # when nothing else runs beside them.
@@ -44,7 +44,7 @@ rule sweep_page:
     log:
         "logs/{scene}/sweep/{table}/page.log",
     benchmark:
-        "benchmarks/{scene}/sweep/{table}/page.tsv"
+        "timings/{scene}/sweep/{table}/page.tsv"
     container:
         image("core")
     threads: 1

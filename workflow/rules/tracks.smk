@@ -14,7 +14,7 @@ if PLAN.sight.bodies:
         log:
             "logs/{scene}/tracks/bodies/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/tracks/bodies/{camera}.tsv"
+            "timings/{scene}/tracks/bodies/{camera}.tsv"
         container:
             model_image(PLAN.sight.bodies)
         threads: 2
@@ -42,7 +42,7 @@ else:
         log:
             "logs/{scene}/tracks/keypoints/{camera}.log",
         benchmark:
-            "benchmarks/{scene}/tracks/keypoints/{camera}.tsv"
+            "timings/{scene}/tracks/keypoints/{camera}.tsv"
         container:
             image("core")
         threads: 1

@@ -10,7 +10,7 @@ rule views_path:
     log:
         "logs/{scene}/views/path.log",
     benchmark:
-        "benchmarks/{scene}/views/path.tsv"
+        "timings/{scene}/views/path.tsv"
     container:
         image("core")
     threads: 1
@@ -42,7 +42,7 @@ if PLAN.networks.views == "warp":
         log:
             "logs/{scene}/views/{segment}.log",
         benchmark:
-            "benchmarks/{scene}/views/{segment}.tsv"
+            "timings/{scene}/views/{segment}.tsv"
         # The room waits for all of them and is trained longest: before masks, which people wait for.
         priority: 5
         container:
@@ -75,7 +75,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
         log:
             "logs/{scene}/views/request/{segment}.log",
         benchmark:
-            "benchmarks/{scene}/views/request/{segment}.tsv"
+            "timings/{scene}/views/request/{segment}.tsv"
         container:
             image("core")
         threads: 1
@@ -97,7 +97,7 @@ if PLAN.networks.views not in ("warp", "precomputed"):
         log:
             "logs/{scene}/views/generate/{segment}.log",
         benchmark:
-            "benchmarks/{scene}/views/generate/{segment}.tsv"
+            "timings/{scene}/views/generate/{segment}.tsv"
         container:
             model_image(PLAN.networks.views)
         threads: 4
@@ -123,7 +123,7 @@ if PLAN.networks.people_in_views:
         log:
             "logs/{scene}/views/people/{segment}.log",
         benchmark:
-            "benchmarks/{scene}/views/people/{segment}.tsv"
+            "timings/{scene}/views/people/{segment}.tsv"
         container:
             model_image(PLAN.networks.people_in_views)
         threads: 2
@@ -159,7 +159,7 @@ if PLAN.networks.views != "warp":
         log:
             "logs/{scene}/views/{segment}.log",
         benchmark:
-            "benchmarks/{scene}/views/{segment}.tsv"
+            "timings/{scene}/views/{segment}.tsv"
         container:
             image("core")
         threads: 1

@@ -6,7 +6,7 @@ rule weights_list:
     log:
         "logs/weights/list.log",
     benchmark:
-        "benchmarks/weights/list.tsv"
+        "timings/weights/list.tsv"
     localrule: True
     container:
         image("core")
@@ -26,7 +26,7 @@ rule weights:
     log:
         "logs/weights/fetch.log",
     benchmark:
-        "benchmarks/weights/fetch.tsv"
+        "timings/weights/fetch.tsv"
     localrule: True
     container:
         image("vision")

@@ -20,7 +20,7 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from studiorecon.cli.run_progress import Run, Running, keep_seconds, read_seconds
 from tqdm import tqdm
 
-_SECONDS = Path("benchmarks/seconds.json")
+_SECONDS = Path("timings/seconds.json")
 _EVERY_S = 1.0  # between two pages
 _KILLED = re.compile(r"-m studiorecon ([a-z]+\.[a-z_]+) .*died with <Signals\.SIG(KILL|SEGV|ABRT|BUS)", re.DOTALL)
 _HOW = {"KILL": "the system killed it, as it does", "BUS": "the system stopped it, as it does on a full disk or"}

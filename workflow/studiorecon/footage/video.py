@@ -3,7 +3,7 @@
 read from the first frame on, from any other, or frame by frame at any time.
 
 Colour was FFV1 too. H.264 without quantiser and without a colour matrix keeps every bit as well and predicts from the
-picture before: takes and renders are written and read in a half to a fifth of the time (``tests/bench/codecs.py``).
+picture before: takes and renders are written and read in a half to a fifth of the time (``benchmarks/codecs.py``).
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ _ACROSS = (
 )
 # How far a detector's points lie from the body's of the same name, in every direction and in all frames, metres (one
 # deviation; "" = all others), where that is not next to nothing. BlazePose on a real man and on the made studio
-# (``python -m tests.bench.detector --parts landmarks``): its ear is in front of the ear, its toe the tip of the shoe.
+# (``python -m benchmarks.detector --parts landmarks``): its ear is in front of the ear, its toe the tip of the shoe.
 _OFF_M = {"blazepose33": {"": 0.02, "ear": 0.05, "toe": 0.05}}
 _SMPL_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 

@@ -24,7 +24,7 @@ from studiorecon.plan.foreseen import called_for, foreseen
 from studiorecon.plan.prices import Point, Predicted, PriceList, pace_here, predict, read_prices, spent
 from studiorecon.plan.workload import Footage, footage_of, workload
 
-_RESULTS, _PACE = Path("results"), Path("benchmarks") / "pace.json"
+_RESULTS, _PACE = Path("results"), Path("timings") / "pace.json"
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def bought(
     config: Mapping[str, Any], said: Mapping[str, Any], schema: Mapping[str, Any], plan: Plan, cores: int
 ) -> Choice:
     """What ``budget_min`` buys on this machine, whose pace is told by runs that a budget chose before, or probed once
-    and kept in ``benchmarks/pace.json``; raises UserError where footage cannot be read.
+    and kept in ``timings/pace.json``; raises UserError where footage cannot be read.
 
     ``said`` is what command line and configuration files hold, ``schema`` the configuration's.
     """

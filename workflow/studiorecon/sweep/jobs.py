@@ -56,7 +56,7 @@ class Job:
     @property
     def benchmark(self) -> str:
         """Snakemake's file of seconds and memory, named as the log is."""
-        return str(Path("benchmarks", *Path(self.log).parts[1:]).with_suffix(".tsv"))
+        return str(Path("timings", *Path(self.log).parts[1:]).with_suffix(".tsv"))
 
 
 def read_jobs(folder: Path) -> dict[str, Job]:

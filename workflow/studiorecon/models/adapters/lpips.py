@@ -7,8 +7,7 @@ squared difference is weighed per channel by a linear head and averaged over the
 (``splatting.train.perceptual.Perceptual``), reports measure with it (``models.protocols.PerceptualDistance``).
 
 Cost: 235 ms were measured for the VGG16 trunk alone, one 320×176 picture forward and back on two idle cores,
-against 6 ms for all else of a training step; a 96×96 crop has a sixth of the pixels. ``python -m tests.bench.training
---lpips`` measures it here.
+against 6 ms for all else of a training step; a 96×96 crop has a sixth of the pixels.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ def read_benchmark(path: Path) -> dict[str, float | None]:
 
 
 def cost(folder: Path) -> dict[str, Any]:
-    """Cost of a scene from ``benchmarks/<scene>``: per stage, per rule, per job; files are
+    """Cost of a scene from ``timings/<scene>``: per stage, per rule, per job; files are
     ``<stage>/<step>[/<job>].tsv``.
 
     Seconds are sums over jobs (jobs may have run side by side), peak memory is the largest single job's.

@@ -31,7 +31,7 @@ def section(path: Path) -> str:
             shown.append([solver if i == 0 else "", name, *told])
     header = ["solver", "form", "cost", "error", "on the front", "setting"]
     lead = (
-        "Measured on planted truth by this project's benches (python -m tests.bench.solvers), "
+        "Measured on planted truth by this project's benches (python -m benchmarks.solvers), "
         "not on this scene. On the front: no other "
     )
     lead += "form of the same solver is both cheaper and closer."

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's ablations (section 4.3) on three made studios: what each of its ideas brings, without any network.
+
+    python -m benchmarks.ablations [--work DIR] [--frames 40] [--size 320 180] [--cores 2]
+
+Films three studios that differ in room, people and stand of the cameras, runs ``config/sweeps/ablations.tsv`` on each
+(the paper's ideas on the embedded back ends, then one of them taken away per row) and writes DIR/index.html, one page
+about all three, and benchmarks/results/ablations.json: measures at the held-out cameras per studio and row, and the
+mean change over the studios. An interrupted run goes on where it was when DIR is given again.
+
+Not computed here: the paper's baselines, which need gated weights. "Without multi-view refinement" needs a network's
+bodies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import yaml
+from studiorecon.sweep.records import OK, read_records
+from studiorecon.sweep.tradeoff import MEASURES, across
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS, TABLE = Path(__file__).parent / "results" / "ablations.json", ROOT / "config/sweeps/ablations.tsv"
+
+
+def studios(frames: int, size: tuple[int, int]) -> dict[str, dict]:
+    """Three captures that have little in common but four cameras, soft contact shading and a detector's noise."""
+    common = {"frames": frames, "size": list(size), "effects": {"contact_shading": 0.5}, "detections": {"noise_px": 1}}
+    ring = {"training": 4, "held_out": 4}
+    return {
+        "two_in_a_ring": common | {"seed": 3, "people": 2, "cameras": ring},
+        "three_in_a_ring": common | {"seed": 11, "people": 3, "cameras": ring | {"radius_m": 3.3}},
+        "two_before_an_arc": common
+        | {"seed": 5, "people": 2, "cameras": ring | {"layout": "arc", "arc_deg": 120.0, "held_out": 3}},
+    }
+
+
+def sweep(folder: Path, table: Path, told: list[str], cores: str) -> None:
+    """Run a table in ``folder`` on what ``--config`` is ``told``."""
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(ROOT / "Snakefile"), "--cores", cores]
+    command += ["--directory", str(folder), "sweep", "--config", f"sweep={table}", "sweep_minutes=60", *told]
+    environment = {**os.environ, "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
+    environment["PYTHONPATH"] = str(ROOT / "workflow")
+    subprocess.run(command, env=environment, check=True)
+
+
+def ablated(work: Path, name: str, described: dict, cores: int) -> Path:
+    """Run the ablations on one studio in a folder of its own; the records they wrote."""
+    folder = work / name
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(described))
+    sweep(folder, TABLE, [f"dataset={folder / name}.yaml"], str(cores))
+    return folder / "results" / name / "sweep" / TABLE.stem / "records.jsonl"
+
+
+def main() -> None:
+    """Print the table and keep it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--work", type=Path, help="where the runs are kept; a temporary folder otherwise")
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--size", type=int, nargs=2, default=(320, 180))
+    parser.add_argument("--cores", type=int, default=2)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        work = (given.work or Path(temporary)).resolve()
+        made = studios(given.frames, tuple(given.size))
+        records = {name: ablated(work, name, described, given.cores) for name, described in made.items()}
+        page = [sys.executable, "-m", "studiorecon", "sweep.page", "--records", *map(str, records.values())]
+        page += ["--solvers", str(ROOT / "resources/solvers.tsv")]
+        subprocess.run([*page, "--page", str(work / "index.html"), "--table", str(work / "first.csv")], check=True)
+        scenes = {name: read_records(path)[1] for name, path in records.items()}
+    changes = across(scenes)
+    names = [name for name, *_ in MEASURES if any(name in change.gains for change in changes)]
+    signs = {name: sign for name, *_, sign in MEASURES}
+    result = {
+        "studios": made,
+        "rows": {
+            scene: {r.name: r.metrics if r.verdict == OK else {"failed": r.sentence} for r in rows}
+            for scene, rows in scenes.items()
+        },
+        "change_over_studios": {
+            c.name: {"studios": c.scenes, "psnr_span": [round(v, 3) for v in c.psnr_span]}
+            | {name: round(signs[name] * c.gains[name], 5) for name in names if name in c.gains}
+            for c in changes
+        },
+        "machine": {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()},
+    }
+    RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"| change | studios | {' | '.join(names)} | PSNR in one studio |\n|---|{'---|' * (len(names) + 2)}")
+    for c in changes:
+        told = " | ".join(f"{signs[name] * c.gains[name] + 0.0:+.3f}" if name in c.gains else "–" for name in names)
+        print(f"| {c.name} | {c.scenes} | {told} | {c.psnr_span[0]:+.2f} … {c.psnr_span[1]:+.2f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What makes a person look right: held-out PSNR of the person's own pixels, as trained and with one thing changed
+(paper, robustness).
+
+    snakemake --cores 2 results/demo/humans/p0.ply                 # once: makes the inputs
+    python -m benchmarks.humans [--scene results/demo] [--truth results/studio/demo/truth] [--people p0] [--only full
+    "no network"]
+
+Every row trains by ``humans.train`` with the configuration's settings and one change: masks eroded, fitted bodies
+turned at random (one turn per joint for the whole clip, so that no average hides it), keypoints off by normal noise
+before the body is fitted to them, poses not refined, no temporal network. Pixels are those of photos 1280 wide, as the
+paper's are. Scores are of cameras no step reads, on every fifth frame: the PSNR on the pixels that the truth calls the
+person's, where a mask that is too small or a body beside itself costs most, and as in the paper's table the PSNR of
+whole frames, with the room and everybody else as they were trained. Losses are against the first row; seconds are of
+processor time. Table and machine go to benchmarks/results/humans.json after every row; others stay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
+from studiorecon.body.model import BodyModel
+from studiorecon.body.person_files import read_person, write_person
+from studiorecon.camera_files.colmap import read_model
+from studiorecon.configuration import settings as settings_module
+from studiorecon.footage.video import read_frames, write_lossless
+from studiorecon.geometry import rotations
+from studiorecon.humans import train
+from studiorecon.humans.filmed import read_crops
+from studiorecon.people import fit
+from studiorecon.scene.gaussians import concatenate
+from studiorecon.scene.gaussians_ply import read_ply
+from studiorecon.scene.people import Detections, Person, read_detections, read_people, write_detections
+from studiorecon.splatting.cpu.rasterise import Rasteriser
+from studiorecon.splatting.train.schedule import TrainingSettings
+
+from benchmarks.free_people import FreePerson, free_person
+from tests.defaults import default_settings, loaded
+
+ROOT = Path(__file__).parents[1]
+RESULTS = Path(__file__).parent / "results" / "humans.json"
+BODY = ROOT / "resources" / "body.npz"
+STEP = 5
+
+
+PHOTO_WIDTH = 1280
+"""Of the paper's pixels."""
+
+
+def eroded(photo_px: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Masks whose people have lost so much on every side, in whole pixels of the masks but at least one."""
+
+    def change(labels: np.ndarray) -> np.ndarray:
+        pixels = max(1, round(photo_px * labels.shape[1] / PHOTO_WIDTH))
+        kernel = np.ones((2 * pixels + 1, 2 * pixels + 1), np.uint8)
+        kept = np.zeros_like(labels)
+        for label in np.unique(labels[labels > 0]):
+            kept[cv2.erode((labels == label).astype(np.uint8), kernel) > 0] = label
+        return kept
+
+    return change
+
+
+def turned(degrees: float) -> Callable[[Person], Person]:
+    """Bodies with every joint but the root turned about a random axis by a normal angle of this deviation."""
+
+    def change(person: Person) -> Person:
+        rng = np.random.default_rng(0)
+        noise = rotations.exp(rng.normal(0, np.deg2rad(degrees), (23, 3)) / np.sqrt(3))
+        local = rotations.exp(person.poses.reshape(-1, 24, 3))
+        local[:, 1:] = local[:, 1:] @ noise
+        return replace(person, poses=rotations.log(local).reshape(-1, 72))
+
+    return change
+
+
+def off(photo_px: float) -> Callable[[Detections, int], Detections]:
+    """Keypoints of a camera, whose pictures are so wide, with normal noise of this deviation on each coordinate, anew
+    in every frame."""
+
+    def change(seen: Detections, width: int) -> Detections:
+        rng = np.random.default_rng([7, *seen.camera.encode()])
+        noise = rng.normal(0, photo_px * width / PHOTO_WIDTH, (*seen.keypoints.shape[:2], 2))
+        return replace(
+            seen, keypoints=np.concatenate([seen.keypoints[..., :2] + noise, seen.keypoints[..., 2:]], axis=2)
+        )
+
+    return change
+
+
+ROWS: dict[str, dict[str, Any]] = {
+    "full": {},
+    "no network": {"temporal": {"use": "never"}},
+    "network of the paper's size": {"temporal": {"use": "always", "width": 256}},
+    "poses as fitted": {"rates": {"pose_rad": 0.0}},
+    "masks eroded by 5 px": {"masks": eroded(5)},
+    "masks eroded by 10 px": {"masks": eroded(10)},
+    "keypoints off by 3 px": {"keypoints": off(3)},
+    "keypoints off by 5 px": {"keypoints": off(5)},
+    "keypoints off by 12 px": {"keypoints": off(12)},
+    "bodies turned by 3 degrees": {"body": turned(3.0)},
+    "bodies turned by 5 degrees": {"body": turned(5.0)},
+    "bodies turned by 5 degrees, poses as fitted": {"body": turned(5.0), "rates": {"pose_rad": 0.0}},
+    "harmonics of degree 0": {"sh_degree": 0},
+    "the paper's weight grid": {"skinning": "grid"},
+    "no body, frame by frame from the masks' hull": {"free": "hull"},
+    "no body, frame by frame from anywhere": {"free": "anywhere"},
+}
+FREE_STEPS = 600
+
+
+def trained(scene: Path, person: str, changes: dict[str, Any], folder: Path) -> tuple[Path, Path, float]:
+    """Files of one training and its processor seconds."""
+    names = [camera.name for camera in read_model(scene / "cameras")]
+    masks, fitted = [scene / f"masks/{name}.mkv" for name in names], scene / f"people/{person}.npz"
+    changes = dict(changes)
+    if change := changes.pop("masks", None):
+        for k, (name, path) in enumerate(zip(names, masks)):
+            masks[k] = folder / f"{name}.mkv"
+            write_lossless(masks[k], [change(labels) for labels in read_frames(path, 0, None)], 30.0)
+    if change := changes.pop("keypoints", None):
+        fitted = refitted(scene, person, change, folder)
+    if change := changes.pop("body", None):
+        fitted = folder / f"{person}.fit.npz"
+        write_person(fitted, change(read_person(scene / f"people/{person}.npz")))
+    ply, npz, settings = folder / f"{person}.ply", folder / f"{person}.npz", loaded(train.Settings, **changes)
+    begin = time.process_time()
+    train.run(
+        settings,
+        person,
+        scene / "cameras/images.txt",
+        scene / "capture/manifest.json",
+        scene / "people/people.tsv",
+        [scene / f"capture/{name}.mkv" for name in names],
+        masks,
+        fitted,
+        BODY,
+        1,
+        ply,
+        npz,
+        folder / "working",
+    )
+    return ply, npz, time.process_time() - begin
+
+
+def refitted(scene: Path, person: str, change: Callable[[Detections, int], Detections], folder: Path) -> Path:
+    """The person's body fitted to changed keypoints, who is who unchanged."""
+    detections = []
+    for camera in read_model(scene / "cameras"):
+        detections.append(folder / f"{camera.name}.npz")
+        write_detections(
+            detections[-1], change(read_detections(scene / f"people/detections/{camera.name}.npz"), camera.wh[0])
+        )
+    settings, who, path = loaded(fit.Settings), scene / f"people/who/{person}.tsv", folder / f"{person}.noisy.npz"
+    fit.run(
+        settings,
+        person,
+        scene / "cameras/images.txt",
+        scene / "capture/manifest.json",
+        detections,
+        [who],
+        [],
+        [scene / "people/who/readouts.json"],
+        BODY,
+        path,
+    )
+    return path
+
+
+def freed(scene: Path, person: str, start: str) -> tuple[FreePerson, float]:
+    """The person without a body, and the processor seconds that took."""
+    cameras, settings, body = read_model(scene / "cameras"), loaded(train.Settings), BodyModel.load(BODY)
+    fitted = read_person(scene / f"people/{person}.npz")
+    videos, masks = ([scene / f"{kind}/{camera.name}.mkv" for camera in cameras] for kind in ("capture", "masks"))
+    label = read_people(scene / "people/people.tsv").index(person) + 1
+    crops = read_crops(
+        settings, cameras, videos, masks, fitted, body, label, len(fitted.valid), Path(tempfile.gettempdir())
+    )
+    changes = {"iterations": FREE_STEPS, "checkpoint_every_s": 0.0}
+    steps = settings_module.load(
+        TrainingSettings, default_settings("background", training=changes)["training"], "background"
+    )
+    begin = time.process_time()
+    frames = range(0, len(fitted.valid), STEP)
+    found = free_person(crops, fitted.trans, frames, steps, settings.gaussians, start == "hull", settings.seed)
+    return found, time.process_time() - begin
+
+
+def held_out_db(scene: Path, truth: Path, person: str, avatar: Avatar | FreePerson) -> tuple[list[float], list[float]]:
+    """PSNR of the person's pixels, and of whole frames, in every ``STEP``-th frame of every held-out camera that shows
+    60 of them."""
+    rasteriser = Rasteriser(near_m=0.05, threads=1)
+    room, model = read_ply(scene / "background/scene.ply"), BodyModel.load(BODY)
+    others = [
+        read_avatar(scene / f"humans/{p}.ply", scene / f"humans/{p}.npz", model)
+        for p in read_people(scene / "people/people.tsv")
+        if p != person
+    ]
+    label, found, whole = json.loads((truth / "truth.json").read_text())["people"].index(person) + 1, [], []
+    for camera in read_model(scene / "cameras" / "heldout"):
+        pictures, labels = (
+            read_frames(truth / kind / f"{camera.name}.mkv", 0, avatar.frames) for kind in ("frames", "masks")
+        )
+        for frame, (photo, mask) in enumerate(zip(pictures, labels)):
+            if frame % STEP or np.count_nonzero(mask == label) < 60:
+                continue
+            shown = rasteriser.forward(avatar.posed(frame), camera.resized(photo.shape[1::-1]), (0.3, 0.3, 0.3)).rgb
+            error = shown[mask == label] - photo[mask == label] / 255
+            found.append(float(-10 * np.log10(np.mean(error**2))))
+            everything = concatenate([room, *(one.posed(frame) for one in (avatar, *others))])
+            drawn = rasteriser.forward(everything, camera.resized(photo.shape[1::-1]), (0.0, 0.0, 0.0)).rgb
+            whole.append(float(-10 * np.log10(np.mean((drawn - photo / 255) ** 2))))
+    return found, whole
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", type=Path, default=Path("results/demo"))
+    parser.add_argument("--truth", type=Path, default=Path("results/studio/demo/truth"))
+    parser.add_argument("--people", nargs="+", default=["p0"])
+    parser.add_argument("--only", nargs="+", choices=list(ROWS), default=list(ROWS))
+    options = parser.parse_args()
+    stored = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    table: dict[str, dict[str, float]] = stored.get("rows", {}) if stored.get("people") == options.people else {}
+    for name in options.only:
+        scores, frames, seconds = [], [], 0.0
+        for person in options.people:
+            with tempfile.TemporaryDirectory() as folder:
+                if ROWS[name].get("free"):
+                    avatar, spent = freed(options.scene, person, ROWS[name]["free"])
+                else:
+                    ply, npz, spent = trained(options.scene, person, ROWS[name], Path(folder))
+                    avatar = read_avatar(ply, npz, BodyModel.load(BODY))
+                own, whole = held_out_db(options.scene, options.truth, person, avatar)
+                scores, frames, seconds = scores + own, frames + whole, seconds + spent
+        means = {"person_db": np.mean(scores), "worst_person_db": np.min(scores), "frame_db": np.mean(frames)}
+        table[name] = {key: round(float(value), 3) for key, value in means.items()} | {"cpu_s": round(seconds, 1)}
+        for row in table.values() if "full" in table else ():
+            row |= {
+                f"{kind}_loss_db": round(table["full"][f"{kind}_db"] - row[f"{kind}_db"], 3)
+                for kind in ("person", "frame")
+            }
+        print(f"{name}: {table[name]}", flush=True)
+        machine = {
+            "processor": platform.processor(),
+            "cores": os.cpu_count(),
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+        }
+        rows = {row: table[row] for row in ROWS if row in table}
+        RESULTS.write_text(json.dumps({"machine": machine, "people": options.people, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
