@@ -39,7 +39,6 @@ OBEYED = (
     "people",
     "exposure",
     "changing_light",
-    "rolling_shutter",
     "closed_path",
     "view_synthesis",
     "view_dependent_colour",

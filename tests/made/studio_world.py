@@ -33,18 +33,14 @@ PLANTED: Mapping[str, dict] = {
     "exposure": {"gain": 1.03},
     "changing_light": {"light": 0.06},
     "defocus": {"edges": 0.12, "blur_px": 1.2},
-    "lens_distortion": {"k1": 0.06},
-    "sync_offset": {"lag_frames": 0.5},
-    "rolling_shutter": {"readout": 0.9},
-    "depth_shift": {"flat": True},
     "closed_path": {"azimuths_deg": (0, 40, 80, 120)},
     "view_synthesis": {"azimuths_deg": tuple(range(0, 360, 24)), "focal_px": 120.0},
     "view_dependent_colour": {"specularity": 0.5},
-    "hands": {"working_px": 560},
-    "face": {"working_px": 1040},
     "moving_shadows": {"shadow": 0.3},
     "dynamic_objects": {"ball_px": 7.0},
 }
+# What other steps estimate and take out, and no effect is: lens, clock, readout.
+OTHERWISE: Mapping[str, dict] = {"lens": {"k1": 0.06}, "clock": {"lag_frames": 0.5}, "readout": {"readout": 0.9}}
 
 
 @dataclass(frozen=True)
@@ -62,7 +58,6 @@ class Plan:
     k1: float = 0.0
     lag_frames: float = 0.0
     readout: float = 0.0
-    flat: bool = False
     specularity: float = 0.0
     shadow: float = 0.0
     ball_px: float = 0.0
@@ -86,12 +81,6 @@ def looking(name: str, centre: np.ndarray, target: np.ndarray, wh: tuple[int, in
 def cameras_of(plan: Plan) -> list[Camera]:
     scale = plan.working_px / WH[0]
     wh = (plan.working_px, round(WH[1] * scale))
-    if plan.flat:
-        # Side by side before a wall, straight at it: every depth is the same.
-        places = [np.array([x, -0.5, 1.5]) for x in (-1.2, -0.4, 0.4, 1.2)]
-        return [
-            looking(f"c{i}", p, p + np.array([0, 1, 0]), wh, 2.2 * plan.focal_px * scale) for i, p in enumerate(places)
-        ]
     turn = np.radians(plan.azimuths_deg)
     return [
         looking(

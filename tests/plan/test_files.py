@@ -273,10 +273,10 @@ def test_a_step_is_told_what_it_reads_and_what_the_survey_is_forced_to(configure
     assert json.loads(settings("humans.train", moved))["thresholds"] == {"temporal_appearance": 0.3}
 
 
-def test_a_forced_readout_moves_keypoints_by_nothing_or_by_all_that_was_measured(configured, home, tmp_path, found):
+def test_readouts_move_keypoints_unless_they_are_switched_off(configured, home, tmp_path, found):
     person, run = Wildcards(scene="capture", person="p1"), {"people_associate": found["people_associate"]}
-    for verdict, files in (("", ["readouts.json"]), ("on", ["readouts.doubted.json"]), ("off", [])):
-        config = configured(survey={"force": {"rolling_shutter": verdict} if verdict else {}})
+    for use, files in ((True, ["readouts.json"]), (False, [])):
+        config = configured(people={"fit": {"rolling_shutter": use}})
         asked = files_of(config, home, Asked(tmp_path, **run)).readouts_for(person)
         assert [Path(path).name for path in asked] == files
 

@@ -147,12 +147,11 @@ class TestStep:
             "view_synthesis": "on",
             "closed_path": "on",
             "exposure": "off",
-            "sync_offset": "undetermined",
         }
         assert {effect: found[effect].verdict for effect in told} == told
         assert "report/audit.json" in found["injection"].reason
         assert found["view_synthesis"].obeyed_by
-        assert not found["hands"].obeyed_by
+        assert not found["defocus"].obeyed_by
 
     def test_every_effect_that_acts_can_be_forced_both_ways(self, files: dict, settings: step.Settings) -> None:
         for verdict in ("on", "off"):
@@ -181,7 +180,7 @@ class TestStep:
         step.run(settings, **files | {"people": [], "identities": []})
         found = read_decisions(files["decisions"])
         assert found["people"].verdict == "off"
-        assert found["hands"].verdict == "undetermined"
+        assert found["moving_shadows"].verdict == "undetermined"
 
     def test_the_floor_is_where_people_stand(
         self, files: dict, settings: step.Settings, monkeypatch: pytest.MonkeyPatch

@@ -26,7 +26,6 @@ from tests.workflow.conftest import House, make_house
 PLAIN = dict.fromkeys((effect.name for effect in EFFECTS if effect.acts), "off") | {"people": "on", "closed_path": "on"}
 # What has to be on for an effect to have something to act on.
 BESIDE = {"closed_path": {"view_synthesis": "on"}}
-AGAIN = {"rolling_shutter": ["--forcerun", "people_fit"]}
 PEOPLE, DECISIONS = "results/tiny/people/people.tsv", "results/tiny/survey/decisions.json"
 
 
@@ -53,7 +52,6 @@ OF: Mapping[str, Acts] = {
     ),
     "exposure": acts(otherwise="background_train humans_train enhance_shot deliver_player"),
     "changing_light": acts(otherwise="masks_segment humans_train enhance_shot deliver_player"),
-    "rolling_shutter": acts(otherwise="people_fit survey_decide"),
     "closed_path": acts(on="views_synthesize", otherwise="background_train"),
     "view_synthesis": acts(on="views_synthesize", otherwise="background_train"),
     "view_dependent_colour": acts(otherwise="background_train"),
@@ -113,7 +111,7 @@ def surveyed(tmp_path_factory: pytest.TempPathFactory) -> House:
         os.utime(path, (next(_MOMENTS),) * 2)
     folder = "results/tiny/people"
     made(house, [*outputs(house, PEOPLE), f"{folder}/identities.tsv", f"{folder}/association.json", f"{folder}/who"])
-    made(house, [f"{folder}/who/{name}" for name in ("p0.tsv", "p1.tsv", "readouts.json", "readouts.doubted.json")])
+    made(house, [f"{folder}/who/{name}" for name in ("p0.tsv", "p1.tsv", "readouts.json")])
     write_people(house.folder / PEOPLE, [(p, 9, "cam1,cam2", 1.0, "keypoints") for p in ("p0", "p1")])
     made(house, [PEOPLE])
     made(house, outputs(house, DECISIONS, *force(house)))
@@ -135,10 +133,10 @@ def test_every_effect_that_can_be_forced_is_listed() -> None:
 
 @pytest.mark.parametrize("effect", OF)
 def test_on_and_off_differ_in_the_jobs_that_they_should(surveyed: House, plain: Jobs, effect: str) -> None:
-    beside, again = BESIDE.get(effect, {}), AGAIN.get(effect, [])
-    first = planned(surveyed, *again, *force(surveyed, **beside)) if beside or again else plain
+    beside = BESIDE.get(effect, {})
+    first = planned(surveyed, *force(surveyed, **beside)) if beside else plain
     other = "on" if PLAIN[effect] == "off" else "off"
-    second = planned(surveyed, *again, *force(surveyed, **beside, **{effect: other}))
+    second = planned(surveyed, *force(surveyed, **beside, **{effect: other}))
     on, off = (second, first) if other == "on" else (first, second)
     assert off.keys() <= on.keys(), "what is not called for is left out, and nothing takes its place"
     told = {job for job in on.keys() & off.keys() if on[job] != off[job]}

@@ -67,8 +67,7 @@ def run(
 
     ``association`` (json) says why, per track, for the identity page. The folder ``who`` has a file per person, so that
     a change of one person's tracks is no change of another's: <person>.tsv, that person's lines of ``identities``; and
-    readouts.json, by how much every camera's rows look one after the other (in readouts.doubted.json with those that
-    are not believed, for whoever forces the effect).
+    readouts.json, by how much every camera's rows look one after the other.
     ``corrected`` is the user's own identities.tsv, or nothing: it is taken as it stands. The detector's files
     ``found`` with their masks, and the user's clean ``plates``, each <camera>.npz or .png of the cameras that have one,
     confirm people who change no picture; ``calibration`` says where in the footage they are.
@@ -140,7 +139,6 @@ def run(
     for name, *_ in rows:
         write_identities(who / f"{name}.tsv", {key: person for key, person in table.items() if person == name})
     write_readouts(who / "readouts.json", rows_look)
-    write_readouts(who / "readouts.doubted.json", rows_look, doubted=True)
     tell(missed, newcomer)
     if not corrected:
         tell_returned(returns(given, table, videos), footage.fps)

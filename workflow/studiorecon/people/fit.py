@@ -111,6 +111,13 @@ class BodyFit:
         paper="bones: s* per person, Eq. 3; U36",
         letter="bones",
     )
+    rolling_shutter: bool = setting(
+        True,
+        "Whether keypoints are moved by the time that a camera's rows take one after the other, where people who move "
+        "show it in the whole clip and in both halves of it.",
+        paper="not treated",
+        letter=False,
+    )
     unverified_sigma_m: float = 0.03
     max_frame_m: float = 0.15
     max_beta: float = 5.0

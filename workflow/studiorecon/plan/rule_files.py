@@ -167,13 +167,11 @@ class Files(Brought):
         return [f"{self._without_keypoints(wildcards).silhouettes}/{wildcards.person}.npz"]
 
     def readouts_for(self, wildcards: Any) -> list[str]:
-        """By how much rows look one after the other, for whoever has keypoints: what is believed, or with
-        ``survey.force`` all that was measured, or nothing."""
-        forced = self.plan.forced.get("rolling_shutter")
-        if forced == "off" or not self.tracks_of(wildcards):
+        """By how much rows look one after the other, for whoever has keypoints; nothing without
+        ``people.fit.rolling_shutter``."""
+        if not self.config["people"]["fit"]["rolling_shutter"] or not self.tracks_of(wildcards):
             return []
-        name = "readouts.doubted" if forced == "on" else "readouts"
-        return [f"{self._associated(wildcards).who}/{name}.json"]
+        return [f"{self._associated(wildcards).who}/readouts.json"]
 
     def fits_with_keypoints(self, wildcards: Any) -> list[str]:
         """Body file of everybody with keypoints."""

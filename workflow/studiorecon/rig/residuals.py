@@ -34,7 +34,8 @@ _REACH = len(_DERIVATIVE) // 2
 # intervals, k1, radians, metres). Wide for what is asked; the calibration's own errors for the pose, so that they do
 # not pass for a lens.
 _PRIOR = np.array([10.0, 3.0, 1.0, *[np.radians(0.3)] * 3, *[0.01] * 3])
-_LAG, _READOUT, _LENS = range(3)
+# Place of the readout among them.
+_READOUT = 1
 _HUBER, _ROUNDS = 2.0, 4
 # Fewer points or moments than these say nothing.
 _LEAST_POINTS, _LEAST_MOMENTS = 60, 8
@@ -45,70 +46,31 @@ class Causes:
     """What was found per camera; NaN everywhere with a ``reason`` when there was too little.
 
     Attributes:
-        lag_frames, lag_sigma: (V,) how much later than the mean of the others each camera looks.
         readout, readout_sigma: (V,) time from the first to the last row, in frame intervals.
-        radial, radial_sigma: (V,) k1 that is left in the frames.
-        noise_px: robust standard deviation per coordinate once all is accounted for.
         speed_px: median, and 95 % quantile, of the image speed per frame.
         rows: share of the picture's height between the 5 % and 95 % quantile of the rows that were used.
-        fall: share by which the squared residual falls when lags are accounted for.
-        points, moments: how many body points, and independent moments, the answer rests on.
     """
 
-    lag_frames: Num[np.ndarray, " V"]
-    lag_sigma: Num[np.ndarray, " V"]
     readout: Num[np.ndarray, " V"]
     readout_sigma: Num[np.ndarray, " V"]
-    radial: Num[np.ndarray, " V"]
-    radial_sigma: Num[np.ndarray, " V"]
-    noise_px: float
     speed_px: tuple[float, float]
     rows: float
-    fall: float
-    points: int
-    moments: int
     reason: str = ""
 
 
-def causes(
-    pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, search_frames: int, limits: Limits
-) -> Causes:
-    """Lag, readout and lens of every camera from tracks ``pixels`` of P people, NaN where not seen.
+def causes(pixels: Num[np.ndarray, "V P T J 2"], cameras: Sequence[Camera], moments: int, limits: Limits) -> Causes:
+    """Readout of every camera from tracks ``pixels`` of P people, NaN where not seen; lag and lens are estimated with
+    it, so that they do not pass for it.
 
-    At most ``moments`` frames are used, evenly spaced. Lags of whole frames are looked for within ± ``search_frames``
-    first, the rest is linear; good to 0.02 frame at 1 px of noise and 5 px/frame. 0.3 s for 4 cameras, 60 moments and
-    17 keypoints.
+    At most ``moments`` frames are used, evenly spaced. 0.3 s for 4 cameras, 60 moments and 17 keypoints.
     """
-    coarse = _whole_frames(pixels, cameras, moments, search_frames, limits)
-    system = _system(_shifted(pixels, coarse) if coarse.any() else pixels, cameras, moments, limits)
+    system = _system(pixels, cameras, moments, limits)
     if isinstance(system, str):
         nothing = np.full(len(cameras), np.nan)
-        return Causes(
-            nothing, nothing, nothing, nothing, nothing, nothing, np.nan, (np.nan, np.nan), np.nan, np.nan, 0, 0, system
-        )
-    solution, covariance, noise, squared = _solve(system, np.arange(len(_PRIOR)))
-    _, _, _, without = _solve(system, np.arange(_READOUT, len(_PRIOR)))
-    views = len(cameras)
-    others = (np.eye(views) - 1 / views) * views / max(views - 1, 1)
-    of_lag = np.arange(views) * len(_PRIOR) + _LAG
-    lag = others @ (solution[of_lag] + coarse)
-    sigma = np.sqrt(np.diag(others @ covariance[np.ix_(of_lag, of_lag)] @ others.T))
-    single = np.sqrt(np.diag(covariance))
-    places = [np.arange(views) * len(_PRIOR) + k for k in (_READOUT, _LENS)]
-    return Causes(
-        lag,
-        sigma,
-        solution[places[0]],
-        single[places[0]],
-        solution[places[1]],
-        single[places[1]],
-        noise,
-        system.speed_px,
-        system.rows,
-        1 - squared / without if not coarse.any() else 1.0,
-        len(system.target),
-        system.moments,
-    )
+        return Causes(nothing, nothing, (np.nan, np.nan), np.nan, system)
+    solution, covariance = _solve(system)
+    place = np.arange(len(cameras)) * len(_PRIOR) + _READOUT
+    return Causes(solution[place], np.sqrt(np.diag(covariance))[place], system.speed_px, system.rows)
 
 
 @dataclass(frozen=True)
@@ -120,17 +82,6 @@ class _System:
     speed_px: tuple[float, float]
     rows: float
     moments: int
-
-
-def _shifted(pixels: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Every camera's track moved by whole frames: a camera that looks ``frames`` later is read as many frames
-    earlier."""
-    moved = np.full_like(pixels, np.nan)
-    length = pixels.shape[2]
-    for view, shift in enumerate(frames.astype(int)):
-        source, target = slice(max(-shift, 0), length - max(shift, 0)), slice(max(shift, 0), length + min(shift, 0))
-        moved[view][:, target] = pixels[view][:, source]
-    return moved
 
 
 def _sample(pixels: np.ndarray, moments: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -210,18 +161,17 @@ def _system(pixels: np.ndarray, cameras: Sequence[Camera], moments: int, limits:
     )
 
 
-def _solve(system: _System, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Robust solution (V K,), its covariance, the noise per coordinate in pixels and the weighted mean square residual.
+def _solve(system: _System) -> tuple[np.ndarray, np.ndarray]:
+    """Robust solution (V K,) and its covariance.
 
     Points are weighted as a whole (Huber on their root mean square residual): the projection must stay what it is. The
     covariance is the larger of the one from the noise and the one from the scatter of whole moments, whose keypoints
     err together.
     """
     views = system.seen.shape[1]
-    use = (np.arange(views)[:, None] * len(_PRIOR) + kinds).reshape(-1)
-    columns, prior = system.columns[:, :, use], np.tile(1 / _PRIOR[kinds] ** 2, views)
+    columns, prior = system.columns, np.tile(1 / _PRIOR**2, views)
     free = np.maximum(2 * system.seen.sum(axis=1) - 3, 1)
-    solution, weights, variance = np.zeros(len(use)), np.ones(len(free)), 1.0
+    solution, weights, variance = np.zeros(columns.shape[-1]), np.ones(len(free)), 1.0
     for _ in range(_ROUNDS):
         weighted = columns * weights[:, None, None]
         information = np.einsum("nik,nil->kl", weighted, columns, optimize=True)
@@ -233,49 +183,10 @@ def _solve(system: _System, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
         weights = 1 / np.maximum(size / (_HUBER * scale), 1.0) ** 2
         variance = float((weights * (residual**2).sum(axis=1)).sum() / (weights * free).sum())
     inverse = np.linalg.inv(hessian)
-    scores = np.zeros((system.cluster.max() + 1, len(use)))
+    scores = np.zeros((system.cluster.max() + 1, len(solution)))
     np.add.at(scores, system.cluster, np.einsum("nik,ni->nk", columns * weights[:, None, None], residual))
     moments = max(system.moments, 2)
     scatter = inverse @ (scores.T @ scores) @ inverse * moments / (moments - 1)
     model = inverse * variance
     stretch = np.sqrt(np.maximum(np.diag(scatter) / np.diag(model), 1.0))
-    covariance = model * stretch[:, None] * stretch[None]
-    full, placed = np.zeros(views * len(_PRIOR)), np.zeros((views * len(_PRIOR),) * 2)
-    full[use], placed[np.ix_(use, use)] = solution, covariance
-    return full, placed, float(np.sqrt(variance)), variance
-
-
-def _whole_frames(
-    pixels: np.ndarray, cameras: Sequence[Camera], moments: int, search: int, limits: Limits
-) -> np.ndarray:
-    """(V,) whole frames by which cameras look later: one camera at a time, taken only when it halves the residual."""
-    lag = np.zeros(len(cameras))
-    if not search or not pixels.size or len(cameras) < 3 or pixels.shape[2] < 4 * (search + _REACH):
-        return lag
-    # A third of the moments is enough to see a lag of whole frames.
-    few = max(moments // 3, _LEAST_MOMENTS)
-
-    def spread(trial: np.ndarray) -> float:
-        seen_px, velocity, _ = _sample(_shifted(pixels, trial), few)
-        points, usable = _points(seen_px, velocity, cameras, limits)
-        errors = [np.linalg.norm(c.project(points)[0] - seen_px[v], axis=-1)[usable[v]] for v, c in enumerate(cameras)]
-        together = np.concatenate(errors) if errors else np.zeros(0)
-        return float(np.median(together)) if len(together) >= _LEAST_POINTS else np.inf
-
-    best = spread(lag)
-    for _ in range(len(cameras)):
-        trials = [
-            (spread(lag + shift * np.eye(len(cameras))[v]), v, shift)
-            for v in range(len(cameras))
-            for shift in _reach(search)
-        ]
-        value, view, shift = min(trials)
-        if not value < 0.5 * best:
-            break
-        lag[view] += shift
-        best = value
-    return lag
-
-
-def _reach(search: int) -> list[int]:
-    return [s for s in range(-search, search + 1) if s]
+    return solution, model * stretch[:, None] * stretch[None]

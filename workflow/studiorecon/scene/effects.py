@@ -106,7 +106,6 @@ PAPERS: Mapping[str, str] = {
     "changing_light": "off",
     "dynamic_objects": "off",
     "moving_shadows": "off",
-    "rolling_shutter": "off",
 }
 """What the paper always does, and what it has not."""
 

@@ -31,13 +31,9 @@ class Readout:
     reason: str
 
 
-def write_readouts(path: Path, readouts: Sequence[Readout], doubted: bool = False) -> None:
-    """What is used of all cameras' readouts, in their order, and no more: bodies are fitted again when it changes.
-
-    ``doubted``: what was measured, also where there is a reason not to use it; 0 where nothing was.
-    """
-    seconds = {one.camera: (one.readout_s or 0.0) if doubted else one.used_s for one in readouts}
-    write_json(path, {camera: round(used_s, _DIGITS) for camera, used_s in seconds.items()})
+def write_readouts(path: Path, readouts: Sequence[Readout]) -> None:
+    """What is used of all cameras' readouts, in their order, and no more: bodies are fitted again when it changes."""
+    write_json(path, {one.camera: round(one.used_s, _DIGITS) for one in readouts})
 
 
 def read_readouts(path: Path) -> dict[str, float]:

@@ -16,7 +16,6 @@ from studiorecon.geometry.triangulation import Limits
 from studiorecon.images.exposure import Overlap
 from studiorecon.images.plate import noise_levels
 from studiorecon.rig.body_points import Tracks
-from studiorecon.rig.residuals import Causes, causes
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.people import Detections
 from studiorecon.survey import scene_change, stillness
@@ -34,9 +33,8 @@ LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_an
 class Sampling:
     """How much is looked at."""
 
-    # Pictures of every camera that are looked at, and frames of keypoints that lens, clocks and readout are judged by.
+    # Pictures of every camera that are looked at.
     pictures: int = 60
-    moments: int = 60
     # Pictures follow each other without a gap in runs of so many; their longer side.
     run: int = 12
     longest_px: int = 480
@@ -45,8 +43,6 @@ class Sampling:
     height_m: float = 2.0
     # Two depths are one surface within this share of them.
     depth_tolerance: float = 0.05
-    # Largest lag of a clock that is looked for.
-    search_s: float = 0.2
     # Keypoints below it are not used.
     min_confidence: float = 0.3
 
@@ -146,13 +142,6 @@ class Evidence:
         if not found:
             return np.nan, np.nan, np.ones((len(self.material.views), 3))
         return disagreement(len(self.material.views), found, errors)
-
-    @cached_property
-    def causes(self) -> Causes:
-        """What keeps the rays of one body point from meeting, camera by camera."""
-        search = round(self.sampling.search_s * self.material.fps)
-        pixels = self.material.tracks.pixels
-        return causes(pixels, self.material.cameras, self.sampling.moments, search, LIMITS)
 
     @cached_property
     def small_films(self) -> list[SmallFilm]:

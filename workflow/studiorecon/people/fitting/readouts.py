@@ -22,7 +22,7 @@ from studiorecon.scene.readouts import Readout
 if TYPE_CHECKING:
     from jaxtyping import Num
 
-# What counts as agreement of rays, as for every other effect (U34).
+# What counts as agreement of rays (U34).
 _LIMITS = Limits(min_confidence=0.0, huber_share=0.005, outlier_units=3.0, min_angle_deg=2.0, near_m=0.05)
 _MOMENTS = 60
 # Standard errors that the whole clip, and each half, must be away from none.
@@ -52,7 +52,7 @@ def _known(value: float) -> float | None:
 
 
 def _told(pixels: np.ndarray, cameras: Sequence[Camera]) -> Causes:
-    return causes(pixels, cameras, _MOMENTS, 0, _LIMITS)
+    return causes(pixels, cameras, _MOMENTS, _LIMITS)
 
 
 def _doubt(view: int, camera: Camera, fps: float, whole: Causes, halves: Sequence[Causes]) -> str:

@@ -24,19 +24,12 @@ from studiorecon.scene.effects import (
 from studiorecon.survey.effects.changing_light import EFFECT as CHANGING_LIGHT
 from studiorecon.survey.effects.closed_path import EFFECT as CLOSED_PATH
 from studiorecon.survey.effects.defocus import EFFECT as DEFOCUS
-from studiorecon.survey.effects.depth_shift import EFFECT as DEPTH_SHIFT
 from studiorecon.survey.effects.dynamic_objects import EFFECT as DYNAMIC_OBJECTS
 from studiorecon.survey.effects.exposure import EFFECT as EXPOSURE
-from studiorecon.survey.effects.face import EFFECT as FACE
-from studiorecon.survey.effects.hands import EFFECT as HANDS
-from studiorecon.survey.effects.lens_distortion import EFFECT as LENS_DISTORTION
 from studiorecon.survey.effects.moving_cameras import EFFECT as MOVING_CAMERAS
 from studiorecon.survey.effects.moving_shadows import EFFECT as MOVING_SHADOWS
 from studiorecon.survey.effects.people import EFFECT as PEOPLE
-from studiorecon.survey.effects.rolling_shutter import EFFECT as ROLLING_SHUTTER
 from studiorecon.survey.effects.surveyed import SurveyedEffect
-from studiorecon.survey.effects.sync_offset import EFFECT as SYNC_OFFSET
-from studiorecon.survey.effects.vertex_term import EFFECT as VERTEX_TERM
 from studiorecon.survey.effects.view_dependent_colour import EFFECT as VIEW_DEPENDENT_COLOUR
 from studiorecon.survey.effects.view_synthesis import EFFECT as VIEW_SYNTHESIS
 
@@ -47,16 +40,9 @@ EFFECTS: tuple[Effect, ...] = (
     EXPOSURE,
     CHANGING_LIGHT,
     DEFOCUS,
-    LENS_DISTORTION,
-    SYNC_OFFSET,
-    ROLLING_SHUTTER,
-    DEPTH_SHIFT,
     CLOSED_PATH,
     VIEW_SYNTHESIS,
     VIEW_DEPENDENT_COLOUR,
-    HANDS,
-    FACE,
-    VERTEX_TERM,
     REFINEMENT,
     TEMPORAL_APPEARANCE,
     MOVING_SHADOWS,

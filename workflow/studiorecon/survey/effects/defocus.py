@@ -14,11 +14,12 @@ from studiorecon.geometry.statistics import NOTHING, Estimate, median
 from studiorecon.images.channels import channel_sum
 from studiorecon.survey.effects.surveyed import Measured, SurveyedEffect
 from studiorecon.survey.evidence import Evidence
-from studiorecon.survey.speed import AT_WIDTH
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
 
+# Pixels are meant at this width; working frames of another have as much less or more.
+AT_WIDTH = 1280.0
 # The second blur; below this share of the steepest slopes a pixel is no edge; so many edges are asked for at least.
 _AGAIN_PX, _STEEP_SHARE, _LEAST_SLOPE, _LEAST_EDGES = 1.0, 0.01, 0.01, 100
 # The sharpest of them tell the focus: others are soft in the world.
