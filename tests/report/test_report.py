@@ -15,7 +15,7 @@ from studiorecon.body.person_files import read_person, write_person
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.configuration import settings as settings_module
 from studiorecon.errors import UserError
-from studiorecon.footage.video import read_frame, write_lossless
+from studiorecon.footage.video import read_frame, write_lossless, write_watchable
 from studiorecon.models.adapters.lpips import read_lpips
 from studiorecon.report import compare, evaluate, score
 from studiorecon.report.metrics import films
@@ -281,6 +281,23 @@ def test_renders_that_do_not_fit_the_photos_are_refused(
     write_lossless(tmp_path / f"renders/{name}.mkv", [np.zeros((*size, 3), np.uint8)] * count, 10.0)
     with pytest.raises(UserError, match=sentence):
         score.run(tmp_path / "renders", tmp_path / "truth")
+
+
+def test_of_two_films_of_one_shot_the_lossless_one_is_scored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = [np.random.default_rng(k).integers(0, 255, (48, 64, 3), np.uint8) for k in range(2)]
+    write_lossless(tmp_path / "truth/a.mkv", photos, 10.0)
+    write_lossless(tmp_path / "renders/a.mkv", photos, 10.0)
+    write_watchable(tmp_path / "renders/a.mp4", photos, 10.0)
+    found = score.score(tmp_path / "renders", tmp_path / "truth", None)["pictures"]["renders"]
+    assert found["ssim"]["value"] == 1.0
+    assert "a.mp4" in capsys.readouterr().out
+    shutil.copy(tmp_path / "renders/a.mkv", tmp_path / "renders/a.avi")
+    with pytest.raises(UserError, match=r"give one film itself, such as (\S+a\.avi)") as refused:
+        score.score(tmp_path / "renders", tmp_path / "truth", None)
+    film = Path(refused.value.args[0].split("such as ")[1].split(",")[0])
+    assert score.score(film, tmp_path / "truth/a.mkv", None)["pictures"]["renders"]["ssim"]["value"] == 1.0
 
 
 def test_pictures_for_readers_mark_what_they_should() -> None:

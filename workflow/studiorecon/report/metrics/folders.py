@@ -4,16 +4,19 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import av
 import cv2
 import numpy as np
+from av.codec.codec import Properties
 
 from studiorecon.errors import UserError
 from studiorecon.footage.stills import decoded
 from studiorecon.footage.video import read_frames
+from studiorecon.progress import say
 from studiorecon.scene.dataset import VIDEO_SUFFIXES
 from studiorecon.scene.numbered import pictures_in
 
@@ -31,18 +34,13 @@ def cameras_in(place: Path) -> dict[str, Path]:
         return {ONLY: place}
     if not place.is_dir():
         raise UserError(f"{place} is not a folder; give one with a video or a folder of pictures per camera")
-    found: dict[str, Path] = {}
+    versions: dict[str, list[Path]] = {}
     for entry in sorted(place.iterdir()):
         name = entry.name if entry.is_dir() else entry.stem
         is_film = entry.suffix.lower() in VIDEO_SUFFIXES and "." not in entry.stem
-        if not (pictures_in(entry) if entry.is_dir() else is_film):
-            continue
-        if name in found:
-            raise UserError(
-                f"camera {name} of {place} is there twice, as {found[name].name} and "
-                f"as {entry.name}; remove one of them"
-            )
-        found[name] = entry
+        if pictures_in(entry) if entry.is_dir() else is_film:
+            versions.setdefault(name, []).append(entry)
+    found = {name: paths[0] if len(paths) == 1 else _lossless(name, paths) for name, paths in versions.items()}
     if not found and pictures_in(place):
         return {ONLY: place}
     if not found:
@@ -62,6 +60,35 @@ def masks_of(source: Path) -> Iterator[Bool[np.ndarray, "H W"]]:
     """(H, W) bool: where a mask video or picture is not black."""
     for frame in _stored(source):
         yield frame > 0 if frame.ndim == 2 else (frame[..., 0] | frame[..., 1] | frame[..., 2]) > 0
+
+
+def _lossless(name: str, versions: Sequence[Path]) -> Path:
+    """The only lossless one of several versions of one film; UserError where there are none or several."""
+    chosen = [path for path in versions if path.is_dir() or _keeps_every_pixel(path)]
+    if len(chosen) == 1:
+        say(
+            f"{name}: {chosen[0].name} is scored, which is lossless; {_listed(set(versions) - set(chosen))} is not read"
+        )
+        return chosen[0]
+    raise UserError(
+        f"camera {name} of {versions[0].parent} is there as {_listed(versions)}, and {len(chosen)} of them are "
+        f"lossless; give one film itself, such as {versions[0]}, in place of the folder"
+    )
+
+
+def _keeps_every_pixel(film: Path) -> bool:
+    try:
+        with av.open(str(film)) as container:
+            context = container.streams.video[0].codec_context
+    except (av.error.FFmpegError, IndexError):
+        return False
+    # H.264 can be both: our lossless films are H.264 of RGB, films to watch are of YUV.
+    both = Properties.LOSSLESS.value | Properties.LOSSY.value
+    return context.codec.properties & both == Properties.LOSSLESS.value or context.format.is_rgb
+
+
+def _listed(paths: Iterable[Path]) -> str:
+    return " and ".join(sorted(path.name for path in paths))
 
 
 def _stored(source: Path) -> Iterator[np.ndarray]:
