@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from studiorecon.body.model import BodyModel
@@ -14,13 +16,14 @@ from studiorecon.calibration.files import read_calibration
 from studiorecon.camera_files.colmap import read_model
 from studiorecon.deliver import camera_files, export, keypoint_files
 from studiorecon.errors import UserError
+from studiorecon.footage.video import write_lossless
 from studiorecon.keypoints.readers import read_keypoints
 from studiorecon.scene.files import read_json
 from studiorecon.scene.gaussians_ply import read_ply
 from studiorecon.scene.people import Detections, write_detections, write_identities
 
 from tests.made.delivered import options
-from tests.made.scene import FRAMES, avatar, ring, room, write_scene
+from tests.made.scene import FPS, FRAMES, avatar, ring, room, write_scene
 
 
 def test_everything_delivered_can_be_read_and_matches_its_digest(tmp_path: Path, root: Path) -> None:
@@ -41,6 +44,37 @@ def test_everything_delivered_can_be_read_and_matches_its_digest(tmp_path: Path,
     assert [c.name for c in read_model(folder / "cameras/colmap")] == [c.name for c in cameras["training"]]
     for name in on_disk - {"README.txt"}:
         assert name.split("/")[0] in (folder / "README.txt").read_text()
+
+
+@pytest.mark.parametrize(("chosen", "each"), [("first", 1), ("all", FRAMES), ("none", 0)])
+def test_the_pictures_that_the_cameras_files_name_are_there(tmp_path: Path, root: Path, chosen: str, each: int) -> None:
+    cameras = write_scene(tmp_path, root, people=0, filmed=False)["training"]
+    films = {
+        c.name: np.random.default_rng(k).integers(0, 255, (FRAMES, *c.wh[::-1], 3), np.uint8)
+        for k, c in enumerate(cameras)
+    }
+    for name, frames in films.items():
+        write_lossless(tmp_path / f"capture/{name}.mkv", frames, FPS)
+    export.run(**{**options(tmp_path, 0), "settings": export.Settings(pictures=chosen)})
+    folder = tmp_path / "deliver/cameras"
+    named = json.loads((folder / "nerfstudio/transforms.json").read_text())["frames"]
+    lines = (folder / "colmap/images.txt").read_text().splitlines()[1::2]
+    of_colmap = [line.split(" ", 9)[9] for line in lines]
+    assert len(named) == len(of_colmap) == 4 * max(each, 1)
+    for k, (frame, name) in enumerate(zip(named, of_colmap)):
+        for path in (folder / "nerfstudio" / frame["file_path"], folder / "colmap/images" / name):
+            assert path.is_file() == bool(each)
+            if each:
+                photo = films[frame["camera_label"]][k % each]
+                np.testing.assert_array_equal(cv2.imread(str(path))[..., ::-1], photo)
+    times = [frame.get("time") for frame in named]
+    assert times[:each] == ([k / (FRAMES - 1) for k in range(each)] if each > 1 else [None] * each)
+    assert next(c.name for c in read_model(folder / "colmap")).startswith("cam0")
+    on_disk = {str(p.relative_to(tmp_path / "deliver")) for p in folder.rglob("*.png")}
+    assert on_disk <= set(read_json(tmp_path / "deliver/manifest.json")["files"])
+    assert ("pictures" in (tmp_path / "deliver/README.txt").read_text().split("keypoints/")[0].split("films/")[0]) == (
+        each > 0
+    )
 
 
 def readings(folder: Path, form: str) -> list:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import struct
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from studiorecon.body.model import BodyModel, of_size
-from studiorecon.deliver import motion_files
+from studiorecon.deliver import gltf, motion_files
 from studiorecon.deliver.export import motion
 from studiorecon.deliver.gltf import write_glb
 from studiorecon.errors import UserError
@@ -77,6 +78,72 @@ def test_bvh_replays_the_joints(tmp_path: Path, person: Person, body: BodyModel)
         joints[:, j] = places if parent < 0 else joints[:, parent] + (world[parent] @ np.array(offsets[j]))
     order = [motion_files.JOINT_NAMES.index(n) for n in names]
     assert np.abs(joints - y_up(person.joints[:, order])).max() < 2e-5, "metres, to six digits"
+
+
+def test_bvh_in_centimetres_is_the_same_motion(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    def lengths(unit: str) -> tuple[np.ndarray, np.ndarray]:
+        motion(tmp_path / unit, person, body, bvh_unit=unit)
+        lines = (tmp_path / unit / "p2.bvh").read_text().split("\n")
+        at = next(k for k, line in enumerate(lines) if line.startswith("Frame Time"))
+        offsets = [float(v) for line in lines[:at] if "OFFSET" in line for v in line.split()[1:]]
+        places = [float(v) for line in lines[at + 1 :] if line for v in line.split()[:3]]
+        angles = [float(v) for line in lines[at + 1 :] if line for v in line.split()[3:]]
+        return np.array([*offsets, *places]), np.array(angles)
+
+    (in_m, angles), (in_cm, same) = lengths("m"), lengths("cm")
+    assert np.abs(in_cm - 100 * in_m).max() < 2e-4
+    np.testing.assert_array_equal(angles, same)
+
+
+def long_motion(person: Person, body: BodyModel, frames: int, fps: float = 120.0) -> Person:
+    """Somebody who walks a millimetre a frame, and is not measured in the last."""
+    trans = np.zeros((frames, 3))
+    trans[:, 0] = 0.001 * np.arange(frames)
+    poses, valid = np.zeros((frames, 72)), np.arange(frames) < frames - 1
+    about = fps, poses, trans, np.zeros(body.shapes), np.zeros((1, 24, 3)), valid, np.zeros((1, 24)), True
+    return Person("p0", body.identity, *about, np.ones(frames, bool))
+
+
+@pytest.mark.parametrize(("frames", "files"), [(65_535, 1), (65_536, 2), (70_000, 2)])
+def test_a_long_motion_comes_back_whole_from_c3d(
+    tmp_path: Path, person: Person, body: BodyModel, frames: int, files: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = long_motion(person, body, frames)
+    written = motion_files.c3d(tmp_path / "p0.c3d", whole, body)
+    assert sorted(tmp_path.iterdir()) == written
+    assert len(written) == files
+    read = [ezc3d.c3d(str(path))["data"]["points"] for path in written]
+    nose_x = np.concatenate([points[0, 0] for points in read])
+    assert len(nose_x) == frames
+    assert np.abs(np.diff(nose_x[:-1]) - 1).max() < 0.02
+    assert np.isnan(nose_x[-1])
+    said = capsys.readouterr().out
+    assert all(path.name in said for path in written) == (files > 1)
+
+
+def test_an_hour_of_ntsc_is_timed_right_in_every_format(tmp_path: Path, person: Person, body: BodyModel) -> None:
+    """A program that counts frames by the rate in the file must end within a tenth of a frame."""
+    fps, hour = 30_000 / 1001, 108_000
+    ntsc = replace(person, fps=fps)
+    rates = []
+    for name in ("trc", "bvh", "c3d", "amass"):
+        motion_files.WRITERS["amass.npz" if name == "amass" else name](tmp_path / f"p2.{name}", ntsc, body)
+    rates.append(float((tmp_path / "p2.trc").read_text().split("\n")[2].split("\t")[0]))
+    rates.append(1 / float((tmp_path / "p2.bvh").read_text().split("Frame Time:")[1].split()[0]))
+    rates.append(ezc3d.c3d(str(tmp_path / "p2.c3d"))["parameters"]["POINT"]["RATE"]["value"][0])
+    rates.append(float(np.load(tmp_path / "p2.amass")["mocap_framerate"]))
+    assert np.abs(hour / np.array(rates) - hour / fps).max() < 0.1 / fps
+
+
+def test_a_glb_that_its_lengths_cannot_say_is_refused(
+    tmp_path: Path, person: Person, body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_glb(tmp_path / "p2.glb", person, body)
+    size = (tmp_path / "p2.glb").stat().st_size
+    for limit, refused in ((size, False), (size - 1, True)):
+        monkeypatch.setattr(gltf, "_MOST_BYTES", limit)
+        with pytest.raises(UserError, match=r"count: N. in capture\.yaml") if refused else nullcontext():
+            write_glb(tmp_path / "p2.glb", person, body)
 
 
 @pytest.mark.parametrize("pitch", [90.0, -90.0, 89.9999, 0.0])
@@ -189,6 +256,7 @@ def test_glb_replays_the_surface(tmp_path: Path, person: Person, body: BodyModel
     """Nodes, inverse binds and skinning by the glTF specification give the fitted surface."""
     write_glb(tmp_path / "p2.glb", person, body)
     document, arrays = read_glb(tmp_path / "p2.glb")
+    assert document["meshes"][0]["name"] == "p2"
     mesh = document["meshes"][0]["primitives"][0]
     rest, bones, weights = (arrays[mesh["attributes"][name]] for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
     assert weights.sum(axis=1) == pytest.approx(1, abs=1e-6)

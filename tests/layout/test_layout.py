@@ -23,8 +23,8 @@ from tests.made.sources import tree
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "workflow" / "studiorecon"
 STAGES += ["objects", "masks", "views", "background", "humans", "render", "enhance", "deliver", "report"]
-# Of tracks are those of detect; deliver has none.
-WITHOUT_SETTINGS = {"tracks", "deliver"}
+# Of tracks are those of detect.
+WITHOUT_SETTINGS = {"tracks"}
 # Below them the foundations, each of which imports only those before it, and of modules beside the folders only GROUND.
 FOUNDATIONS = [
     "pages",

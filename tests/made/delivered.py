@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import write_person
+from studiorecon.deliver.export import Settings
 from studiorecon.footage.video import write_watchable
 from studiorecon.scene.people import Person
 
@@ -40,6 +41,8 @@ def options(folder: Path, people: int) -> dict:
         **{name: render[name] for name in ("manifest", "model", "background", "gaussians", "avatars", "body")},
         "scene": "made",
         "fits": fits,
+        "settings": Settings(),
+        "videos": sorted((folder / "capture").glob("cam*.mkv")),
         "films": [folder / "enhance/orbit.mp4"],
         "detections": [],
         "identities": [],

@@ -13,6 +13,7 @@ rule deliver_export:
         detections=files.detections,
         identities=files.identities,
         films=collect("results/{scene}/enhance/{shot}.mp4", shot=files.films, allow_missing=True),
+        videos=collect("results/{scene}/capture/{camera}.mkv", camera=files.training, allow_missing=True),
         blender=files.bundled("resources/blender.py"),
     output:
         contents="results/{scene}/deliver/manifest.json",
@@ -26,6 +27,7 @@ rule deliver_export:
     resources:
         mem_mb=1500,
     params:
+        settings=settings("deliver.export"),
         code=code("deliver.export"),
     shell:
         command("deliver.export")

@@ -132,6 +132,7 @@ SECTIONS: tuple[Section, ...] = (
             "enhance.injection_settings:Injecting",
         ),
     ),
+    Section("deliver", "The result in files of other programs.", ("deliver.export:Settings",)),
     Section(
         "report",
         "What the page shows and measures.",

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cameras in the files of other tools: COLMAP, EasyMocap, nerfstudio and Pose2Sim, all undistorted pinholes in
-metres, z up."""
+metres, z up; and the undistorted pictures that COLMAP's and nerfstudio's files name."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from studiorecon.camera_files.colmap import write_model
+from studiorecon.footage.video import read_frames
 from studiorecon.geometry.rotations import log
+from studiorecon.images.encoded import write_png
 from studiorecon.scene.camera import Camera
 from studiorecon.scene.files import write_text
 
@@ -24,9 +27,23 @@ _CENTRE_SHIFT = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def colmap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
-    """``cameras.txt images.txt points3D.txt``: a text model with one picture ``<camera>.png`` per camera."""
-    write_model(folder, cameras, points_m)
+def colmap_picture(camera: str, frame: int | None) -> str:
+    """Path of a picture below ``images/``, as ``images.txt`` names it; of the only one without a frame."""
+    return f"{camera}.png" if frame is None else f"{camera}/{frame:06d}.png"
+
+
+def nerfstudio_picture(camera: str, frame: int | None) -> str:
+    """Path of a picture below ``images/``, as ``transforms.json`` names it."""
+    return f"{camera}/{frame or 0:06d}.png"
+
+
+def colmap(
+    folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], frames: Sequence[int | None] = (None,)
+) -> list[Path]:
+    """``cameras.txt images.txt points3D.txt``: a text model with one picture per camera, or one per camera and
+    frame."""
+    every = [replace(c, name=colmap_picture(c.name, frame).removesuffix(".png")) for c in cameras for frame in frames]
+    write_model(folder, every, points_m)
     return [folder / f"{name}.txt" for name in ("cameras", "images", "points3D")]
 
 
@@ -45,25 +62,21 @@ def easymocap(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarra
     return [folder / "intri.yml", folder / "extri.yml"]
 
 
-def nerfstudio(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"]) -> list[Path]:
-    """``transforms.json``: camera-to-world with OpenGL axes in our own world, no applied_transform to undo."""
-    frames = []
+def nerfstudio(
+    folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray, "N 3"], frames: Sequence[int | None] = (None,)
+) -> list[Path]:
+    """``transforms.json``: camera-to-world with OpenGL axes in our own world, no applied_transform to undo; of several
+    frames each has its ``time``, 0 to 1."""
+    entries: list[dict[str, Any]] = []
     for c in cameras:
         (fx, fy), (cx, cy) = c.focal_px, c.principal_px
-        frames.append(
-            {
-                "file_path": f"images/{c.name}/000000.png",
-                "camera_label": c.name,
-                "w": c.wh[0],
-                "h": c.wh[1],
-                "fl_x": fx,
-                "fl_y": fy,
-                "cx": cx,
-                "cy": cy,
-                "transform_matrix": (c.world_from_camera @ _OPENGL_FROM_OPENCV).tolist(),
-            }
-        )
-    write_text(folder / "transforms.json", json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
+        pose = (c.world_from_camera @ _OPENGL_FROM_OPENCV).tolist()
+        about = {"w": c.wh[0], "h": c.wh[1], "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
+        for k, frame in enumerate(frames):
+            time = {} if len(frames) == 1 else {"time": k / (len(frames) - 1)}
+            named = {"file_path": f"images/{nerfstudio_picture(c.name, frame)}", "camera_label": c.name}
+            entries.append({**named, **time, **about})
+    write_text(folder / "transforms.json", json.dumps({"camera_model": "OPENCV", "frames": entries}, indent=1) + "\n")
     return [folder / "transforms.json"]
 
 
@@ -82,12 +95,27 @@ def pose2sim(folder: Path, cameras: Sequence[Camera], points_m: Float[np.ndarray
     return [folder / "Calib.toml"]
 
 
-WRITERS: dict[str, Callable[[Path, Sequence[Camera], Float[np.ndarray, "N 3"]], list[Path]]] = {
+WRITERS: dict[str, Callable[..., list[Path]]] = {
     "colmap": colmap,
     "easymocap": easymocap,
     "nerfstudio": nerfstudio,
     "pose2sim": pose2sim,
 }
+
+
+PICTURES: dict[str, Callable[[str, int | None], str]] = {"colmap": colmap_picture, "nerfstudio": nerfstudio_picture}
+
+
+def write_pictures(folder: Path, videos: Mapping[str, Path], frames: Sequence[int | None]) -> list[Path]:
+    """The undistorted pictures of every camera's video that COLMAP's and nerfstudio's files name, below their
+    folders in ``folder``; of ``frames`` None is the first, alone."""
+    written = []
+    for camera, video in videos.items():
+        for frame, picture in zip(frames, read_frames(video)):
+            for form, name in PICTURES.items():
+                written.append(folder / form / "images" / name(camera, frame))
+                write_png(written[-1], picture)
+    return written
 
 
 def _matrix(name: str, value: np.ndarray) -> str:

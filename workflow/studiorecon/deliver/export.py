@@ -7,12 +7,16 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from studiorecon.body.avatar.avatar_files import Avatar, read_avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.body.person_files import read_person
 from studiorecon.camera_files.colmap import read_model, read_points
+from studiorecon.configuration.setting import setting
 from studiorecon.deliver import camera_files, keypoint_files, motion_files
 from studiorecon.deliver.body_colours import BodyColours, body_colours
 from studiorecon.deliver.gltf import write_glb
@@ -25,11 +29,27 @@ from studiorecon.scene.gaussians_ply import read_ply, write_ply
 from studiorecon.scene.people import Person, read_detections, read_identities
 from studiorecon.signature import Written
 
+
+@dataclass(frozen=True)
+class Settings:
+    """What is written for other programs."""
+
+    pictures: Literal["first", "all", "none"] = setting(
+        "first",
+        "Undistorted pictures beside the cameras of COLMAP and nerfstudio: those of the first frame; all frames, which "
+        "takes about 1 MB per camera and frame at 960 pixels; or none, and these programs stop at the first file.",
+    )
+    bvh_unit: Literal["m", "cm"] = setting(
+        "m",
+        "Unit of deliver/bodies/*.bvh, which the format cannot say: m for Blender, cm for Unreal and MotionBuilder.",
+    )
+
+
 README = """{scene}: a 4D scene of {people} and a static room, exported by studiorecon.
 
 background.ply    the static room: 3D Gaussians, binary PLY in the layout of the original 3DGS code
 {still}{persons}cameras/          training cameras for COLMAP, EasyMocap, nerfstudio, Pose2Sim: undistorted pinholes
-{keypoints}films/            H.264 films, enhanced: {films}
+{pictures}{keypoints}films/            H.264 films, enhanced: {films}
 player.html       the scene to move through, in a browser, without a network
 blender.py        opens scene.glb in Blender with the cameras' films behind it: blender --python blender.py
 scene.glb         room (KHR_gaussian_splatting), people, things and cameras for three.js, PlayCanvas, Blender; y up
@@ -55,12 +75,17 @@ _KEYPOINTS = (
     "keypoints/        2D keypoints with identities, in pixels of the exported cameras: "
     "OpenPose JSON and EasyMocap annots ({layouts})\n"
 )
+_PICTURES = {
+    "none": "",
+    "first": "                  and the undistorted pictures of frame 0 that COLMAP's and nerfstudio's files name\n",
+    "all": "                  and the undistorted pictures of all frames that COLMAP's and nerfstudio's files name\n",
+}
 _PERSONS = (
     "people/           each person at frame {frame}, or the first one with them, in the world, same layout\n"
     "bodies/           each person's motion; .npz is this project's own (AMASS-style, SMPL's "
     "24-joint order, trans = pelvis, which frames\n"
     "                  were measured and which have the person at all, deviations), .amass.npz has SMPL's trans;\n"
-    "                  .bvh (y up, metres; goes on while the person is away), .trc (OpenSim markers, y up,\n"
+    "                  .bvh (y up, {bvh_unit}; goes on while the person is away), .trc (OpenSim markers, y up,\n"
     "                  metres), .c3d (the same markers, z up, millimetres), .openpose3d.json (BODY_25, z up) and .glb "
     "(coloured mesh, skeleton\n                  and animation, y up) are for other programs\n"
 )
@@ -86,13 +111,17 @@ def readme(
     frames: int,
     fps: float,
     layouts: Sequence[str] = (),
+    settings: Settings | None = None,
 ) -> str:
     """The text that says what is what; it mentions only what is there."""
+    chosen = settings or Settings()
+    unit = {"m": "metres", "cm": "centimetres"}[chosen.bvh_unit]
     return README.format(
         scene=scene,
+        pictures=_PICTURES[chosen.pictures],
         people=f"{len(people)} people" if len(people) != 1 else "one person",
         still=_STILL.format(frame=frame) if people else "",
-        persons=_PERSONS.format(frame=frame) if people else "",
+        persons=_PERSONS.format(frame=frame, bvh_unit=unit) if people else "",
         keypoints=_KEYPOINTS.format(layouts=", ".join(layouts)) if layouts else "",
         films=", ".join(films) if films else "none",
         frames=frames,
@@ -115,7 +144,13 @@ def copy_files(copies: Mapping[Path, Path]) -> None:
             shutil.copyfile(source, partial)
 
 
-def motion(folder: Path, person: Person, body: BodyModel, colours: BodyColours | None = None) -> list[Path]:
+def motion(
+    folder: Path,
+    person: Person,
+    body: BodyModel,
+    colours: BodyColours | None = None,
+    bvh_unit: Literal["m", "cm"] = "m",
+) -> list[Path]:
     """One person's motion in every format, ``<folder>/<person>.<ending>``, the mesh grey without ``colours``; raises
     UserError when the fit is of another body model."""
     if person.body != body.identity:
@@ -124,15 +159,15 @@ def motion(folder: Path, person: Person, body: BodyModel, colours: BodyColours |
             f"{body.identity} was given; use the same body file"
         )
     written = []
-    for ending, write in motion_files.WRITERS.items():
-        written.append(folder / f"{person.name}.{ending}")
-        write(written[-1], person, body)
+    for ending, write in (motion_files.WRITERS | {"bvh": partial(motion_files.bvh, unit=bvh_unit)}).items():
+        written += write(folder / f"{person.name}.{ending}", person, body)
     written.append(folder / f"{person.name}.glb")
     write_glb(written[-1], person, body, colours)
     return written
 
 
 def run(
+    settings: Settings,
     scene: str,
     manifest: Path,
     model: Path,
@@ -142,6 +177,7 @@ def run(
     fits: list[Path],
     body: Path | None,
     films: list[Path],
+    videos: list[Path],
     detections: list[Path],
     identities: list[Path],
     blender: Path,
@@ -162,15 +198,20 @@ def run(
             person = read_person(fit)
             if colours.get(person.name) is None:
                 say(f"{person.name} has no Gaussians, so bodies/{person.name}.glb is grey")
-            motions += motion(folder / "bodies", person, body_model, colours.get(person.name))
+            motions += motion(folder / "bodies", person, body_model, colours.get(person.name), settings.bvh_unit)
     written = gaussian_files(read_ply(background), people, _STILL_FRAME)
     for name, one in written.items():
         write_ply(folder / name, one)
     cameras, seen = read_model(model.parent), [read_detections(p) for p in detections]
     points_m = read_points(model.parent)
-    other = [
-        p for form, write in camera_files.WRITERS.items() for p in write(folder / "cameras" / form, cameras, points_m)
-    ]
+    frames = list(range(capture.frames)) if settings.pictures == "all" else [None]
+    other = []
+    for form, write in camera_files.WRITERS.items():
+        named = {"frames": frames} if form in camera_files.PICTURES else {}
+        other += write(folder / "cameras" / form, cameras, points_m, **named)
+    if settings.pictures != "none":
+        filmed = {video.stem: video for video in videos}
+        other += camera_files.write_pictures(folder / "cameras", filmed, frames)
     by_name, names = {c.name: c for c in cameras}, [p.person for p in people]
     known = {k: v for path in identities for k, v in read_identities(path).items()}
     for form, write in keypoint_files.WRITERS.items():
@@ -183,7 +224,7 @@ def run(
     copies[blender] = folder / blender.name
     copy_files(copies)
     layouts = sorted({d.layout for d in seen})
-    text = readme(scene, names, [f.stem for f in films], _STILL_FRAME, capture.frames, capture.fps, layouts)
+    text = readme(scene, names, [f.stem for f in films], _STILL_FRAME, capture.frames, capture.fps, layouts, settings)
     write_text(folder / "README.txt", text)
     delivered = sorted(
         ["README.txt", *written, *(str(path.relative_to(folder)) for path in [*copies.values(), *other])]
@@ -194,7 +235,7 @@ def run(
         if p.is_file() and str(p.relative_to(folder)) not in delivered and not p.name.endswith(OF_OTHER_STEPS)
     ]:
         stale.unlink()
-    filmed = [
+    listed = [
         {
             "name": camera.name,
             "wh": camera.wh,
@@ -209,7 +250,7 @@ def run(
         "still_frame": _STILL_FRAME,
         "fps": capture.fps,
         "frames": capture.frames,
-        "cameras": filmed,
+        "cameras": listed,
     }
     write_json(contents, told | {"files": {name: digest(folder / name) for name in delivered}})
     say(

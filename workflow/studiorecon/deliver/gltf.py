@@ -18,6 +18,7 @@ from studiorecon.body.avatar.avatar_files import Avatar
 from studiorecon.body.model import BodyModel
 from studiorecon.deliver.body_colours import BodyColours
 from studiorecon.deliver.motion_files import Y_UP_FROM_Z_UP
+from studiorecon.errors import UserError
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES
 from studiorecon.scene.files import complete
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _BONES = 4
+_MOST_BYTES = 2**32 - 1  # lengths in a GLB are 32 bits
 
 
 class Buffer:
@@ -134,7 +136,7 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
         "scene": 0,
         "scenes": [{"nodes": [0, 24]}],
         "nodes": [*nodes, {"name": person.name, "mesh": 0, "skin": 0}],
-        "meshes": [{"name": person.body, "primitives": [primitive | {"material": 0}]}],
+        "meshes": [{"name": person.name, "primitives": [primitive | {"material": 0}]}],
         "materials": [
             {
                 "pbrMetallicRoughness": {
@@ -151,12 +153,19 @@ def write_glb(path: Path, person: Person, body: BodyModel, colours: BodyColours 
 
 
 def write_document(path: Path, document: dict[str, Any], buffer: Buffer) -> None:
-    """A ``.glb`` of a document and the binary chunk that its accessors point into."""
+    """A ``.glb`` of a document and the binary chunk that its accessors point into; UserError when it is larger than
+    the format can say."""
     held = {"accessors": buffer.accessors, "bufferViews": buffer.views, "buffers": [{"byteLength": len(buffer.data)}]}
     text = json.dumps(document | held, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(buffer.data)
+    if total > _MOST_BYTES:
+        raise UserError(
+            f"{path} would have {total / 1e9:.1f} GB, and a GLB file at most {_MOST_BYTES / 1e9:.1f} GB; the PLY files "
+            "and deliver/bodies have no such limit, or take fewer frames (frames: {first: 0, count: N} in capture.yaml)"
+        )
     with complete(path) as partial, open(partial, "wb") as file:
-        file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(buffer.data)))
+        file.write(struct.pack("<4sII", b"glTF", 2, total))
         file.write(struct.pack("<I4s", len(text), b"JSON") + text)
         file.write(struct.pack("<I4s", len(buffer.data), b"BIN\0") + bytes(buffer.data))
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from studiorecon.body.model import BodyModel, shape_and_size
 from studiorecon.geometry import rotations
 from studiorecon.keypoints.layouts import JOINT_NAMES, LAYOUTS
+from studiorecon.progress import say
 from studiorecon.scene.files import complete, write_npz, write_text
 from studiorecon.scene.people import Person
 
@@ -27,9 +28,12 @@ if TYPE_CHECKING:
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
 # Points of TRC and OpenPose files, in OpenPose's order and under OpenPose's names.
 _BODY_25 = LAYOUTS["body_25"].keypoints
+_C3D_FRAMES = 65_535
+"""Most frames of a C3D file: its header and POINT:FRAMES count with 16 bits. Programs write longer ones in ways of
+their own, of which ezc3d reads Vicon's only and Mokka none."""
 
 
-def amass(path: Path, person: Person, body: BodyModel) -> None:
+def amass(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """``poses (T, 72) trans (T, 3) betas mocap_framerate gender`` with SMPL's own ``trans``: pelvis = J(betas)₀ +
     trans.
 
@@ -49,17 +53,19 @@ def amass(path: Path, person: Person, body: BodyModel) -> None:
         "present": person.present,
     }
     write_npz(path, arrays)
+    return [path]
 
 
-def bvh(path: Path, person: Person, body: BodyModel) -> None:
-    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, metres, degrees.
+def bvh(path: Path, person: Person, body: BodyModel, unit: Literal["m", "cm"] = "m") -> list[Path]:
+    """Biovision hierarchy: the skeleton in its T-pose, then one line of channels per frame; y up, ``unit``, degrees.
 
     Channels are ``Zrotation Xrotation Yrotation``, applied in that order to column vectors as R = Rz Rx Ry. Filled
     frames are included, a film must not blink, and so are those in which the person is away, which the format cannot
-    say: there the skeleton goes from where they left to where they come back. A BVH file names no unit; metres are the
-    unit of every other file here, and what Blender reads it as.
+    say: there the skeleton goes from where they left to where they come back. A BVH file names no unit: Blender reads
+    metres, as every other file here has them, Unreal and MotionBuilder read centimetres.
     """
-    rest = body.rest_joints(person.betas)
+    per_m = {"m": 1.0, "cm": 100.0}[unit]
+    rest = per_m * body.rest_joints(person.betas)
     children: dict[int, list[int]] = {j: [k for k, parent in enumerate(body.parents) if parent == j] for j in range(24)}
     lines, order = ["HIERARCHY"], []
 
@@ -87,19 +93,21 @@ def bvh(path: Path, person: Person, body: BodyModel) -> None:
     turned = rotations.exp(person.poses.reshape(-1, 24, 3))
     turned[:, 0] = Y_UP_FROM_Z_UP @ turned[:, 0]
     angles = euler_zxy_deg(turned)[:, order].reshape(len(turned), -1)
-    places = person.trans @ Y_UP_FROM_Z_UP.T
+    places = per_m * person.trans @ Y_UP_FROM_Z_UP.T
     lines += ["MOTION", f"Frames: {len(angles)}", f"Frame Time: {1 / person.fps:.9f}"]
     lines += [f"{_numbers(place)} {_numbers(row)}" for place, row in zip(places, angles)]
     write_text(path, "\n".join(lines) + "\n")
+    return [path]
 
 
-def trc(path: Path, person: Person, body: BodyModel) -> None:
+def trc(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """OpenSim's marker file: the body's surface points under OpenPose BODY_25 names; y up, metres, frames from 1.
 
     Frames that were not measured are left empty, which OpenSim reads as missing.
     """
     points = body.keypoints(_BODY_25, person.poses, person.betas, person.trans) @ Y_UP_FROM_Z_UP.T
-    count, fps = len(_BODY_25), f"{person.fps:g}"
+    # A program that counts time by the rate must still be right after hours: 29.97 for 30000/1001 is not enough.
+    count, fps = len(_BODY_25), f"{person.fps:.10g}"
     names = "\t".join(f"{name}\t\t" for name in map(openpose_name, _BODY_25))
     axes = "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, count + 1))
     lines = [
@@ -114,22 +122,42 @@ def trc(path: Path, person: Person, body: BodyModel) -> None:
         cells = [f"{v:.6f}" for v in values.reshape(-1)] if measured else [""] * (3 * count)
         lines.append("\t".join([str(frame + 1), f"{frame / person.fps:.6f}", *cells]))
     write_text(path, "\n".join(lines) + "\n")
+    return [path]
 
 
-def c3d(path: Path, person: Person, body: BodyModel) -> None:
+def c3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """C3D of biomechanics (Vicon, Qualisys, Visual3D, OpenSim, Mokka): the points of ``trc``, millimetres, z up as in
     laboratories, frames from 1.
 
     A frame that was not measured has no points: not a number, with the residual -1 that means so. Points come from
-    pictures and have no residual of their own: 0.
+    pictures and have no residual of their own: 0. The format counts frames with 16 bits: a longer motion is written as
+    several files, each of which every reader reads whole, ``<name>_frames_<first>-<last>.c3d``.
     """
+    frames = len(person.valid)
+    if frames <= _C3D_FRAMES:
+        _c3d_of(path, person, body, slice(0, frames))
+        return [path]
+    written = []
+    for first in range(0, frames, _C3D_FRAMES):
+        last = min(first + _C3D_FRAMES, frames)
+        written.append(path.with_name(f"{path.stem}_frames_{first + 1}-{last}{path.suffix}"))
+        _c3d_of(written[-1], person, body, slice(first, last))
+    path.unlink(missing_ok=True)
+    say(
+        f"{person.name}: a C3D file holds at most {_C3D_FRAMES:,} frames, so the {frames:,} frames are in "
+        f"{len(written)} files: {', '.join(part.name for part in written)}"
+    )
+    return written
+
+
+def _c3d_of(path: Path, person: Person, body: BodyModel, frames: slice) -> None:
     import ezc3d  # a fifth of a second, which only this format needs
 
-    points_m = body.keypoints(_BODY_25, person.poses, person.betas, person.trans)
+    valid = person.valid[frames]
+    points_m = body.keypoints(_BODY_25, person.poses[frames], person.betas, person.trans[frames])
     points = np.ones((4, len(_BODY_25), len(points_m)))
     points[:3] = np.moveaxis(1000 * points_m, -1, 0).swapaxes(1, 2)
-    points[:3, :, ~person.valid] = np.nan
-    residuals = np.where(person.valid, 0.0, -1.0) * np.ones((1, len(_BODY_25), 1))
+    points[:3, :, ~valid] = np.nan
     file = ezc3d.c3d()
     file["header"]["points"]["first_frame"] = 0
     file["parameters"]["POINT"]["RATE"]["value"] = [person.fps]
@@ -138,12 +166,15 @@ def c3d(path: Path, person: Person, body: BodyModel) -> None:
     file.add_parameter("POINT", "X_SCREEN", ["+X"])
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file["data"]["points"] = points
-    file["data"]["meta_points"]["residuals"] = residuals
+    file["data"]["meta_points"]["residuals"] = np.where(valid, 0.0, -1.0) * np.ones((1, len(_BODY_25), 1))
     with complete(path) as partial:
         file.write(str(partial))
+        back = ezc3d.c3d(str(partial))["data"]["points"]
+        if back.shape != points.shape:
+            raise OSError(f"{path} has {back.shape[2]} frames when read back, {points.shape[2]} were written")
 
 
-def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
+def openpose_3d(path: Path, person: Person, body: BodyModel) -> list[Path]:
     """OpenPose's JSON with ``pose_keypoints_3d`` (BODY_25, metres, z up, confidence 1 or, in frames that were filled,
     0).
 
@@ -160,9 +191,10 @@ def openpose_3d(path: Path, person: Person, body: BodyModel) -> None:
         for row, there in zip(rows, person.present)
     ]
     write_text(path, json.dumps(frames, separators=(",", ":")) + "\n")
+    return [path]
 
 
-WRITERS: dict[str, Callable[[Path, Person, BodyModel], None]] = {
+WRITERS: dict[str, Callable[[Path, Person, BodyModel], list[Path]]] = {
     "amass.npz": amass,
     "bvh": bvh,
     "trc": trc,
